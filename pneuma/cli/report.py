@@ -5,16 +5,12 @@ The folder may be untrusted: no study's file that only a record names is loaded.
 
 from __future__ import annotations
 
-import json
-import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.crossed import effects_table, study_effects
 from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import summary_table
@@ -23,7 +19,7 @@ from pneuma.cli.output import command
 from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted
-from pneuma.figures.report import Part, factors_table, numbers_table, study_pictures
+from pneuma.figures.report import Part, numbers_table, study_pictures
 from pneuma.figures.verdicts import judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
@@ -62,11 +58,10 @@ def _own_name(name: str) -> str:
     return split_world(Path(name).stem if name.endswith(".toml") else name)[0]
 
 
-def _place(study: str) -> tuple[bool, list[int], str]:
+def _place(study: str) -> tuple[bool, str, str]:
     """Return what sorts studies: by section of the thesis, those without one last."""
     section = spec.load_study(study).section if study in spec.list_studies() else ""
-    numbers = [int(number) for number in re.findall(r"\d+", section)]
-    return (not numbers, numbers, study)
+    return (not section, section, study)
 
 
 def _section(store: Store, study: str) -> dict[str, Any]:
@@ -74,13 +69,9 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
     worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
-    parts = [_part(store, study, world) for world in worlds]
-    if shipped:
-        told = {key: getattr(shipped, key) for key in ("title", "section", "about")}
-    else:
-        title = next((part.title for part in parts if part.title), study)
-        told = {"title": title, "section": "", "about": ""}
-    return {"study": study, "parts": parts, **told}
+    told = {key: getattr(shipped, key, "") for key in ("section", "about")}
+    title = shipped.title if shipped else study
+    return {"study": study, "title": title, **told, "parts": [_part(store, study, name) for name in worlds]}
 
 
 # --- One study in one world ------------------------------------------------------------------------
@@ -103,29 +94,29 @@ def _part(store: Store, study: str, world: str) -> Part:
     if not record["runs"]:
         part.notes = ["No runs yet."]
         return part
-    part.title, part.where = record["title"], _where(record)
-    part.notes = _notes(record, [state.status for state in states])
+    titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
+    names = dict.fromkeys(str(run["run"].get("env")) for run in record["runs"])
+    part.where = ", ".join(titles.get(name, name) for name in names)
+    part.notes = [
+        f"{' = '.join(same)} are one configuration: comparing them is A/A." for same in record["same"]
+    ]
     part.extent, part.conditions = _extent(record), _conditions(study, name, record)
     part.runs = [
         (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status,
          str(own.run["run"].get("engine") or "unknown"))
         for own in states
     ]  # fmt: skip
-    done = sum(state.status in FINISHED for state in states)
-    if done < len(states) and (shipped or record.get("path")):
-        part.mend = _same_again(study, world, record)
-    if done:
+    statuses = [own.status for own in states]
+    missing, diverged = sum(status not in FINISHED for status in statuses), statuses.count("diverged")
+    if missing:
+        lacking = "are not here, not finished or damaged, and left out below"
+        part.notes.append(f"{missing} of {len(states)} runs {lacking}.")
+        part.mend = _same_again(study, world, record) if shipped or record.get("path") else ""
+    if diverged:
+        part.notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
+    if missing < len(states):
         _add_data(store, part, record)
     return part
-
-
-def _where(record: Mapping[str, Any]) -> str:
-    """Return a part's heading: where its runs are played."""
-    if record.get("source") == "tensorboard":
-        return "Imported logs"
-    titles = {world.env: world.title for world in WORLDS.values()}
-    names = dict.fromkeys(str(run["run"].get("env")) for run in record["runs"])
-    return f"In {', '.join(titles.get(name, name) for name in names)}"
 
 
 def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
@@ -133,40 +124,21 @@ def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
     try:
         data = open_study(store, record)
         if step := common_step(data):
-            told = f"numbers and effects are of runs as they stood at {step:,} steps, figures of whole runs"
-            part.notes.append(f"Budgets are unlike: {told}.")
+            part.notes.append(f"Budgets are unlike: numbers are of runs as they stood at {step:,} steps.")
         part.numbers = numbers_table(part.record, summary_table(data))
-        with suppress(UserError):  # it is not crossed, or not whole
-            part.effects = factors_table(part.record, effects_table(study_effects(data)))
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
-        part.pictures = [*study_pictures(data)]
+        part.pictures = study_pictures(data)
     except (UserError, UnicodeError) as error:  # a name in a record may be no text that can be written
         part.notes.append(_without_folder(store, error))
 
 
-def _notes(record: Mapping[str, Any], states: Sequence[str]) -> list[str]:
-    """Return what a person should know before looking at a study's numbers."""
-    notes = [f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in record["same"]]
-    missing, diverged = sum(state not in FINISHED for state in states), states.count("diverged")
-    if missing:
-        notes.append(
-            f"{missing} of {len(states)} runs are not here, not finished or damaged, and left out below."
-        )
-    if diverged:
-        notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
-    return notes
-
-
 def _extent(record: Mapping[str, Any]) -> str:
-    """Say how much a record is, as '3 conditions, 10 seeds each, 50,176 agent steps a run'."""
-    seeds = {*Counter(run["condition"] for run in record["runs"]).values()}
-    steps = {run["run"]["steps"] for run in record["runs"]}
-    most = max(seeds)
-    each = counted(most, "seed") if len(seeds) == 1 else f"{min(seeds)} to {most} seeds"
-    amounts = " to ".join(f"{amount:,}" for amount in sorted({min(steps), max(steps)}))
+    """Say how much a record is, as '3 conditions, 30 runs of up to 50,176 agent steps'."""
     conditions = len({run["condition"] for run in record["runs"]})
-    return f"{counted(conditions, 'condition')}, {each} each, {amounts} agent steps a run"
+    steps = max(run["run"]["steps"] for run in record["runs"])
+    runs = counted(len(record["runs"]), "run")
+    return f"{counted(conditions, 'condition')}, {runs} of up to {steps:,} agent steps"
 
 
 def _without_folder(store: Store, error: Exception) -> str:
@@ -194,7 +166,7 @@ def _same_again(study: str, world: str, record: Mapping[str, Any]) -> str:
 
 
 def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Sort a record's fields: those that conditions differ in, those alike but not the base's, the rest."""
+    """Return a record's fields: a table of those that conditions differ in, and facts of those alike."""
     resolved: dict[str, Any] = {run["condition"]: run["run"] for run in record["runs"]}
     some = next(iter(resolved.values()))
     if study in spec.list_studies():
@@ -205,20 +177,23 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, A
     keys = [key for key in dict.fromkeys([*some, *usual]) if key not in ("seed", "steps")]
     told = {key: [_value(own.get(key, "unknown")) for own in (usual, *resolved.values())] for key in keys}
     unlike = [key for key in keys if len(set(told[key][1:])) > 1]
-    alike = {key: (told[key][1], told[key][0]) for key in keys if key not in unlike}
     rows = [[label, *(told[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
     caption, columns = f"What the conditions of {name} differ in", ("Condition", *unlike)
+    alike = {key: told[key][1::-1] for key in keys if key not in unlike}  # here, and in the base
     return {
         "base": base,
         "differing": (caption, columns, rows, len(columns)) if unlike else None,
-        "shared": {key: (value, usual) for key, (value, usual) in alike.items() if value != usual},
-        "rest": {key: value for key, (value, usual) in alike.items() if value == usual},
+        "alike": {
+            key: value if value == usual else f"{value} ({base}: {usual})"
+            for key, (value, usual) in alike.items()
+        },
     }
 
 
 def _value(value: Any) -> str:
-    """Write a setting for people."""
-    shown = json.dumps(value) if isinstance(value, dict) else shown_value(value)
+    """Write a setting or a fact for people."""
+    several = isinstance(value, dict)
+    shown = ", ".join(f"{key} {own}" for key, own in value.items()) if several else shown_value(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
@@ -228,11 +203,5 @@ def _facts(run: FinishedRun) -> dict[str, str]:
         found = dict(run.records.provenance() or {})
     except (UserError, ValueError, TypeError):
         found = {}
-    facts = {}
-    for key in ORIGIN_FACTS:
-        if (value := found.get(key)) is not None:
-            several = isinstance(value, dict)
-            facts[key] = _value(
-                ", ".join(f"{name} {own}" for name, own in value.items()) if several else value
-            )
+    facts = {key: _value(found[key]) for key in ORIGIN_FACTS if found.get(key) is not None}
     return facts or {"provenance": "missing or damaged"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
@@ -24,15 +24,14 @@ from markupsafe import Markup
 from pneuma import __version__
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.intervals import decimals, shown, shown_with_interval
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.intervals import shown_with_interval
 from pneuma.errors import counted, plain
 from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import MOST_CURVES, draw_study
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.style import shrink
-from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.summary import draw_summary
 from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
@@ -47,30 +46,26 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
 
 @dataclass
 class Part:
-    """What is shown of a study in one world.
+    """What is shown of a study in one world, under the name that its runs are recorded under.
 
     Attributes:
-        record: the name that its runs are recorded under.
         where: its heading: in which world its runs are played.
-        title: of the study, as its record has it.
         notes: sentences that a person should know first.
         mend: the command that would train what is missing.
         extent: how much it is.
         pictures: as `study_pictures` draws them.
-        conditions: its fields, sorted by whether conditions or their base differ in them.
+        conditions: `base`; of its fields `differing`, a table, and `alike`, by name.
         runs: of each its id, condition, seed, status and engine.
         origins: what produced the runs: facts by name, and for how many runs they hold.
     """
 
     record: str
     where: str
-    title: str = ""
     notes: list[str] = field(default_factory=list)
     mend: str = ""
     extent: str = ""
     pictures: Sequence[Mapping[str, str]] = ()
     numbers: Table | None = None
-    effects: Table | None = None
     conditions: Mapping[str, Any] | None = None
     runs: Sequence[Sequence[Any]] = ()
     origins: Sequence[tuple[Mapping[str, str], int]] = ()
@@ -145,68 +140,44 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     return caption, ["Condition", *map("\n".join, pairs)], rows, 1
 
 
-def factors_table(study: str, effects: pd.DataFrame) -> Table:
-    """Return what each factor of a crossed study does, alone and with each other."""
-    rows = [
-        (row["effect"], row["levels"], f"{row['df']}, {row['df_error']}", shown(row["f"], decimals(row["f"])),
-         shown(row["partial_r2"], decimals(row["partial_r2"])), f"{row['p_holm']:.4f}")
-        for row in effects.to_dict("records")
-    ]  # fmt: skip
-    outcome, runs = effects["outcome"].iloc[0], effects["runs"].iloc[0]
-    caption = f"Effects of {study}'s factors on {outcome}, tested by permutation; {runs} runs"
-    return caption, ("Effect", "Levels", "df", "F", "Share of variance", "p (Holm)"), rows, 2
-
-
 # --- Pictures ----------------------------------------------------------------------------------------
 
-Draw = Callable[[Path, tuple[str, ...]], list[Path]]
 
-
-def study_pictures(data: StudyData) -> Iterator[dict[str, str]]:
+def study_pictures(data: StudyData) -> list[dict[str, str]]:
     """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
 
     Each is a data URI (an SVG is shown as an image: nothing in it runs), words for those who cannot see it,
-    and a caption with the command that draws it.
-
-    Of more conditions than a page has room for the curves of, it shows what their runs came to.
+    and a caption with the command that draws it. Of more conditions than a page has room for the curves of,
+    it shows what their runs came to.
     """
-
-    def picture(what: str, command: str, draw: Draw) -> dict[str, str]:
-        alt = f"{data.title}: {what}, for {', '.join(data.conditions)}."
-        told = f"{what[:1].upper()}{what[1:]}: pneuma study {command}."
-        return {"source": _source(draw), "alt": alt, "caption": told}
-
     study = quote(data.study)
-    if curve_names(data) and len(data.conditions) <= MOST_CURVES:
-        yield picture(
-            f"curves over {data.budget:,} environment steps", f"plot {study}",
-            lambda folder, forms: draw_study(data, folder, formats=forms),
-        )  # fmt: skip
-    else:
-        yield picture(
-            f"{find_outcome(shown_outcome(data)).words}, every run and means", f"summary {study}",
-            lambda folder, forms: draw_summary(data, folder, forms),
-        )  # fmt: skip
-    if len(collapsed_shares(data)):
-        yield picture(
-            "runs that collapsed", f"collapse {study}",
-            lambda folder, forms: draw_collapse(data, folder, "collapse", forms),
-        )  # fmt: skip
-    if maps := study_maps(data):
-        values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
-        yield picture(
-            "in which cells contrasts hold",
-            f"robustness {study} --contrast {quote(f'{maps[0].setting}={values}')}",
-            lambda folder, forms: draw_robustness(data, maps, folder, "maps", forms),
-        )  # fmt: skip
+    with TemporaryDirectory() as name:
+        folder, drawn = Path(name), []
+        if curve_names(data) and len(data.conditions) <= MOST_CURVES:
+            drawn.append((f"Curves over {data.budget:,} environment steps", "plot", draw_study(data, folder)))
+        else:
+            drawn.append(("What every run came to, and means", "summary", draw_summary(data, folder)))
+        if len(collapsed_shares(data)):
+            drawn.append(("Runs that collapsed", "collapse", draw_collapse(data, folder, "collapse")))
+        if maps := study_maps(data):
+            values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
+            contrast = quote(f"{maps[0].setting}={values}")
+            paths = draw_robustness(data, maps, folder, "maps")
+            drawn.append(("In which cells contrasts hold", f"robustness --contrast {contrast}", paths))
+        return [
+            {
+                "source": _source(paths),
+                "alt": f"{data.title}: {what}, for {', '.join(data.conditions)}.",
+                "caption": f"{what}: pneuma study {command} {study}.",
+            }
+            for what, command, paths in drawn
+        ]
 
 
-def _source(draw: Draw) -> str:
-    """Return a figure as an SVG, sharp at any size; as a PNG where that saves much."""
-    with TemporaryDirectory() as folder:
-        paths = draw(Path(folder), ("png", "svg"))
-        for path in paths:
-            shrink(path)
-        files = {path.suffix: path.read_bytes() for path in paths}
+def _source(paths: Sequence[Path]) -> str:
+    """Return a figure's SVG, sharp at any size; its PNG where that saves much."""
+    for path in paths:
+        shrink(path)
+    files = {path.suffix: path.read_bytes() for path in paths}
     form = ".png" if len(files[".svg"]) > max(LARGE_BYTES, len(files[".png"])) else ".svg"
     return f"data:{MEDIA_TYPES[form]};base64,{b64encode(files[form]).decode('ascii')}"

@@ -35,7 +35,7 @@ def _page(name: str = "tanh") -> bytes:
         pictures=[{"source": PICTURE, "alt": name, "caption": name}], numbers=numbers,
         conditions={
             "base": name, "differing": (name, (name,), [[name]], 1),
-            "shared": {name: (name, name)}, "rest": {name: name},
+            "alike": {name: name},
         },
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],
