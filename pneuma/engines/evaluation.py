@@ -46,32 +46,31 @@ class OwnAgent:
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Ask `act`, which draws from a generator of its own: (N, features) -> (N,)."""
-        return self._checked(self.act(observations.copy()), "the agent", len(observations))
+        return self._checked(self.act, observations)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Ask `choose`, or strike: (N, features) -> (N,)."""
         if self.choose is None:
             return np.full(len(observations), rules.ATTACK)
-        return self._checked(self.choose(observations.copy()), "best", len(observations))
+        return self._checked(self.choose, observations)
 
-    def _checked(self, answer: object, who: str, count: int) -> np.ndarray:
-        """Return an answer to `count` observations.
+    def _checked(self, ask: Act, observations: np.ndarray) -> np.ndarray:
+        """Return what a function answers.
 
         Raises:
-            UserError: when it is not an action for each.
+            UserError: when it is not an action for each observation.
         """
-        wanted = f"must be {count} whole numbers, one for each observation"
-        if isinstance(answer, tuple):  # as a learner's own `predict` gives
-            raise UserError(f"{who} gave a tuple: {wanted}; of Stable-Baselines3's predict take [0]")
+        answer, count = ask(observations.copy()), len(observations)
         try:
             actions = np.asarray(answer)
-        except (ValueError, TypeError, RuntimeError) as error:
-            raise UserError(f"{who} gave {type(answer).__name__} ({error}): {wanted}") from None
-        if actions.shape != (count,) or actions.dtype.kind not in "iu":
-            raise UserError(f"{who} gave {actions.dtype} of shape {actions.shape}: {wanted}")
-        if not 0 <= actions.min() <= actions.max() < self.actions:
-            given = f"{actions.min()} to {actions.max()}"
-            raise UserError(f"{who} gave actions {given}: there are 0 to {self.actions - 1}")
+            fits = actions.shape == (count,) and actions.dtype.kind in "iu"
+        except (ValueError, TypeError, RuntimeError):
+            fits = False
+        if not fits or not 0 <= actions.min() <= actions.max() < self.actions:
+            raise UserError(
+                f"the agent gave {str(answer)[:60]!r}: must be {count} whole numbers from 0 to "
+                f"{self.actions - 1}, one for each observation (of Stable-Baselines3's predict take [0])"
+            )
         return actions
 
 
@@ -81,8 +80,7 @@ class Evaluation:
     def __init__(self, run: Run) -> None:
         self.run = run
         self.episodes = run.evaluation_episodes
-        probe = Worlds(1, evaluation_config(run))
-        self.argmax_starts = len(probe.level.starts)
+        self.argmax_starts = len(Worlds(1, evaluation_config(run)).level.starts)
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
@@ -94,9 +92,6 @@ class Evaluation:
 
         A policy of action values has `q_estimate` and `q_true` as well.
         """
-        valued = (
-            self.action_values.measure(policy) if self.action_values and isinstance(policy, Policy) else {}
-        )
         returns = self._play_policy(policy, step)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
@@ -115,7 +110,11 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             "hunter_share_killed": self.hunter_share,
-            **valued,
+            **(
+                self.action_values.measure(policy)
+                if self.action_values and isinstance(policy, Policy)
+                else {}
+            ),
         }
 
     def _score(self, share: np.ndarray) -> float:
@@ -148,22 +147,18 @@ class Evaluation:
 
         first_best = self.episodes * self.worlds.players.shape[1]
         actions = np.zeros(self.worlds.players.size, np.int64)
-        seen = np.zeros(0, np.float32)
 
         def act(worlds: Worlds) -> np.ndarray:
-            """Ask a group for the actions of all its rows, or not at all: fewer would give other last bits.
+            """Ask a group for the actions of all its rows, until all of it has ended.
 
-            A group is not asked when all of it has ended; nor are best actions while observations stay the
-            same, as they do of agents that walk against a wall.
+            Asked for fewer rows, a policy would give other last bits.
             """
-            nonlocal seen
             observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
             plays = worlds.worlds["ending"] == rules.RUNNING
             if plays[: self.episodes].any():
                 actions[:first_best] = policy.sample(observations[:first_best], generator)
-            if plays[self.episodes :].any() and not np.array_equal(seen, observations[first_best:]):
-                seen = observations[first_best:].copy()
-                actions[first_best:] = policy.best(seen)
+            if plays[self.episodes :].any():
+                actions[first_best:] = policy.best(observations[first_best:])
             return actions.reshape(worlds.players.shape)
 
         return self._play(act)

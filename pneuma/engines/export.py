@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from pneuma.algorithms import MAILMAN
@@ -65,7 +66,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
-    model = make_model(run, _Spaces(space, spaces.Discrete(len(policy.actor[-1][1]))))
+    model = make_model(run, DummyVecEnv([lambda: _Spaces(space, len(policy.actor[-1][1]))]))
     model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
@@ -108,20 +109,11 @@ def reads_only_shipped_files(run: Run) -> bool:
     return not (is_own_level(run.level) or are_own_characters(run.characters))
 
 
-class _Spaces(VecEnv):
+class _Spaces(gymnasium.Env[np.ndarray, np.int64]):
     """Stands in for an environment where a learner is set up and never trained: spaces alone."""
 
-    def __init__(self, observation_space: spaces.Box, action_space: spaces.Discrete) -> None:
-        self.render_mode = None
-        super().__init__(1, observation_space, action_space)
-
-    def get_attr(self, attr_name: str, indices: object = None) -> list[Any]:
-        return [None]
-
-    def _refuse(self, *_: object, **__: object) -> Any:
-        raise NotImplementedError("this environment has spaces alone")
-
-    reset = step_async = step_wait = close = set_attr = env_method = env_is_wrapped = _refuse
+    def __init__(self, observation_space: spaces.Box, actions: int) -> None:
+        self.observation_space, self.action_space = observation_space, spaces.Discrete(actions)
 
 
 # --- ONNX ------------------------------------------------------------------------------------------
@@ -151,20 +143,12 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
         nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]
         arrays += [*critic_arrays, helper.make_tensor("flat", TensorProto.INT64, [1], [-1])]
         outputs.append(helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]))
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])],
-        outputs,
-        arrays,
-    )
-    opset = helper.make_opsetid("", ONNX_OPSET)
-    model = helper.make_model(
-        graph, producer_name="pneuma", ir_version=ONNX_IR_VERSION, opset_imports=[opset]
-    )
+    inputs = [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])]
+    graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
+    made = {"producer_name": "pneuma", "ir_version": ONNX_IR_VERSION}
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
     known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else ACTION_NAMES + SPELL_NAMES
-    names = known[:actions]
-    helper.set_model_props(model, {**about, "actions": json.dumps(names)})
+    helper.set_model_props(model, {**about, "actions": json.dumps(known[:actions])})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)
 

@@ -128,19 +128,15 @@ def read_sound_policy(data: bytes) -> Policy:
 
 def _is_sound(policy: Policy) -> bool:
     """Tell whether a policy's layers fit each other."""
-    values_alone = policy.exploration is not None
-    for layers in (policy.actor,) if values_alone else (policy.actor, policy.critic):
-        sizes = [weight.shape for weight, _ in layers]
-        if not sizes or not all(before[1] == after[0] for before, after in pairwise(sizes)):
-            return False
-        if not all(bias.shape == (weight.shape[1],) for weight, bias in layers):
-            return False
-    if policy.activation not in ACTIVATIONS:
-        return False
+    networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
+    inputs = {len(layers[0][0]) for layers in networks}
+    fits = policy.activation in ACTIVATIONS and len(inputs) == 1
+    for layers in networks:
+        fits &= all(weight.ndim == 2 and bias.shape == weight.shape[1:] for weight, bias in layers)
+        fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
     if policy.exploration is not None:
-        return not policy.critic and 0 <= policy.exploration <= 1
-    inputs = (layers[0][0].shape[0] for layers in (policy.actor, policy.critic))
-    return len({*inputs}) == 1 and policy.critic[-1][1].shape == (1,)
+        return fits and not policy.critic and 0 <= policy.exploration <= 1
+    return fits and policy.critic[-1][1].shape == (1,)
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
@@ -210,14 +206,8 @@ def dead_share(policy: Policy, observations: np.ndarray) -> float:
 
     Never above zero for the ReLU kinds; beyond 0.99 in size throughout for tanh.
     """
-    hidden = np.concatenate(
-        [
-            layer
-            for part in (policy.actor, policy.critic)
-            for layer in forward(part, policy.activation, observations)[:-1]
-        ],
-        axis=1,
-    )  # (N, units)
+    networks = [forward(part, policy.activation, observations) for part in (policy.actor, policy.critic)]
+    hidden = np.concatenate([layer for outputs in networks for layer in outputs[:-1]], axis=1)  # (N, units)
     if policy.activation == "tanh":
         return float((np.abs(hidden) > 0.99).all(axis=0).mean())
     return float((hidden <= 0).all(axis=0).mean())

@@ -58,7 +58,7 @@ class TableTrainer:
         self._generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self._place = int(self.env.reset(seed=stream_seed(run.stream, "world"))[0])
         self._return, self._length, self._episode = 0.0, 0, 0
-        self._finished: list[dict[str, Any]] = []
+        self._finished: list[Row] = []
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Take a horizon's steps, and learn from each."""
@@ -83,7 +83,10 @@ class TableTrainer:
         self.tables[updated, self._place, action] += self.run.learning_rate * error
         self._return, self._length, self._place = self._return + reward, self._length + 1, int(there)
         if ended:
-            self._end(taken + 1)
+            row: Row = {"slot": 0, "episode": self._episode, "step": taken + 1, "return": self._return}
+            self._finished.append({**row, "length": self._length, "kills": NAN, "hp": NAN, "ending": ENDING})
+            self._return, self._length, self._episode = 0.0, 0, self._episode + 1
+            self._place = int(self.env.reset()[0])
         return action, error
 
     def _choose(self, taken: int) -> int:
@@ -92,22 +95,6 @@ class TableTrainer:
             return int(self._generator.integers(self.tables.shape[2]))
         values = self.tables[:, self._place].mean(axis=0)
         return int(self._generator.choice(np.flatnonzero(values == values.max())))
-
-    def _end(self, step: int) -> None:
-        self._finished.append(
-            {
-                "slot": 0,
-                "episode": self._episode,
-                "step": step,
-                "return": self._return,
-                "length": self._length,
-                "kills": NAN,
-                "hp": NAN,
-                "ending": ENDING,
-            }
-        )
-        self._return, self._length, self._episode = 0.0, 0, self._episode + 1
-        self._place = int(self.env.reset()[0])
 
     def policy(self) -> Policy:
         """Return the mean of the tables as a network without hidden layers, of a place's one-hot code."""
