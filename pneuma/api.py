@@ -189,14 +189,6 @@ def evaluate(
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits
 
-    own = not isinstance(agent, Policy)
-    if own and not callable(agent):
-        raise UserError(
-            f"agent = {type(agent).__name__} is not allowed: a stored policy, or a function from "
-            "observations to actions (of Stable-Baselines3: lambda seen: learner.predict(seen)[0])"
-        )
-    if best is not None and not (own and callable(best)):
-        raise UserError("best: must be a function, beside an agent that is one; a stored policy has its own")
     if episodes < 1:
         raise UserError(f"episodes = {episodes} is not allowed: at least 1")
     world = asdict(make_env_config(dict(settings or {}), env_id))

@@ -114,8 +114,6 @@ def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps
         (lambda seen: np.zeros(len(seen)), {}, "must be 12 whole numbers from 0 to 4"),
         (lambda seen: (np.zeros(len(seen), int), None), {}, "must be 12 whole numbers from 0 to 4"),
         (lambda seen: np.full(len(seen), 5), {}, "must be 12 whole numbers from 0 to 4"),
-        ("ppo", {}, "agent = str is not allowed: a stored policy, or a function"),
-        (POLICY, {"best": POLICY.best}, "best: must be a function, beside an agent that is one"),
         (POLICY.best, {"episodes": 0}, "^episodes = 0 is not allowed: at least 1"),
         (POLICY, {"settings": {"perceive": "nearest:3"}}, "was trained on 60 features; these settings make"),
     ],

@@ -231,19 +231,5 @@ def test_what_is_of_another_kind_is_refused() -> None:
             assert _refused(key, value).endswith(": boolean")
 
 
-@pytest.mark.parametrize(
-    ("key", "written", "meant"),
-    [
-        ("activation", "rleu", "relu"),
-        ("activation", "LeakyReLU", "leaky-relu"),
-        ("optimizer", "RMSProp", "rmsprop"),
-        ("reward", ["kills", "kils"], "kills"),
-        ("env", "Pneuma-v0", "pneuma/Pneuma-v0"),
-    ],
-)
-def test_a_misspelt_value_is_refused_with_the_right_one(key: str, written: Any, meant: str) -> None:
-    assert f"(did you mean {meant}?)" in _refused(key, written)
-
-
 def test_a_list_beside_other_levels_is_told_from_them() -> None:
     assert ", ".join(map(shown_level, (3e-4, (0.9, 0.999), "raw", [64]))) == "0.0003, [0.9, 0.999], raw, 64"

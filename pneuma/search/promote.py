@@ -8,6 +8,7 @@ were tuned alike, so searches that stand side by side must have had the same tri
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os.path import commonprefix
@@ -206,17 +207,15 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):
         value, base = (objective_value(objective, arm, outcomes) for arm in (won, lost))
         arms = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
+        difference, interval = math.nan, (math.nan, math.nan)
+        if np.isfinite(arms).all():  # not where a threshold was never reached
+            difference, between = (
+                float(arms[0].mean() - arms[1].mean()),
+                difference_interval(arms[0], arms[1]),
+            )
+            interval = between.low, between.high
         alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(planned.seeds)
-        comparable = alike and won[0].run.steps == searched_steps
         sign = 1 if objective.direction == "maximize" else -1
-        luck = sign * (seen - value) if comparable else float("nan")
-        found[objective.name] = Gain(seen, value, base, *mean_difference(*arms), luck)
+        luck = sign * (seen - value) if alike and won[0].run.steps == searched_steps else math.nan
+        found[objective.name] = Gain(seen, value, base, difference, interval, luck)
     return found
-
-
-def mean_difference(won: np.ndarray, lost: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Return the difference of means and its 95 % interval; NaN of a threshold that is never reached."""
-    if not (np.isfinite(won).all() and np.isfinite(lost).all()):
-        return float("nan"), (float("nan"), float("nan"))
-    interval = difference_interval(won, lost)
-    return float(won.mean() - lost.mean()), (interval.low, interval.high)

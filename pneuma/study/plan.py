@@ -5,7 +5,7 @@ study, preset and options → Plan of cells (condition × seed → Run and its i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
@@ -81,20 +81,26 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
     """
-    names = _conditions(study, selection.conditions)
     amounts = _amounts(study, selection)
     for name in selection.conditions:
+        if name not in study.conditions:
+            raise unknown_name(f"condition of study {study.name}", name, study.conditions)
         if name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
-    names = tuple(name for name in names if name in amounts)
-    steps = {name: selection.steps or amounts[name].steps for name in names}
-    over = _fields(selection.settings or {})
+    wanted = selection.conditions or amounts
+    names = [name for name in study.conditions if name in wanted]
+    settings = selection.settings or {}
+    for key, option in _SET_ELSEWHERE.items():
+        if key in settings:
+            raise UserError(f"{key} cannot be set by --set: use {option}")
+    over = {key: read_field(Run, key, value) for key, value in settings.items()}
     if selection.engine:
         over["engine"] = read_field(Run, "engine", selection.engine)
-    runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
-    for key in unread_fields(runs.values(), selection.settings or {}):
-        raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
+    steps = {name: selection.steps or amounts[name].steps for name in names}
     seeds = {name: selection.seeds or amounts[name].seeds for name in names}
+    runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
+    for key in unread_fields(runs.values(), settings):
+        raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     cells = tuple(
         Cell(name, seed, run, run_id(run))
         for seed in dict.fromkeys(seed for own in seeds.values() for seed in own)
@@ -102,9 +108,12 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    return Plan(
-        study, selection, cells, _same(runs), (*_notes(runs, steps), *_engine_notes(study, runs, over))
-    )
+    alike: dict[Run, list[str]] = {}
+    for name, run in runs.items():
+        alike.setdefault(replace(run, steps=1), []).append(name)  # a budget is no part of a configuration
+    same = tuple(tuple(own) for own in alike.values() if len(own) > 1)
+    left_open = [name for name in names if "engine" not in study.fields(name, over)]
+    return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
 
 
 def differing_fields(plan: Plan) -> dict[str, dict[str, Any]]:
@@ -118,13 +127,6 @@ def differing_fields(plan: Plan) -> dict[str, dict[str, Any]]:
     }
 
 
-def _conditions(study: Study, wanted: Sequence[str]) -> tuple[str, ...]:
-    for name in wanted:
-        if name not in study.conditions:
-            raise unknown_name(f"condition of study {study.name}", name, study.conditions)
-    return tuple(name for name in study.conditions if not wanted or name in wanted)
-
-
 def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
     """Return the seeds and steps of every condition that the preset has runs of."""
     name = selection.preset or "quick"
@@ -136,49 +138,22 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
     return {condition: study.preset(name).of(condition) for condition in study.conditions}
 
 
-def _fields(given: Mapping[str, Any]) -> dict[str, Any]:
-    for key, option in _SET_ELSEWHERE.items():
-        if key in given:
-            raise UserError(f"{key} cannot be set by --set: use {option}")
-    return {key: read_field(Run, key, value) for key, value in given.items()}
-
-
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
 
 
-def _same(runs: Mapping[str, Run]) -> tuple[tuple[str, ...], ...]:
-    """Return groups of conditions with one configuration; a budget is none of it."""
-    groups: dict[Run, list[str]] = {}
-    for name, run in runs.items():
-        groups.setdefault(replace(run, steps=1), []).append(name)
-    return tuple(tuple(names) for names in groups.values() if len(names) > 1)
-
-
-def _engine_notes(study: Study, runs: Mapping[str, Run], over: Mapping[str, Any]) -> list[str]:
-    """Say which conditions train with the slower engine though nobody asked for it."""
-    reasons: dict[str, list[str]] = {}
-    for name, run in runs.items():
-        if "engine" not in study.fields(name, over) and (reason := beyond_engine(run)):
-            reasons.setdefault(reason, []).append(name)
-    return [
-        f"{', '.join(names)}: trained by {runs[names[0]].engine}, because the engine batched cannot train "
-        f"{reason}"
-        for reason, names in reasons.items()
-    ]
-
-
-def _notes(runs: Mapping[str, Run], steps: Mapping[str, int]) -> tuple[str, ...]:
-    rounded = dict.fromkeys(
-        (steps[name], run.steps, run.steps_per_update)
-        for name, run in runs.items()
-        if run.steps != steps[name]
-    )
-    notes = [
-        f"{asked:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
-        for asked, whole, horizon in rounded
-    ]
-    notes += [
-        f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
-        for names in _same(runs)
-    ]
-    return tuple(notes)
+def _notes(
+    runs: Mapping[str, Run],
+    steps: Mapping[str, int],
+    same: Sequence[Sequence[str]],
+    engine_left_open: Sequence[str],
+) -> Iterator[str]:
+    """Say which budgets are rounded, what is the same, and what only a slower engine can train."""
+    rounded = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
+    for asked, whole, horizon in dict.fromkeys(rounded):
+        if asked != whole:
+            yield f"{asked:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
+    for names in same:
+        yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
+    for name in engine_left_open:
+        if reason := beyond_engine(runs[name]):
+            yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"

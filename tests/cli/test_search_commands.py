@@ -53,15 +53,6 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "results"
 
 
-def test_the_shipped_searches_are_listed_and_shown(searched: tuple[Path, Path]) -> None:
-    names = [search["search"] for search in described("search", "list", "--json")["searches"]]
-    assert {"ppo", "tune-ppo", "return-and-spread"} <= set(names)
-    assert [line.split()[0] for line in printed("search", "list").splitlines()[1:]] == names
-    told = printed("search", "show", searched[0])
-    assert "1e-05 to 0.01, logarithmic" in told and "4 trials, 2 seeds each, 128 steps a run" in told
-    assert described("search", "show", searched[0], "--json")["presets"]["quick"]["trials"] == 4
-
-
 def test_a_search_is_told_as_json_and_trains_nothing_twice(searched: tuple[Path, Path]) -> None:
     path, results = searched
     before = {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")}
@@ -113,18 +104,6 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     assert again["diverged"] == {"small": 0, "small-tuned": 1}
     # one of two counts with all monsters killed, the worst that is sought here
     assert gained["fresh"] < 0.5 <= again["winners"][0]["objectives"]["killed"]["fresh"]
-
-
-def test_winners_are_written_as_a_study_and_nothing_is_overwritten(
-    searched: tuple[Path, Path], tmp_path: Path
-) -> None:
-    out, words = (
-        tmp_path / "tuned.toml",
-        ("search", "promote", searched[0], "--results", searched[1], "--out"),
-    )
-    assert f"pneuma study run {out}" in printed(*words, out)
-    described("study", "plan", out, "--seeds", "1000", "--results", searched[1], "--json")
-    assert "--out" in refused(*words, out)
 
 
 @pytest.mark.slow

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pneuma.errors import UserError
 from pneuma.search import promote
-from pneuma.search.promote import Winner, find_winners, gains, mean_difference, winners_study
+from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.spec import Budget, list_searches, load_search
 from pneuma.search.storage import Searched
 from pneuma.search.trials import Task
@@ -124,9 +122,3 @@ def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(alik
         find_winners(alike[:1], 99, (0,))
     with pytest.raises(UserError, match="the search was run on 1001"):
         find_winners(alike, None, (0, 1001))
-
-
-def test_what_can_be_compared_by_hand(alike: list[Searched]) -> None:
-    found, (low, high) = mean_difference(np.array([0.5, 0.7]), np.array([0.4, 0.4]))
-    assert found == pytest.approx(0.2) and low < 0.2 < high
-    assert math.isnan(mean_difference(np.array([1e4, math.inf]), np.full(2, math.inf))[0])

@@ -78,28 +78,6 @@ def test_a_setting_that_no_condition_reads_is_refused(study: Study) -> None:
         make_plan(study, Selection(conditions=("adam",), settings={"momentum": 0.5}))
 
 
-@pytest.mark.parametrize(("key", "option"), [("seed", "--seeds"), ("steps", "--steps")])
-def test_seed_and_steps_have_options_of_their_own(study: Study, key: str, option: str) -> None:
-    with pytest.raises(UserError, match=f"^{key} cannot be set by --set: use {option}$"):
-        make_plan(study, Selection(settings={key: 3}))
-
-
-@pytest.mark.parametrize(
-    ("selection", "message"),
-    [
-        (Selection(preset="papr"), r"unknown preset .*'papr' \(did you mean paper\?\)"),
-        (Selection(conditions=("adma",)), r"unknown condition .*'adma' \(did you mean adam\?\)"),
-        (Selection(engine="sb4"), r"engine = \"sb4\" is not allowed \(did you mean sb3\?\)"),
-        (Selection(settings={"gama": 1}), r"unknown key 'gama' \(did you mean gamma\?\)"),
-        (Selection(settings={"gamma": 2}), r"gamma = 2 is not allowed"),
-        (Selection(settings={"minibatch": 512}), r"minibatch = 512 is not allowed: at most .* 256"),
-    ],
-)
-def test_a_selection_that_means_nothing_is_refused(study: Study, selection: Selection, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        make_plan(study, selection)
-
-
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
     differing = differing_fields(make_plan(study, Selection(conditions=("adam", "sgd"))))
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0

@@ -171,14 +171,6 @@ def test_a_mistake_is_told_with_line_and_what_to_mend(text: str, mistake: Mistak
     assert all(word in message for word in words), message
 
 
-@pytest.mark.parametrize("content", [b'title = "\xff"', None])
-def test_a_file_that_cannot_be_read_is_told(content: bytes | None, tmp_path: Path) -> None:
-    if content:
-        (tmp_path / "mine.toml").write_bytes(content)
-    with pytest.raises(UserError, match="mine.toml: cannot be read: "):
-        load_study(str(tmp_path / "mine.toml"))
-
-
 # --- Seeds ---------------------------------------------------------------------------------------
 
 

@@ -81,8 +81,3 @@ def test_a_study_of_one_world_is_refused_in_another(tmp_path: Path) -> None:
         load_study(path, "godot")
     with pytest.raises(UserError, match=r"unknown world 'gdot' \(did you mean godot\?\)"):
         load_study(path, "gdot")
-
-
-def test_a_file_may_not_be_called_like_a_study_in_a_world(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="a name with -godot stands for the world"):
-        load_study(_write(tmp_path, PLAIN, "mine-godot.toml"))
