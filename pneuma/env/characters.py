@@ -17,8 +17,7 @@ from pydantic import Field, model_validator
 
 from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
-from pneuma.env.level import Level
-from pneuma.env.level_folder import START_CODE
+from pneuma.env.level import START_CODE, Level
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 

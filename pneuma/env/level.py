@@ -3,8 +3,15 @@
 A level's name is one of
 
     thesis              a level that comes with the package, as a folder of CSV tables
-    path/to/folder      a user's own folder; see `level_folder.py`
+    path/to/folder      a user's own folder of such tables, as the editor Tiled exports layers
     random:train:17     an island drawn from a number; see `random_level.py`
+
+A folder holds
+
+    obstacles.csv   a code for every tile: -1, or anything else where something stands in the way
+    ground.csv      optional: what every tile is made of, for the eye and for the coast; code 0 is water
+    objects.csv     a table code,x,y of start places (400) and monsters (390 …), in pixels from the origin
+    level.toml      optional: what `Header` lists
 
 Whatever its source, a level is refused in which a body would begin beyond the grid, in what stops it, in
 another body, or where a player cannot walk to it.
@@ -15,20 +22,46 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from scipy.ndimage import label
 
 from pneuma.config import EnvConfig
 from pneuma.env import rules
-from pneuma.env.level_folder import FOLDER_FILES, START, folder_files, read_folder
 from pneuma.errors import UserError, unknown_name
+from pneuma.reading import read_text
+from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"
 RANDOM = "random:"
+START_CODE = 400
+EMPTY, WATER_CODE = -1, 0
+MAX_SIDE = 1000
+LARGEST_LAYER = 16 * 2**20
+"""Bytes of a layer, with every code of the longest."""
+MOST_PLACES = 1000
+"""Of start places and monsters together, in a level."""
+FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
+
+_Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+_GroundCode = Annotated[int, Field(ge=EMPTY, lt=2**28)]
+
+
+class Header(Table):
+    """What a level says beside its layers, as `level.toml` has it."""
+
+    title: Annotated[str, Field(min_length=1)]
+    tile: Annotated[float, Field(ge=8, le=4096)] = 64.0
+    """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
+    origin: Annotated[tuple[_Pixels, ...], Field(min_length=2, max_length=2)] | None = None
+    """Column and row of the tile at whose upper left corner (0, 0) lies; None: the centre."""
+    coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER_CODE,)
+    """Ground codes where the land ends."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +108,7 @@ class Level:
         return self.left, self.top, self.left + columns * self.tile, self.top + rows * self.tile
 
 
-def load_level(name: str, monster_codes: dict[int, str]) -> Level:
+def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
     """Load a level by its name.
 
     Args:
@@ -83,28 +116,37 @@ def load_level(name: str, monster_codes: dict[int, str]) -> Level:
         monster_codes: which code is which kind.
 
     Raises:
-        UserError: naming the file, the row and the column of what is wrong.
+        UserError: naming the file and what is wrong.
     """
     if name.startswith(RANDOM):
         from pneuma.env.random_level import parse_name, random_level  # builds on this module
 
-        return random_level(*parse_name(name), monster_codes)
-    path = _level_path(name)
-    header, ground, blocked, entities = read_folder(path, monster_codes)
-    terrain = np.where(blocked, rules.SOLID, rules.OPEN)
+        return random_level(*parse_name(name))
+    folder = _level_path(name)
+    path = folder / "level.toml"
+    file = read_toml(path) if path.is_file() else TomlFile(path, "", {})
+    file.data.setdefault("title", folder.resolve().name or "level")
+    header = read_model(Header, file)
+    blocked = _read_layer(folder / "obstacles.csv")
+    path = folder / "ground.csv"
+    ground = _read_layer(path) if path.is_file() else np.full_like(blocked, EMPTY)
+    if ground.shape != blocked.shape:
+        raise UserError(f"{folder}: ground of {ground.shape} tiles, and obstacles of {blocked.shape}")
+    terrain = np.where(blocked != EMPTY, rules.SOLID, rules.OPEN)
     terrain[np.isin(ground, header.coast)] = rules.COAST
     rows, columns = ground.shape
     column, row = header.origin or (columns / 2, rows / 2)
+    objects = _read_objects(folder / "objects.csv", monster_codes)
     return Level(
-        name=str(path) if name.startswith("~") else name,
+        name=str(folder) if name.startswith("~") else name,
         title=header.title,
         tile=header.tile,
         left=-column * header.tile,
         top=-row * header.tile,
         ground=ground,
         terrain=terrain.astype(np.uint8),
-        starts=np.array([(x, y) for kind, x, y in entities if kind == START], np.float64),
-        monsters=tuple(entity for entity in entities if entity[0] != START),
+        starts=np.array([(x, y) for code, x, y in objects if code == START_CODE], np.float64),
+        monsters=tuple((monster_codes[int(code)], x, y) for code, x, y in objects if code != START_CODE),
     )
 
 
@@ -116,7 +158,7 @@ def level_files(name: str) -> list[Path]:
     """
     if name.startswith(RANDOM) or name in _shipped():
         return []
-    return folder_files(_level_path(name))
+    return _folder_files(_level_path(name))
 
 
 def _shipped() -> list[str]:
@@ -128,12 +170,53 @@ def _level_path(name: str) -> Path:
     if name in _shipped():
         return LEVELS / name
     path = Path(os.path.expanduser(name))
-    if path.is_dir() and not folder_files(path):
-        raise UserError(f"level {name!r}: the folder holds none of {', '.join(FOLDER_FILES)}")
-    if path.is_dir():
+    if _folder_files(path):
         return path
-    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder of layers"
+    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder with obstacles.csv and objects.csv"
     raise UserError(f"{unknown_name('level', name, _shipped())}, {forms}")
+
+
+def _folder_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that make its level, sorted; none when it holds no level."""
+    return [folder / name for name in FOLDER_FILES if (folder / name).is_file()]
+
+
+def _read_layer(path: Path) -> np.ndarray:
+    """Return the codes of a layer, (rows, columns) int64."""
+    codes = _read_numbers(path, np.int64)
+    if not codes.size or max(codes.shape) > MAX_SIDE:
+        raise UserError(f"{path}: a layer has 1 to {MAX_SIDE} tiles a side")
+    return codes
+
+
+def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[float, float, float]]:
+    """Return code, x and y of start places and monsters, in the file's order."""
+    table = _read_numbers(path, np.float64, "code,x,y")
+    if len(table) > MOST_PLACES:
+        raise UserError(f"{path}: more than {MOST_PLACES} start places and monsters are not allowed")
+    known = [START_CODE, *monster_codes]
+    for code in table[:, 0].tolist():
+        if code not in known:
+            raise UserError(f"{path}: unknown code {code:g}; known are {', '.join(map(str, known))}")
+    if START_CODE not in table[:, 0]:
+        raise UserError(f"{path}: no start place")
+    return [(code, x, y) for code, x, y in table.tolist()]
+
+
+def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
+    """Return the numbers of a CSV table, (rows, columns), whose first line is `head` if there is one."""
+    lines = read_text(path, LARGEST_LAYER).splitlines()
+    try:
+        if head and lines[:1] != [head]:
+            raise ValueError(f"the first line must be {head}")
+        rows = [line for line in lines[bool(head) :] if line.strip()]
+        columns = head.count(",") + 1
+        table = np.loadtxt(rows, kind, delimiter=",", ndmin=2) if rows else np.zeros((0, columns), kind)
+        if head and table.shape[1] != columns:
+            raise ValueError(f"a row has {table.shape[1]} columns, where {head} are asked for")
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from None
+    return table
 
 
 def room_for_bodies(level: Level, margin: float) -> np.ndarray:
@@ -186,70 +269,58 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
         _Body(f"monster {i} ({name})", x, y, kind)
         for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
     ]
+    bodies = starts + others
     trees = (rules.SOLID,) if config.trees == "wall" else ()
     coast = (rules.COAST,) if config.coast == "wall" else ()
     stopped = others if config.terrain_stops == "all" else []
-    _refuse_off_the_grid(level, starts + others)
+    left, top, right, bottom = level.grid
+    for body in bodies:
+        if (body.low < (left, top)).any() or (body.high > (right, bottom)).any():
+            raise body.refusal(level, "reaches beyond the grid")
+    side = 2 * float(max(players["half_width"].max(), players["half_height"].max()))
     open_tiles = ~np.isin(level.terrain, (*trees, rules.COAST))  # who could walk into a deadly sea drowns
-    width, height = 2 * float(players["half_width"].max()), 2 * float(players["half_height"].max())
-    lost = first_cut_off(level, open_tiles, max(width, height), len(stopped))
+    lost = first_cut_off(level, open_tiles, side, len(stopped))
     if lost is not None:
-        who = [*starts[:: len(shapes)], *others][lost].told
-        size = f"{width:g} x {height:g} px"
-        raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {size}")
-    _refuse_terrain(level, starts, trees + coast)
-    _refuse_terrain(level, stopped, (*trees, rules.COAST))
+        who = [*starts[:: len(shapes)], *others][lost].who
+        raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {side:g} px")
+    for body in starts:
+        _refuse_terrain(level, body, (*trees, *coast))
+    for body in stopped:
+        _refuse_terrain(level, body, (*trees, rules.COAST))
     if config.bodies == "block":
-        _refuse_overlaps(level, starts if config.players > 1 else [], starts)
-        _refuse_overlaps(level, others, others + starts)
+        low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
+        for body in bodies if config.players > 1 else others:
+            depth = np.minimum(high, body.high) - np.maximum(low, body.low)
+            for index in np.flatnonzero((depth > rules.HAIR).all(axis=1)):  # touching is no overlap
+                if bodies[index].who != body.who:  # itself, or another player's body at one place
+                    raise UserError(f"level {level.name}: {body.who} begins inside {bodies[index].who}")
 
 
 class _Body:
     """A body box at the place where it begins."""
 
     def __init__(self, who: str, x: float, y: float, stats: np.void) -> None:
-        self.told = f"{who} at ({x:g}, {y:g})"
-        self.half = float(stats["half_width"]), float(stats["half_height"])
-        self.x, self.y = x + float(stats["body_x"]), y + float(stats["body_y"])
+        self.who = f"{who} at ({x:g}, {y:g})"
+        middle = np.array([x + stats["body_x"], y + stats["body_y"]], np.float64)
+        half = np.array([stats["half_width"], stats["half_height"]], np.float64)
+        self.low, self.high = middle - half, middle + half
 
     def refusal(self, level: Level, why: str) -> UserError:
-        size = f"{2 * self.half[0]:g} x {2 * self.half[1]:g} px"
-        return UserError(f"level {level.name}: {self.told} has a body of {size}, which {why}")
+        width, height = self.high - self.low
+        return UserError(
+            f"level {level.name}: {self.who} has a body of {width:g} x {height:g} px, which {why}"
+        )
 
 
-def _refuse_off_the_grid(level: Level, bodies: Sequence[_Body]) -> None:
-    left, top, right, bottom = level.grid
-    for body in bodies:
-        inside = left <= body.x - body.half[0] and body.x + body.half[0] <= right
-        if not (inside and top <= body.y - body.half[1] and body.y + body.half[1] <= bottom):
-            raise body.refusal(level, "reaches beyond the grid")
-
-
-def _refuse_terrain(level: Level, bodies: Sequence[_Body], stops: Sequence[int]) -> None:
+def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
     """Refuse a body that overlaps a tile that stops it; touching one is no overlap."""
-    stopping = np.isin(level.terrain, stops)
-    for body in bodies:
-        rows = _tiles(body.y - level.top, body.half[1], level.tile)
-        columns = _tiles(body.x - level.left, body.half[0], level.tile)
-        for row, column in np.argwhere(stopping[rows, columns]).tolist():
-            place = f"row {rows.start + row + 1}, column {columns.start + column + 1}"
-            raise body.refusal(level, f"overlaps the tile in {place}: it would be stuck there")
-
-
-def _tiles(middle: float, half: float, tile: float) -> slice:
-    """Return the rows or columns that a body lies on."""
-    return slice(math.floor((middle - half) / tile), math.ceil((middle + half) / tile))
-
-
-def _refuse_overlaps(level: Level, bodies: Sequence[_Body], others: Sequence[_Body]) -> None:
-    """Refuse bodies that overlap any of the others; touching is no overlap."""
-    middles = np.array([(other.x, other.y) for other in others])
-    halves = np.array([other.half for other in others])
-    for body in bodies:
-        near = np.abs(middles - (body.x, body.y)) < halves + body.half - rules.HAIR
-        for index in np.flatnonzero(near.all(axis=1)).tolist():
-            if others[index].told != body.told:  # not itself, nor another player's body at one place
-                raise UserError(f"level {level.name}: {body.told} begins inside {others[index].told}")
+    corner = (level.left, level.top)
+    first = np.floor((body.low - corner) / level.tile).astype(int)
+    last = np.ceil((body.high - corner) / level.tile).astype(int)
+    under = level.terrain[first[1] : last[1], first[0] : last[0]]
+    for row, column in np.argwhere(np.isin(under, stops)).tolist():
+        place = f"row {first[1] + row + 1}, column {first[0] + column + 1}"
+        raise body.refusal(level, f"overlaps the tile in {place}: it would be stuck there")
 
 
 # --- Walking -------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from heapq import heappop, heappush
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from pneuma.env import rules
 from pneuma.env.level import Level, walkable_regions
@@ -21,9 +23,8 @@ from pneuma.env.level import Level, walkable_regions
 NOWHERE = math.inf
 MOST_PLACES = 4000
 """How many places a search looks at before it gives up."""
-MOST_CELLS = 20_000_000
-"""How many cells of fields are kept, of 12 bytes each: all that the thesis's level can have, and more.
-But always twice those that were asked for at once."""
+MOST_FIELDS = 6000
+"""How many fields of distances are kept: to every tile of the thesis's level, and more."""
 
 Place = tuple[float, float]
 Spot = tuple[int, int]
@@ -73,9 +74,8 @@ class Ways:
         self._fits = [self._room(~grid & ~water) for grid, water in zip(closed, drowns, strict=True)]
         self._stops = [(grid.tolist(), grid.T.tolist()) for grid in closed]
         self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
-        self._numbers = np.full((len(levels), self._fits[0].size), -1)  # of the field to each tile
-        self._lists: list[list[float]] = []
-        self._fields = np.empty((64, self._fits[0].size), np.float32)
+        self._graphs = [_graph(fits) for fits in self._fits]
+        self._fields: dict[tuple[int, int], np.ndarray] = {}  # by level and tile
 
     def lengths(
         self, level: np.ndarray, to_x: np.ndarray, to_y: np.ndarray, x: np.ndarray, y: np.ndarray
@@ -90,13 +90,13 @@ class Ways:
             y: (N,).
         """
         goals = self._tiles(to_x, to_y, 0.0)
-        self._make_room(goals.size)
-        numbers = self._numbers[level[:, None], goals]
-        for world, monster in np.argwhere(numbers < 0).tolist():
-            numbers[world, monster] = self._number(int(level[world]), int(goals[world, monster]))
         across, down = self._offset
         here = self._tiles(x + across, y + down, (1 - self._abreast) / 2)
-        return np.asarray(self._fields[numbers, here[:, None]])
+        found = [
+            [self._field(own, goal)[cell] for goal in row]
+            for own, row, cell in zip(level.tolist(), goals.tolist(), here.tolist(), strict=True)
+        ]
+        return np.array(found).reshape(goals.shape)
 
     def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
         """Return steps that bring a body two tiles nearer to a goal, empty if there are none.
@@ -108,7 +108,7 @@ class Ways:
             reach: how far one step goes.
         """
         tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
-        field = self._lists[self._number(level, tile)]
+        field = self._field(level, tile)
         first = self._length(field, *place)
         enough = max(first - 2 * self._tile, self._tile)
         came: dict[Spot, tuple[Spot, int]] = {spot(place): (spot(place), -1)}
@@ -147,45 +147,22 @@ class Ways:
         row = np.floor((y - self._corner[1]) / self._tile + shift).astype(np.int64)
         return np.asarray(row * self._shape[1] + column)
 
-    def _make_room(self, wanted: int) -> None:
-        """Forget all fields if they are too many: which tiles are asked for changes over an episode."""
-        if len(self._lists) > max(MOST_CELLS // self._fields.shape[1], 2 * wanted):
-            self._numbers.fill(-1)
-            self._lists.clear()
-            self._fields = self._fields[:64].copy()
+    def _field(self, level: int, tile: int) -> np.ndarray:
+        """Return how many tiles every cell is away from the cells that cover a tile, (cells,)."""
+        if (level, tile) not in self._fields:
+            if len(self._fields) >= MOST_FIELDS:
+                self._fields.clear()
+            abreast, width = range(self._abreast), self._shape[1]
+            cover = np.array([tile - i * width - j for i in abreast for j in abreast])
+            cover = cover[self._fits[level].ravel()[cover]]
+            self._fields[level, tile] = (
+                dijkstra(self._graphs[level], indices=cover, unweighted=True, min_only=True)
+                if cover.size
+                else np.full(self._fits[level].size, NOWHERE)
+            )
+        return self._fields[level, tile]
 
-    def _number(self, level: int, tile: int) -> int:
-        """Return the number of the field of distances to a tile, which is walked if it is new."""
-        if self._numbers[level, tile] < 0:
-            number = len(self._lists)
-            self._lists.append(self._walk_from(level, tile))
-            if number == len(self._fields):
-                self._fields = np.concatenate([self._fields, np.empty_like(self._fields)])
-            self._fields[number] = self._lists[-1]
-            self._numbers[level, tile] = number
-        return int(self._numbers[level, tile])
-
-    def _walk_from(self, level: int, tile: int) -> list[float]:
-        """Return how many tiles every cell is away from the cells that cover a tile."""
-        width = self._shape[1]
-        open_cells = self._fits[level].ravel().tolist()
-        cover = [tile - i * width - j for i in range(self._abreast) for j in range(self._abreast)]
-        ring = [cell for cell in cover if open_cells[cell]]
-        field = [NOWHERE] * len(open_cells)
-        length = 0
-        while ring:
-            following = []
-            for cell in ring:
-                field[cell] = length
-            for cell in ring:
-                for near in (cell + width, cell - 1, cell - width, cell + 1):
-                    if open_cells[near] and field[near] == NOWHERE:
-                        field[near] = length + 1
-                        following.append(near)
-            ring, length = following, length + 1
-        return field
-
-    def _length(self, field: list[float], x: float, y: float) -> float:
+    def _length(self, field: np.ndarray, x: float, y: float) -> float:
         """Return how many pixels it is from a place to a field's goal, by the best cell at hand."""
         tile, width, abreast = self._tile, self._shape[1], self._abreast
         across = (x + self._offset[0] - self._corner[0]) / tile
@@ -194,7 +171,7 @@ class Ways:
         for row in _cells(down, self._halves[1] / tile, abreast):
             for column in _cells(across, self._halves[0] / tile, abreast):
                 aside = abs(across - column - abreast / 2) + abs(down - row - abreast / 2)
-                best = min(best, field[row * width + column] + aside)
+                best = min(best, float(field[row * width + column]) + aside)
         return best * tile
 
     # --- Steps -----------------------------------------------------------------------------------
@@ -226,6 +203,16 @@ class Ways:
         )
         sea = self._drowns[level] or []
         return any(True in line[left : right + 1] for line in sea[top : bottom + 1])
+
+
+def _graph(fits: np.ndarray) -> csr_array:
+    """Return which cells are beside each other, of those that a body fits into."""
+    cells = np.arange(fits.size).reshape(fits.shape)
+    down, along = fits[:-1] & fits[1:], fits[:, :-1] & fits[:, 1:]
+    one = np.concatenate([cells[:-1][down], cells[:, :-1][along]])
+    other = np.concatenate([cells[1:][down], cells[:, 1:][along]])
+    both = np.concatenate([one, other]), np.concatenate([other, one])
+    return csr_array((np.ones(len(both[0])), both), shape=(fits.size, fits.size))
 
 
 def _cells(middle: float, half: float, abreast: int) -> range:

@@ -11,14 +11,14 @@ takes uniform numbers, + - x / and comparisons only, so that every processor dra
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from scipy.ndimage import convolve
 
 from pneuma.env import rules
 from pneuma.env.level import RANDOM, Level, first_cut_off, walkable_regions
-from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.errors import UserError, nearest_name
 
 SPLITS = ("train", "test")
 NUMBERS = 2**64
@@ -58,39 +58,24 @@ def parse_name(name: str) -> tuple[str, int]:
     raise UserError(f"level {name!r} is not allowed{hint}: the form is {right}")
 
 
-def random_level(
-    split: str, number: int, monster_codes: Mapping[int, str], kinds: Sequence[str] = KINDS
-) -> Level:
+def random_level(split: str, number: int) -> Level:
     """Draw the island of a number; equal arguments give equal levels, in whatever order they are drawn.
 
     Every monster can be walked to from every start place by a body as wide as a tile.
-
-    Args:
-        split: `train` or `test`.
-        number: which island, from 0 and below 2**64.
-        monster_codes: which code is which kind of monster, for the kinds that there are.
-        kinds: the kind of each monster.
-
-    Raises:
-        UserError: for another split, number or kind, or more monsters than an island has room for.
     """
-    split, number = parse_name(f"{RANDOM}{split}:{number}")
-    for kind in kinds:
-        if kind not in monster_codes.values():
-            raise unknown_name("kind of monster", kind, monster_codes.values())
     generator = np.random.Generator(np.random.Philox(key=2 * number + SPLITS.index(split)))
     for _ in range(_ATTEMPTS):
-        level = _attempt(generator.random, f"{RANDOM}{split}:{number}", kinds)
-        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, len(kinds)) is None:
+        level = _attempt(generator.random, split, number)
+        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, len(KINDS)) is None:
             return level
-    raise UserError(f"level {RANDOM}{split}:{number}: no room for {len(kinds)} monsters")
+    raise UserError(f"level {RANDOM}{split}:{number}: no room for {len(KINDS)} monsters")
 
 
-def _attempt(draw: Draw, name: str, kinds: Sequence[str]) -> Level | None:
+def _attempt(draw: Draw, split: str, number: int) -> Level | None:
     """Draw an island with everybody on it; None when it is no good."""
     ground = _draw_ground(draw)
     terrain = _draw_terrain(draw, ground)
-    tiles = _choose_places(draw, terrain, STARTS + len(kinds))
+    tiles = _choose_places(draw, terrain, STARTS + len(KINDS))
     shares = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
     if (
         tiles is None
@@ -99,9 +84,8 @@ def _attempt(draw: Draw, name: str, kinds: Sequence[str]) -> Level | None:
     ):
         return None
     x, y = (tiles[:, 1] - ORIGIN[0] + 0.5) * TILE, (tiles[:, 0] - ORIGIN[1] + 0.5) * TILE
-    _, split, number = name.split(":")
     return Level(
-        name=name,
+        name=f"{RANDOM}{split}:{number}",
         title=f"Random island {number} ({split})",
         tile=float(TILE),
         left=-float(ORIGIN[0] * TILE),
@@ -109,7 +93,7 @@ def _attempt(draw: Draw, name: str, kinds: Sequence[str]) -> Level | None:
         ground=ground,
         terrain=terrain,
         starts=np.stack([x, y], axis=1)[:STARTS],
-        monsters=tuple(zip(kinds, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
+        monsters=tuple(zip(KINDS, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
     )
 
 

@@ -186,7 +186,7 @@ def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door
     made: Callable[[int], Path] = lambda gap: write_hall(tmp_path / f"hall{gap}", tile, gap)  # noqa: E731
     assert begin(1, level=str(made(door))).level.monsters
     assert "monster 0 (bamboo) at " in (told := complaint(level=str(made(door - 1))))
-    assert told.endswith("is walled in or off the land, for a body of 47 x 48 px")
+    assert told.endswith("is walled in or off the land, for a body of 48 px")
 
 
 def write_hall(folder: Path, tile: int, door: int) -> Path:

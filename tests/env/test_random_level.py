@@ -21,9 +21,7 @@ Tile = tuple[int, int]
 @pytest.fixture(scope="module")
 def levels() -> dict[str, list[Level]]:
     """Return the first islands of both sides."""
-    return {
-        split: [random_level(split, number, CODES) for number in range(MANY)] for split in ("train", "test")
-    }
+    return {split: [random_level(split, number) for number in range(MANY)] for split in ("train", "test")}
 
 
 def all_of(levels: dict[str, list[Level]]) -> list[Level]:
