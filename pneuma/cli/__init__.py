@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import typer
 
 from pneuma import __version__
-from pneuma.cli import bench, env, misc, runs, search, study
+from pneuma.cli import env, misc, runs, search, study
 from pneuma.errors import UserError, plain
 
 app = typer.Typer(
@@ -29,14 +29,10 @@ app.add_typer(study.app, name="study")
 app.add_typer(runs.app, name="run")
 app.add_typer(search.app, name="search")
 app.add_typer(env.app, name="env")
-app.add_typer(bench.app, name="bench")
+app.add_typer(misc.bench, name="bench")
 app.command("report", short_help="Write all evidence as one HTML page.")(misc.report)
 app.command("doctor", short_help="Say what is installed here, and whether it works.")(misc.doctor)
-
-logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
-logs.callback()(lambda: None)  # keeps the command's name, though it is alone
-logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")(misc.tensorboard)
-app.add_typer(logs, name="import")
+app.add_typer(misc.logs, name="import")
 
 
 def _print_version(wanted: bool) -> None:

@@ -25,11 +25,10 @@ ABOUT = {
 }
 """What each environment is, in a line; those of vector rewards are as their namesakes."""
 
+CAMERAS = ("map", "follow")
+
 EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
-EnvSettings = Annotated[
-    opt.Several, opt.option("--set", "KEY=VALUE", "Set one of the environment's arguments (may be repeated).")
-]
 
 
 @app.command("list")
@@ -39,7 +38,7 @@ def list_(json: opt.Json = False) -> None:
 
     import pneuma
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in pneuma.env.REGISTERED:
         scalar = name.replace("/mo-", "/")
         about = ABOUT[name] if name in ABOUT else f"{scalar[7:]} with its reward as a vector of six parts"
@@ -48,15 +47,8 @@ def list_(json: opt.Json = False) -> None:
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
         rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
     if json:
-        return print_json({"schema": 1, "environments": rows})
-    print_table(
-        [""] * 4,
-        [
-            (row["id"], f"observation {row['observation']}", f"{row['actions']} actions", row["about"])
-            for row in rows
-        ],
-    )
-    return None
+        return print_json({"environments": rows})
+    return print_table([*rows[0]], [[*row.values()] for row in rows])
 
 
 @app.command(short_help="Check that an environment is sound.")
@@ -64,8 +56,8 @@ def check(
     name: Annotated[
         str | None, typer.Argument(metavar="[ID]", help="The environment; left out: all.")
     ] = None,
-    all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID.")] = False,
-    set_: EnvSettings = None,
+    all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID and --set.")] = False,
+    set_: opt.Settings = None,
     json: opt.Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
@@ -73,33 +65,30 @@ def check(
     from pneuma.env import REGISTERED
     from pneuma.env.check import check_environment
 
-    settings = opt.read_settings_options(set_)
-    if all_ and (name or settings):
-        raise UserError("--all: checks all environments as they are; name one, or give --set, without it")
+    settings = dict(set_ or ())
     rows = []
-    for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
+    for each in [name or ENVIRONMENTS[0]] if (name or settings) and not all_ else REGISTERED:
         for check_name, problem in check_environment(each, settings):
             rows.append({"env": each, "check": check_name, "problem": problem})
             if not json:
                 print(f"{each:<26} {check_name:<26} {problem or 'ok'}")
     if json:
-        print_json({"schema": 1, "checks": rows})
+        print_json({"checks": rows})
     return int(any(row["problem"] for row in rows))
 
 
 @app.command()
 def render(
     name: EnvName,
-    out: Annotated[Path, opt.path_option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
+    out: Annotated[Path, opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
     player: Annotated[
         str, opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.")
     ] = "random",
     camera: Annotated[
-        opt.Text,
-        opt.option("--camera", "map|follow", "The whole map (as a picture has), or one player (as a video)."),
+        opt.Text, opt.choice("--camera", CAMERAS, "The whole map (as a picture), or a player (as a video).")
     ] = None,
     seed: Seed = 0,
-    set_: EnvSettings = None,
+    set_: opt.Settings = None,
     trust: opt.Trust = False,
     results: opt.Results = opt.RESULTS,
 ) -> None:
@@ -116,7 +105,7 @@ def render(
     moving = out.suffix.lower() != ".png"
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
-    chosen = opt.read_settings_options(set_)
+    chosen = dict(set_ or ())
     settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
@@ -128,9 +117,9 @@ def render(
 @app.command()
 def play(
     name: EnvName = "pneuma/Pneuma-v0",
-    camera: Annotated[str, opt.option("--camera", "map|follow", "What to see.")] = "follow",
+    camera: Annotated[str, opt.choice("--camera", CAMERAS, "What to see.")] = "follow",
     seed: Seed = 0,
-    set_: EnvSettings = None,
+    set_: opt.Settings = None,
 ) -> None:
     """Play with the keyboard. The world waits while you hold no key.
 
@@ -139,7 +128,7 @@ def play(
     """
     from pneuma.env.watch import play as play_world
 
-    worlds = _worlds(name, opt.read_settings_options(set_), seed)
+    worlds = _worlds(name, dict(set_ or ()), seed)
     scores = play_world(worlds, name, camera)
     for kills, steps in scores:
         print(f"killed {kills} monsters in {steps} steps")

@@ -1,24 +1,28 @@
-"""The commands without a group: `pneuma report`, `doctor`, and `import tensorboard`."""
+"""Commands of their own, `pneuma report` and `doctor`, and the groups `import` and `bench`."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, command, print_json, say, write_file
+from pneuma.cli.output import check_file, command, print_json, print_table, say, write_file
 from pneuma.cli.study_records import nothing_yet
-from pneuma.errors import counted, plain
 from pneuma.study.store import Store
 
-SIGNS = {"good": "ok", "note": "note", "broken": "BROKEN"}
+logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
+logs.callback()(lambda: None)  # keeps the command's name, though it is alone
+bench = typer.Typer(
+    help="Measure speed on this machine, and calibrate the statistics.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 def report(
-    out: Annotated[Path, opt.path_option("--out", "FILE", "The page to write, ending in .html.")],
+    out: Annotated[Path, opt.option("--out", "FILE", "The page to write, ending in .html.")],
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="[NAME]…", help="Studies; left out: all that are shipped or were run."),
@@ -35,33 +39,29 @@ def report(
     from pneuma.cli.report import gather_report
     from pneuma.figures.report import report_page
 
-    found = gather_report(store, names or [], lambda told: say(plain(told), aside=True, quiet=quiet))
+    found = gather_report(store, names or [], lambda told: say(told, aside=True, quiet=quiet))
     page = report_page(**found)
     write_file(out, page)
     studies, claims = len(found["studies"]), len(found["claims"])
     if json:
-        return print_json(
-            {"schema": 1, "file": str(out), "bytes": len(page), "studies": studies, "claims": claims}
-        )
-    held = f"{studies} {'study' if studies == 1 else 'studies'}, {counted(claims, 'claim')}"
-    print(f"wrote {plain(str(out))}: {len(page) / 1e6:.1f} MB, {held}")
-    return None
+        return print_json({"file": out, "bytes": len(page), "studies": studies, "claims": claims})
+    return say(f"wrote {out}: {len(page) / 1e6:.1f} MB; studies: {studies}, claims: {claims}")
 
 
 def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """Say what is installed here and whether it works, with the mend for what does not."""
     from pneuma.doctor import BROKEN, examine
 
+    signs = {"good": "ok", "note": "note", "broken": "BROKEN"}
     findings = []
     for finding in examine(results):
         findings.append(finding)
-        if not json:
-            print(f"{SIGNS[finding.state]:<7} {finding.check:<19} {plain(finding.told)}", flush=True)
-            if finding.mend:
-                print(f"{'':<27} -> {plain(finding.mend)}", flush=True)
+        say(f"{signs[finding.state]:<7} {finding.check:<19} {finding.told}", quiet=json)
+        if finding.mend:
+            say(f"{'':<27} -> {finding.mend}", quiet=json)
     sound = all(finding.state != BROKEN for finding in findings)
     if json:
-        print_json({"schema": 1, "ok": sound, "checks": [asdict(finding) for finding in findings]})
+        print_json({"ok": sound, "checks": findings})
     elif sound:
         print("\nAll that Pneuma needs is here. Begin with: pneuma study run activation")
     else:
@@ -70,6 +70,7 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         raise typer.Exit(1)
 
 
+@logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
     folders: Annotated[
         list[Path],
@@ -86,21 +87,70 @@ def tensorboard(
 
     done = import_tensorboard(folders, Store(results), name)
     for note in done.notes:
-        say(plain(f"Note: {note}."), aside=True)
+        say(f"Note: {note}.", aside=True)
     if json:
         rows = [
             {
-                **{key: getattr(run, key) for key in ("run_id", "condition", "seed")},
-                **{"status": "done", "imported": run.new, "steps": run.steps, "points": len(run.points)},
+                **{key: getattr(run, key) for key in ("run_id", "condition", "seed", "steps")},
+                **{"imported": run.new, "points": len(run.points), "damage": run.provenance["damage"]},
                 "superseded": int(run.points["superseded"].sum()),
-                "damage": run.provenance["damage"],
             }
             for run in done.runs
         ]
-        return print_json({"schema": 1, "study": done.study, "runs": rows, "notes": done.notes})
+        return print_json({"study": done.study, "runs": rows, "notes": done.notes})
     new, points = sum(run.new for run in done.runs), sum(len(run.points) for run in done.runs)
     kept = len(done.runs) - new
-    print(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
+    say(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
     print("Returns are means of 100 episodes.")
-    print(f"Draw it with: {command('study', 'plot', done.study, '--results', results)}")
+    return say(f"Draw it with: {command('study', 'plot', done.study, '--results', results)}")
+
+
+# --- bench -----------------------------------------------------------------------------------------
+
+
+@bench.command(short_help="Measure the environment in agent steps a second.")
+def env(json: opt.Json = False) -> None:
+    """Measure the environment's faces in agent steps a second, on one core."""
+    from pneuma.bench.env import bench_env
+
+    cases = bench_env()
+    return print_json({"cases": cases}) if json else _print_cases(cases)
+
+
+@bench.command(short_help="Compare the engines in steps a second.")
+def engines(json: opt.Json = False) -> None:
+    """Compare the engines in steps a second on one core; takes about two minutes."""
+    from pneuma.bench.engines import bench_engines
+
+    report = bench_engines()
+    if json:
+        return print_json(report)
+    _print_cases(report["cases"])
+    for case, ratio in report["ratios"].items():
+        print(f"{case}: batched over sb3, median of rounds: {ratio:.2f}")
     return None
+
+
+@bench.command(short_help="Simulate lists of claims whose truth is known.")
+def calibration(
+    lists: Annotated[
+        Any, opt.count("--lists", "How many lists of claims to simulate in each setting.")
+    ] = "2000",
+    json: opt.Json = False,
+) -> None:
+    """Simulate lists of claims whose truth is known; say how often a verdict or an interval is wrong."""
+    from pneuma.bench.calibration import bench_calibration
+
+    tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
+    for table, row in bench_calibration(lists):
+        tables[table].append(row)
+        say("  ".join(f"{key} {_number(value)}" for key, value in row.items()), aside=json)
+    return print_json(tables) if json else None
+
+
+def _print_cases(cases: list[dict[str, Any]]) -> None:
+    print_table([*cases[0]], [[_number(value) for value in case.values()] for case in cases])
+
+
+def _number(value: object) -> str:
+    return f"{value:,.4g}" if isinstance(value, float) else str(value)

@@ -1,12 +1,11 @@
-"""Options that several commands share, and how their texts become values."""
+"""Options that several commands share; texts become values while Typer reads them."""
 
 from __future__ import annotations
 
 import functools
 import inspect
-import os
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -21,15 +20,12 @@ from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.worlds import TEXT, WORLDS
 
-
-def read_path(text: str) -> Path:
-    """Read a path as a shell does: a `~` that somebody's home folder can stand for is that folder."""
-    return Path(os.path.expanduser(text))
+# --- How options are declared ----------------------------------------------------------------------
 
 
-def option(name: str, metavar: str, told: str) -> Any:
-    """Return an option of a text, which becomes a value by the functions below."""
-    return typer.Option(name, metavar=metavar, help=told)
+def option(name: str, metavar: str, told: str, read: Callable[[str], Any] | None = None) -> Any:
+    """Return an option; `read` makes its value of its text."""
+    return typer.Option(name, metavar=metavar, help=told, parser=read)
 
 
 def flag(name: str, told: str) -> Any:
@@ -37,10 +33,83 @@ def flag(name: str, told: str) -> Any:
     return typer.Option(name, help=told)
 
 
-def path_option(name: str, metavar: str, told: str) -> Any:
-    """Return an option of a path."""
-    return typer.Option(name, metavar=metavar, parser=read_path, help=told)
+def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> Any:
+    """Return an option whose value is one of those allowed."""
+    names = tuple(allowed)
 
+    def read(text: str) -> str:
+        if text not in names:
+            raise UserError(f"{name} {text}: {unknown_name('value', text, names)}")
+        return text
+
+    return option(name, metavar or "|".join(names), told, read)
+
+
+def count(name: str, told: str) -> Any:
+    """Return an option of a whole number of at least 1: 100000, 100_000 or 1e5."""
+
+    def read(text: str) -> int:
+        try:
+            number = float(text)
+        except ValueError:
+            number = 0.0
+        if not (1 <= number < 2**53 and number.is_integer()):
+            raise UserError(f"{name} {text}: must be a whole number of at least 1, as in 1e5")
+        return int(number)
+
+    return option(name, "N", told, read)
+
+
+def seeds(name: str, told: str, first: int = 0) -> Any:
+    """Return an option of seeds: a count from `first` on, a list, or ranges with both ends among them."""
+
+    def read(text: str) -> tuple[int, ...]:
+        try:
+            parts = [seed for part in text.split(",") if part.strip() for seed in _span(part)]
+            if "," in text or ".." in text:
+                return read_seeds(parts)
+            return tuple(first + seed for seed in read_seeds(parts[0]))
+        except (ValueError, IndexError):
+            raise UserError(f"{name} {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
+
+    return option(name, "N|LIST", told, read)
+
+
+def _span(text: str) -> range:
+    """Read a seed, or a first and a last one."""
+    first, dots, last = text.partition("..")
+    seeds = range(int(first), int(last if dots else first) + 1)
+    if len(seeds) > MOST_SEEDS:
+        raise ValueError
+    return seeds
+
+
+def _key_and_value(name: str, example: str) -> Callable[[str], tuple[str, str]]:
+    def read(text: str) -> tuple[str, str]:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals):
+            raise UserError(f"{name} {text}: must be KEY=VALUE, as in {name} {example}")
+        return key, value
+
+    return read
+
+
+def _read_setting(text: str) -> tuple[str, Any]:
+    key, value = _key_and_value("--set", "learning_rate=1e-3")(text)
+    return key, read_value(value)
+
+
+def read_value(text: str) -> Any:
+    """Read a value as TOML would, a list without its brackets and a word without its quotes."""
+    for form in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except (ValueError, RecursionError):
+            continue
+    return text
+
+
+# --- The options -----------------------------------------------------------------------------------
 
 RESULTS = Path("results")
 """The usual results folder."""
@@ -57,74 +126,61 @@ RunName = Annotated[
     str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
 ]
 Results = Annotated[
-    Path,
-    typer.Option(
-        "--results", metavar="DIR", parser=read_path, envvar="PNEUMA_RESULTS", help="Where runs are kept."
-    ),
+    Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
 ]
 Json = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
 Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 _AMOUNT = "How much to run: quick for plan and run, else as last run"
-Preset = Annotated[Text, option("--preset", "|".join(PRESETS), f"{_AMOUNT}.")]
-StudyPreset = Annotated[Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
-_SEEDS = option(
-    "--seeds", "N|LIST", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
-)
-Seeds = Annotated[Text, _SEEDS]
-OwnSeeds = Annotated[str, _SEEDS]
-"""The same of commands with seeds of their own where none are given."""
-Steps = Annotated[Text, option("--steps", "N", "Steps of each run, rounded up to whole horizons.")]
+Preset = Annotated[Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
+Seeds = Annotated[
+    Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
+]
+Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole horizons.")]
 EngineName = Annotated[
     Text, option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
 ]
-Workers = Annotated[Text, option("--workers", "N", "Runs trained at once (default: one a core).")]
+Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
 Conditions = Annotated[Several, option("--condition", "NAME", "Only this condition (may be repeated).")]
 Settings = Annotated[
-    Several, option("--set", "KEY=VALUE", "Set a field of the run in every condition (may be repeated).")
+    list[Any] | None,
+    option("--set", "KEY=VALUE", "Set a field of the run, or of the world (may be repeated).", _read_setting),
 ]
-_WORLDS = "|".join(WORLDS)
+"""Pairs of a field and its value; for a command `dict(set_ or ())`."""
 WorldName = Annotated[
-    Text, option("--world", _WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT}).")
+    Text,
+    choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT}, or all)."),
 ]
-OneWorld = Annotated[
-    Text, option("--world", _WORLDS, "One world alone (default: of a study its first, else all).")
-]
-"""Of commands that show all worlds, or all studies where none is named."""
 Formats = Annotated[
-    Several,
-    option("--format", "|".join(FIGURE_FORMATS), "Of figures (repeatable; default: png and svg)."),
+    list[Any] | None,
+    choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg)."),
 ]
-FigureFolder = Annotated[Path | None, path_option("--out", "DIR", "Draw a figure into this folder.")]
+FigureFolder = Annotated[Path | None, option("--out", "DIR", "Draw a figure into this folder.")]
+PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
 Outcome = Annotated[str, option("--outcome", "NAME", "What to look at: one of docs/outcomes.md.")]
+Outcomes = Annotated[
+    Several, option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
+]
 
-Answer = TypeVar("Answer")
+# --- Options that come together --------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Selecting:
-    """The options that select runs; None or empty where one is not given."""
+    """The options that select runs."""
 
-    preset: StudyPreset = None
+    preset: Preset = None
     seeds: Seeds = None
     steps: Steps = None
     engine: EngineName = None
     condition: Conditions = None
     set_: Settings = None
 
-    def read(self) -> Selection | None:
-        """Return what they select; None when none of them was given."""
-        if not any(value is not None and value != [] for value in vars(self).values()):
-            return None
-        return Selection(
-            preset=self.preset,
-            seeds=None if self.seeds is None else read_seeds_option(self.seeds),
-            steps=None if self.steps is None else read_count("--steps", self.steps),
-            engine=self.engine,
-            conditions=tuple(self.condition or ()),
-            settings=read_settings_options(self.set_),
-        )
+    def read(self) -> Selection:
+        """Return what they select."""
+        conditions, settings = tuple(self.condition or ()), dict(self.set_ or ())
+        return Selection(self.preset, self.seeds, self.steps, self.engine, conditions, settings)
 
 
 @dataclass(frozen=True)
@@ -132,33 +188,33 @@ class Placing:
     """The options that say where runs are trained."""
 
     executor: Annotated[
-        str, option("--executor", "|".join(EXECUTORS), "Where runs are trained, as docs/scaling.md says.")
+        str, choice("--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says.")
     ] = LOCAL
     address: Annotated[
         Text, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
     ] = None
     slurm: Annotated[
-        Several,
-        option("--slurm", "KEY=VALUE", "What jobs of --executor slurm ask for: partition, time, mem, …"),
+        list[Any] | None,
+        option(
+            "--slurm",
+            "KEY=VALUE",
+            "What jobs of --executor slurm ask for: partition, time, mem, …",
+            _key_and_value("--slurm", "partition=short"),
+        ),
     ] = None
     detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False
 
     def read(self) -> Supervision:
         """Return where runs are trained."""
-        executor, address, slurm = self.executor, self.address, self.slurm or []
-        if executor not in EXECUTORS:
-            raise UserError(f"--executor {executor}: {unknown_name('executor', executor, EXECUTORS)}")
-        if address is not None and executor != RAY:
-            raise UserError(f"--address {address}: goes with --executor {RAY}")
-        if (slurm or self.detach) and executor != SLURM:
-            raise UserError(f"{'--slurm ' + slurm[0] if slurm else '--detach'}: goes with --executor {SLURM}")
-        asked = (_key_and_value("--slurm", text, "partition=short") for text in slurm)
-        own = tuple((key.replace("-", "_"), value) for key, value in asked)
-        return Supervision(executor=executor, address=address, slurm=own, detach=self.detach)
+        needs = {"address": RAY, "slurm": SLURM, "detach": SLURM}
+        for name, executor in needs.items():
+            if getattr(self, name) and self.executor != executor:
+                raise UserError(f"--{name}: goes with --executor {executor}")
+        own = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
+        return Supervision(executor=self.executor, address=self.address, slurm=own, detach=self.detach)
 
 
-Selected = Selection | None
-"""A parameter `selection`: what the selecting options come to; None when none of them was given."""
+Answer = TypeVar("Answer")
 _GROUPS: dict[str, type[Selecting | Placing]] = {"selection": Selecting, "place": Placing}
 
 
@@ -188,43 +244,14 @@ def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
     return run
 
 
-def read_workers(workers: str | None, place: Supervision = HERE) -> int:
+def most_workers(asked: int | None, place: Supervision = HERE) -> int:
     """Return how many runs train at once: as `--workers` says, or what the place has room for.
 
     Raises:
-        UserError: where that is no number, or the place cannot be reached.
+        UserError: where the place cannot be reached.
     """
-    asked, most = workers and read_count("--workers", workers), load_executor(place).most_workers(place)
-    return asked or most
-
-
-def read_count(option: str, text: str) -> int:
-    """Read a whole number of at least 1: 100000, 100_000 or 1e5."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = 0.0
-    if not (1 <= number < 2**53 and number.is_integer()):
-        raise UserError(f"{option} {text}: must be a whole number of at least 1, as in 1e5")
-    return int(number)
-
-
-def read_seeds_option(text: str) -> tuple[int, ...]:
-    """Read `--seeds`: a count, a list, or ranges with both ends among them: 3,5,8 or 1..5."""
-    try:
-        parts = [seed for part in text.split(",") if part.strip() for seed in _span(part)]
-        return read_seeds(parts if "," in text or ".." in text else parts[0])
-    except (ValueError, IndexError, UserError):
-        raise UserError(f"--seeds {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
-
-
-def _span(text: str) -> range:
-    """Read a seed, or a first and a last one."""
-    first, dots, last = text.partition("..")
-    seeds = range(int(first), int(last if dots else first) + 1)
-    if len(seeds) > MOST_SEEDS:
-        raise ValueError
-    return seeds
+    room = load_executor(place).most_workers(place)
+    return asked or room
 
 
 def selecting_words(selection: Selection) -> list[str]:
@@ -242,26 +269,3 @@ def selecting_words(selection: Selection) -> list[str]:
     for key, value in (selection.settings or {}).items():
         words += ["--set", f"{key}={value if isinstance(value, str) else dumps(value)}"]
     return words
-
-
-def read_settings_options(texts: Sequence[str] | None) -> dict[str, Any]:
-    """Read every `--set KEY=VALUE`."""
-    pairs = (_key_and_value("--set", text, "learning_rate=1e-3") for text in texts or ())
-    return {key: _read_value(value) for key, value in pairs}
-
-
-def _key_and_value(option: str, text: str, example: str) -> tuple[str, str]:
-    key, equals, value = (part.strip() for part in text.partition("="))
-    if not (key and equals):
-        raise UserError(f"{option} {text}: must be KEY=VALUE, as in {option} {example}")
-    return key, value
-
-
-def _read_value(text: str) -> Any:
-    """Read a value as TOML would, a list without its brackets and a word without its quotes."""
-    for form in (text, f"[{text}]") if "," in text else (text,):
-        try:
-            return tomllib.loads(f"value = {form}")["value"]
-        except (ValueError, RecursionError):
-            continue
-    return text

@@ -8,12 +8,13 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING, Any
 
-from pneuma.errors import UserError, nearest_name, plain, unknown_name
+from pneuma.errors import UserError, nearest_name, plain
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.files import write_whole
 from pneuma.study.store import Store
@@ -36,7 +37,7 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
     if quiet:
         return
     try:
-        print(text, file=sys.stderr if aside else sys.stdout)
+        print(plain(text), file=sys.stderr if aside else sys.stdout, flush=aside)
     except OSError:  # nobody reads any more, or the terminal was closed
         if not aside:
             raise
@@ -67,23 +68,28 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
 # --- For programs ---------------------------------------------------------------------------------
 
 
-def print_json(document: object) -> None:
-    """Print the one JSON document of a command; numbers that JSON has not, as NaN, are null in it."""
-    print(dumps(_without_nan(document), indent=2, allow_nan=False))
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print the one JSON document of a command: data classes and tables as objects, NaN as null."""
+    print(dumps(_as_json({"schema": 1, **document}), indent=2, allow_nan=False))
 
 
-def _without_nan(value: object) -> object:
+def _as_json(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    elif hasattr(value, "to_dict"):  # a pandas table
+        value = rows_of(value)
     if isinstance(value, Mapping):
-        return {key: _without_nan(own) for key, own in value.items()}
+        return {str(key): _as_json(own) for key, own in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(own) for own in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [_as_json(own) for own in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
 
 
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return a table's rows for `print_json`: None for what there is not."""
-    known = table.astype(object).where(table.notna(), None)
-    return [{str(key): value for key, value in row.items()} for row in known.to_dict("records")]
+def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
+    """Return a table's rows, with None for what there is not."""
+    return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
@@ -97,17 +103,11 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
         if "title" in own
     ]
     if json:
-        return print_json({"schema": 1, many: rows})
+        return print_json({many: rows})
     return print_table((kind, "title", "thesis section"), [(*row.values(),) for row in rows])
 
 
 # --- Files ----------------------------------------------------------------------------------------
-
-
-def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
-    """Refuse a value of an option that is none of those allowed."""
-    if value not in allowed:
-        raise UserError(f"{option} {value}: " + str(unknown_name("value", value, allowed)))
 
 
 def check_file(out: Path, endings: Collection[str]) -> None:
@@ -117,16 +117,16 @@ def check_file(out: Path, endings: Collection[str]) -> None:
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
-    check_folder(f"--out {out}", out.parent)
+    check_folder(out.parent)
 
 
-def check_folder(told: str, folder: Path) -> None:
+def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot be written, or made, before any work is done; make none yet."""
     there = next((path for path in (folder, *folder.resolve().parents) if path.exists()), folder)
     try:
         TemporaryFile(dir=there).close()
     except OSError as error:
-        raise UserError(f"{told}: cannot be written ({error.strerror})") from None
+        raise UserError(f"{folder}: cannot be written ({error.strerror}); see --out, --results") from None
 
 
 def write_file(out: Path, data: bytes) -> None:
@@ -141,25 +141,14 @@ def write_file(out: Path, data: bytes) -> None:
 # --- Figures --------------------------------------------------------------------------------------
 
 
-def read_formats(told: list[str] | None, out: Path | None, always: bool = False) -> tuple[str, ...]:
-    """Return the kinds of file that figures are to be written as; none where none is asked for.
-
-    Args:
-        told: by --format.
-        out: the folder, by --out; refused where it cannot be written.
-        always: whether figures are drawn without a folder too.
-    """
-    for name in told or ():
-        check_choice("--format", name, FIGURE_FORMATS)
-    if out is None:
-        if told and not always:
-            raise UserError(f"--format {told[0]}: name a folder for the figure by --out DIR")
-        return tuple(told or ("png", "svg")) if always else ()
-    ending = out.suffix.lower()[1:]
-    if ending in FIGURE_FORMATS and not out.is_dir():
-        raise UserError(f"--out {out}: is the folder to write figures to; name one, and --format {ending}")
-    check_folder(f"--out {out}", out)
-    return tuple(told or ("png", "svg"))
+def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
+    """Return the kinds of file that figures are written as; refuse a folder that cannot be written."""
+    if out is not None:
+        ending = out.suffix.lower()[1:]
+        if ending in FIGURE_FORMATS and not out.is_dir():
+            raise UserError(f"--out {out}: is the folder of figures; name one, and --format {ending}")
+        check_folder(out)
+    return tuple(asked or ("png", "svg"))
 
 
 def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
@@ -172,8 +161,7 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
         out: where; None for the results.
         draw: draws into a folder that is removed afterwards, and returns its files.
     """
-    if out is None:
-        check_folder(f"--results {store.root}", store.root)
+    check_folder(out or store.root)
     target = out or store.root / "figures"
     with TemporaryDirectory() as folder:
         files = {path.name: path.read_bytes() for path in draw(Path(folder))}
@@ -188,7 +176,7 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
 def tell_written(files: Iterable[Path], json: bool = False) -> None:
     """Say which figures were written."""
     if json:
-        return print_json({"schema": 1, "figures": list(map(str, files))})
+        return print_json({"figures": list(files)})
     for path in files:
-        print(f"wrote {plain(str(path))}")
+        say(f"wrote {path}")
     return None

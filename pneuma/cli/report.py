@@ -38,7 +38,7 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     known = {*known_studies(store), *spec.list_studies()}
     for name in names:
         if _own_name(name) not in known:
-            study_record(store, name, None)  # says that there is none
+            study_record(store, name)  # says that there is none
     studies = sorted({_own_name(name) for name in names or known}, key=_place)
     unjudged = ""
     try:
@@ -86,7 +86,7 @@ def _part(store: Store, study: str, world: str) -> Part:
         part.conditions = _conditions(study, name, record)
         return part
     try:
-        record = study_record(store, name, None)
+        record = study_record(store, name)
         states = run_states(store, record)
     except UserError as error:
         part.notes, part.mend = [_without_folder(store, error)], _command(study, world) if shipped else ""
@@ -102,11 +102,11 @@ def _part(store: Store, study: str, world: str) -> Part:
     ]
     part.extent, part.conditions = _extent(record), _conditions(study, name, record)
     part.runs = [
-        (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status,
+        (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status.name,
          str(own.run["run"].get("engine") or "unknown"))
         for own in states
     ]  # fmt: skip
-    statuses = [own.status for own in states]
+    statuses = [own.status.name for own in states]
     missing, diverged = sum(status not in FINISHED for status in statuses), statuses.count("diverged")
     if missing:
         lacking = "are not here, not finished or damaged, and left out below"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,8 +24,9 @@ from pneuma.cli.output import (
     write_file,
 )
 from pneuma.cli.progress import ProgressDisplay
-from pneuma.cli.study_run import train_cells
-from pneuma.errors import UserError, counted, plain, unknown_name
+from pneuma.cli.study_run import train as train_study
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.store import Store
@@ -34,7 +34,6 @@ from pneuma.worlds import TEXT, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.search.promote import Gain, Winner
-    from pneuma.search.spec import Budget, Search
     from pneuma.search.trials import Task, Told
 
 app = typer.Typer(
@@ -65,16 +64,15 @@ def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) 
 
     search = load_search(name, world)
     if json:
-        document = {key: value for key, value in asdict(search).items() if key != "name"}
-        return print_json({"schema": 1, "search": search.name, **document})
-    print(plain(search.title + (f" (thesis section {search.section})" if search.section else "")))
-    if search.about:
-        print(f"\n{plain(search.about)}")
+        return print_json({"search": search.name, **vars(search)})
+    say(search.title + (f" (thesis section {search.section})" if search.section else ""))
+    for line in search.about.splitlines():
+        say(line)
     print("\nSpace:")
     print_table(("", ""), [(f"  {own.name}", str(own)) for own in search.space.parameters])
     print("\nObjectives:")
     for own in search.objectives:
-        print(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
+        say(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
     for preset, budget in search.presets.items():
         seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
@@ -92,48 +90,42 @@ def status(
     searched = read_record(store, name, world)
     search, budget, best = searched.task.search, searched.task.budget, searched.best
     if json:
-        document = _document(searched.task, searched.trials, store)
-        seeds, steps = list(budget.seeds), budget.steps
-        return print_json({**document, "seeds": seeds, "steps": steps, "trials_asked": budget.trials})
+        amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
+        return print_json({**_document(searched.task, searched.trials, store), **amount})
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
     for own in search.objectives:
-        print(plain(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}"))
-    among = best if isinstance(best, list) else [best]
-    rows = []
+        say(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
+    among, rows = best if isinstance(best, list) else [best], []
     for trial in searched.trials:
         params = ", ".join(
             f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
             for key, value in trial.params.items()
         )
-        mark, note = "*" if trial.number in among else "", f"({trial.note})" if trial.note else ""
-        rows.append((f"{mark:>3}", f"{trial.number:>4}", trial.state, _value(trial), params, note))
-    print_table([""] * 6, rows)
+        mark = "*" if trial.number in among else ""
+        rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
+    print_table(("", "trial", "", "value", "", ""), rows)
     if isinstance(best, int):
         told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
-        print(f"Best (*): trial {best}. Confirm it with: {told}")
+        say(f"Best (*): trial {best}. Confirm it with: {told}")
     else:
         print(f"Pareto front (*): trials {', '.join(map(str, best or [])) or 'none yet'}.")
-    print(f"Look closer with: optuna-dashboard {plain(str(journal_path(store, search.name)))}")
-    return None
+    return say(f"Look closer with: optuna-dashboard {journal_path(store, search.name)}")
 
 
 @app.command(short_help="Draw a search.")
 def plot(
     name: SearchName,
-    out: Annotated[
-        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
-    ] = None,
+    out: opt.PlotFolder = None,
     world: opt.WorldName = None,
     format: opt.Formats = None,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Draw a search by Optuna's plots: history, importances, slices, parallel coordinates, Pareto front."""
-    formats = read_formats(format, out, always=True)
+    formats, store = read_formats(format, out), Store(results)
     from pneuma.figures.search import NEEDS, draw_search
     from pneuma.search.storage import read_record
 
-    store = Store(results)
     searched = read_record(store, name, world)
     paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats))
     drawn = {path.stem.rpartition("-")[2] for path in paths}
@@ -150,13 +142,10 @@ def plot(
 @opt.grouped
 def run(
     name: SearchName,
-    preset: opt.Preset = None,
-    trials: Annotated[
-        opt.Text, opt.option("--trials", "N", "How many trials, those stored among them.")
-    ] = None,
+    preset: Annotated[str, opt.option("--preset", "|".join(spec.PRESETS), "How much to search.")] = "quick",
+    trials: Annotated[Any, opt.count("--trials", "How many trials, those stored among them.")] = None,
     seeds: Annotated[
-        opt.Text,
-        opt.option("--seeds", "N|LIST", "Seeds of each trial: a count N (seeds 1000, 1001, …) or a list."),
+        Any, opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED)
     ] = None,
     steps: opt.Steps = None,
     engine: opt.EngineName = None,
@@ -170,24 +159,14 @@ def run(
     quiet: opt.Quiet = False,
 ) -> int:
     """Search for hyperparameters, going on where the search was stopped."""
-    from pneuma.config import Run, read_field
     from pneuma.search import storage
-    from pneuma.search.space import FIXABLE
-    from pneuma.search.spec import load_search
-    from pneuma.search.trials import Task, Unfinished, best_number
+    from pneuma.search.trials import Unfinished, best_number
 
-    over = {**opt.read_settings_options(set_), **({"engine": engine} if engine else {})}
-    for key in over:
-        if key not in FIXABLE.names:
-            raise unknown_name("key of --set", key, FIXABLE.names)
-    over = {key: read_field(Run, key, value) for key, value in over.items()}
-    search = load_search(name, world)
-    budget = _budget(search, preset or "quick", trials, seeds, steps)
-    file = str(Path(name).resolve()) if name.endswith(".toml") else ""
-    task = Task(search.with_settings(over, over) if over else search, budget, file, over)
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
-    store, how = Store(results), replace(place, workers=opt.read_workers(workers, place))
+    over = {**dict(set_ or ()), **({"engine": engine} if engine else {})}
+    task = _task(name, world, preset, over, trials=trials, seeds=seeds, steps=steps)
+    store, how = Store(results), replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     told: list[Told] = []
@@ -201,7 +180,7 @@ def run(
             told = [*ended]
             best = best_number(told, task.search)
             found = f"best {_value(told[best])}, trial {best}" if isinstance(best, int) else f"front: {best}"
-            say(f"{len(told)}/{budget.trials} trials; {found}", aside=True, quiet=quiet)
+            say(f"{len(told)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
         code = 1
@@ -218,20 +197,23 @@ def run(
     return code
 
 
-def _budget(search: Search, preset: str, trials: opt.Text, seeds: opt.Text, steps: opt.Text) -> Budget:
-    """Return a search's budget: its preset's, with what the options give in its place."""
-    from pneuma.search import FIRST_SEED
-    from pneuma.search.spec import Budget
+def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
+    """Return a search with the fields set over its own, and its preset's budget with the amounts given."""
+    from pneuma.config import Run, read_field
+    from pneuma.search.space import FIXABLE
+    from pneuma.search.spec import load_search
+    from pneuma.search.trials import Task
 
+    for key in over:
+        if key not in FIXABLE.names:
+            raise unknown_name("key of --set", key, FIXABLE.names)
+    over = {key: read_field(Run, key, value) for key, value in over.items()}
+    search = load_search(name, world)
     if preset not in search.presets:
         raise unknown_name(f"preset of search {search.name}", preset, search.presets)
-    own = search.presets[preset]
-    first = FIRST_SEED if seeds is not None and not {",", "."} & {*seeds} else 0
-    return Budget(
-        own.trials if trials is None else opt.read_count("--trials", trials),
-        own.seeds if seeds is None else tuple(first + seed for seed in opt.read_seeds_option(seeds)),
-        own.steps if steps is None else opt.read_count("--steps", steps),
-    )
+    given = {key: value for key, value in amount.items() if value is not None}
+    file = str(Path(name).resolve()) if name.endswith(".toml") else ""
+    return Task(search.with_settings(over, over), replace(search.presets[preset], **given), file, over)
 
 
 def train(
@@ -264,11 +246,10 @@ def _document(task: Task, trials: Sequence[Told], store: Store) -> dict[str, Any
     from pneuma.search.trials import best_number
 
     return {
-        "schema": 1,
         "search": task.search.name,
         "trials": [trial_document(trial, task.search) for trial in trials],
         "best": best_number(trials, task.search),
-        "journal": str(journal_path(store, task.search.name)),
+        "journal": journal_path(store, task.search.name),
     }
 
 
@@ -286,13 +267,13 @@ def promote(
         list[str],
         typer.Argument(metavar="NAME…", help="Searches, or their files; several must be tuned alike."),
     ],
-    seeds: opt.OwnSeeds = "10",
+    seeds: opt.Seeds = "10",
     steps: opt.Steps = None,
     trial: Annotated[
         int | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
     ] = None,
     out: Annotated[
-        Path | None, opt.path_option("--out", "FILE", "Write the study to a .toml file; train nothing.")
+        Path | None, opt.option("--out", "FILE", "Write the study to a .toml file; train nothing.")
     ] = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
@@ -306,14 +287,14 @@ def promote(
 
     if trial is not None and len(names) > 1:
         raise UserError(f"--trial {trial}: is of one search; name one")
-    store, fresh = Store(results), opt.read_seeds_option(seeds)
+    store = Store(results)
     searches = [read_record(store, name, world) for name in names]
-    winners = find_winners(searches, trial, fresh)
+    winners = find_winners(searches, trial, seeds)
     for name, winner in zip(names, winners, strict=True):
         _refuse_untrusted(winner, name)
-    budget = searches[0].task.budget.steps if steps is None else opt.read_count("--steps", steps)
-    text = winners_study(winners, fresh, budget).encode()
-    chosen = [
+    steps = steps or searches[0].task.budget.steps
+    text = winners_study(winners, seeds, steps).encode()
+    chosen: list[dict[str, Any]] = [
         {"search": own.searched.task.search.name, "trial": own.trial.number, "params": own.trial.params}
         for own in winners
     ]
@@ -322,20 +303,20 @@ def promote(
         if out.exists():
             raise UserError(f"--out {out}: is there already; name another, or remove it first")
         write_file(out, text)
-        say(f"wrote {plain(str(out))}", aside=json)
+        say(f"wrote {out}", aside=json)
         say(f"Train it with: {command('study', 'run', out, '--results', results)}", aside=json)
         if json:
-            print_json({"schema": 1, "study": str(out), "winners": chosen})
+            print_json({"study": out, "winners": chosen})
         return 0
     split = [split_world(own.task.search.name) for own in searches]  # the end of a name tells a study's world
     there = [] if split[0][1] == TEXT else [split[0][1]]
     path = store.root / "searches" / f"{'-'.join(['promoted', *there, *(name for name, _ in split)])}.toml"
     store.check_writable()
     store.write(path, text)
-    say(f"wrote {plain(str(path))}", aside=True, quiet=quiet)
-    planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=fresh, steps=budget))
-    how = Supervision(workers=opt.read_workers(workers))
-    _, code = train_cells(planned, store, how, retry_failed=True, json=json, quiet=quiet)
+    say(f"wrote {path}", aside=True, quiet=quiet)
+    planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=seeds, steps=steps))
+    how = Supervision(workers=opt.most_workers(workers))
+    code = train_study(planned, store, how, retry_failed=True, json=json, quiet=quiet, document=False)
     if code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
         return code
@@ -343,18 +324,15 @@ def promote(
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
     if json:
-        rows = [
-            {**own, "objectives": {name: asdict(gain) for name, gain in gained.items()}}
-            for own, gained in zip(chosen, found, strict=True)
-        ]
-        document = {"study": str(path), "seeds": list(fresh), "run_ids": ends, "diverged": diverged}
-        print_json({"schema": 1, **document, "winners": rows})
+        rows = [{**own, "objectives": gained} for own, gained in zip(chosen, found, strict=True)]
+        document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
+        print_json({**document, "winners": rows})
         return 0
     for winner, gained in zip(winners, found, strict=True):
-        _print_gains(winner, gained, len(fresh))
+        _print_gains(winner, gained, len(seeds))
     for arm, count in diverged.items():
         if count:
-            print(f"{count} of {arm}'s {len(fresh)} runs diverged, and count as in a search")
+            print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
     return 0
 
 
@@ -378,12 +356,8 @@ def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
     for objective in search.objectives:
         own = gains[objective.name]
         values = (f"{value:.4f}" for value in (own.seen, own.fresh, own.fresh_baseline))
-        gained = _signed(own.difference), " to ".join(map(_signed, own.interval)), _signed(own.luck)
+        interval = " to ".join(f"{end:+.4f}" for end in own.interval)
+        gained = f"{own.difference:+.4f}", interval, f"{own.luck:+.4f}"
         rows.append((f"{objective.over_seeds} of {objective.outcome}", *values, *gained))
     print_table(heads, rows)
     print("Luck: by how much the search's seeds had flattered it.")
-
-
-def _signed(value: float) -> str:
-    """Return a difference with its sign; "not told" where it is not known."""
-    return "not told" if math.isnan(value) else f"{value:+.4f}"

@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli import study_compare, study_output, study_run, study_summary, study_verify
+from pneuma.cli import study_files, study_results, study_run, study_verify
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
-from pneuma.cli.study_records import (
-    RunState,
-    each_study,
-    is_shipped,
-    known_studies,
-    run_states,
-    study_record,
-)
-from pneuma.cli.study_run import by_value
+from pneuma.cli.study_records import each_study, is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_fields, make_run
-from pneuma.errors import UserError, plain, unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
-from pneuma.study.provenance import stored_origins, unusual_origins
-from pneuma.study.spec import Preset
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
@@ -34,14 +23,14 @@ app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=Tr
 
 app.command("plan", short_help="Say which runs are stored, and which would be trained.")(study_run.plan_)
 app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
-app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_output.plot)
-app.command()(study_output.export)
-app.command(short_help="Write a study's runs as one small table.")(study_output.publish)
-app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
-app.command(short_help="Compare two conditions.")(study_compare.compare)
-app.command(short_help="Say which runs collapsed, when, and how often.")(study_summary.collapse)
-app.command(short_help="Say in which other settings a contrast holds.")(study_summary.robustness)
-app.command(short_help="Test what matters where settings are crossed.")(study_summary.effects)
+app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_files.plot)
+app.command()(study_files.export)
+app.command(short_help="Write a study's runs as one small table.")(study_files.publish)
+app.command(short_help="Say what each condition's runs come to.")(study_results.summary)
+app.command(short_help="Compare two conditions.")(study_results.compare)
+app.command(short_help="Say which runs collapsed, when, and how often.")(study_results.collapse)
+app.command(short_help="Say in which other settings a contrast holds.")(study_results.robustness)
+app.command(short_help="Test what matters where settings are crossed.")(study_results.effects)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
 
@@ -74,6 +63,9 @@ def new(
     print(f"wrote {path}: edit it, then run: pneuma study run {path}")
 
 
+# --- show ------------------------------------------------------------------------------------------
+
+
 @app.command(short_help="Show what a study compares, and its presets.")
 def show(
     name: opt.StudyName,
@@ -83,72 +75,70 @@ def show(
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
     if not is_shipped(name) and name in known_studies(Store(results)):
-        return _show_record(study_record(Store(results), name, None, world), json)
+        return _show_record(study_record(Store(results), name, world=world), json)
     study = spec.load_study(name, world)
     differing = plan.differing_fields(plan.make_plan(study, plan.Selection(next(iter(study.presets)))))
     if json:
         about = {key: getattr(study, key) for key in ("title", "section", "about", "world", "baseline")}
         lists = {
-            "worlds": list(study.worlds),
+            "worlds": study.worlds,
             "conditions": {name: study.fields(name) for name in study.conditions},
             "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
         }
-        return print_json({"schema": 1, "study": study.name, **about, **lists})
-    print(plain(study.title + (f" (thesis section {study.section})" if study.section else "")))
-    if study.about:
-        print(f"\n{plain(study.about)}")
+        return print_json({"study": study.name, **about, **lists})
+    say(study.title + (f" (thesis section {study.section})" if study.section else ""))
+    for line in study.about.splitlines():
+        say(line)
     print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
-        print(f"  {key}: {plain(by_value(values))}")
-    print(f"Compared with: {plain(study.baseline)}")
-    print(f"Runs in: {', '.join(study.worlds)} (here {study.world})")
-    print("\nAll conditions share:")
+        having: dict[str, list[str]] = {}
+        for condition, value in values.items():
+            having.setdefault(shown_value(value), []).append(condition)
+        told = (f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
+        say(f"  {key}: {'; '.join(told)}")
+    say(f"Compared with: {study.baseline}")
+    print(f"Runs in: {', '.join(study.worlds)} (here {study.world})\n\nAll conditions share:")
     for key, value in as_fields(make_run(study.fields(study.baseline))).items():
         if key not in (*differing, "seed", "steps"):
-            print(f"  {key} = {plain(shown_value(value))}")
-    print("\nPresets:")
+            say(f"  {key} = {shown_value(value)}")
     from pneuma.study.claimed import fixed_amounts
 
-    presets = [(name, {"": own, **own.conditions}) for name, own in study.presets.items()]
-    presets += [(spec.CLAIMS, dict(own)) for own in fixed_amounts(study).values()]
-    print_table(("", "", ""), [row for own in presets for row in _amounts(*own)])
-    return None
-
-
-def _amounts(preset: str, amounts: Mapping[str, Preset]) -> list[tuple[str, ...]]:
-    """Return how much a preset runs: of all conditions, and of those named."""
-    return [
+    print("\nPresets:")
+    amounts = [(name, {"": own, **own.conditions}) for name, own in study.presets.items()]
+    amounts += [(spec.CLAIMS, dict(own)) for own in fixed_amounts(study).values()]
+    rows = [
         (f"  {preset}", condition, f"{len(own.seeds)} seeds x {own.steps:,} steps")
-        for condition, own in amounts.items()
+        for preset, of_conditions in amounts
+        for condition, own in of_conditions.items()
     ]
+    return print_table([""] * 3, rows)
 
 
 def _show_record(record: dict[str, Any], json: bool) -> None:
     """Show a study that has no file here: a fork, imported logs, or a published one."""
-    conditions = list(dict.fromkeys(run["condition"] for run in record["runs"]))
-    seeds = list(dict.fromkeys(run["seed"] for run in record["runs"]))
-    about = {"title": record["title"], "baseline": record["baseline"], "conditions": conditions}
+    conditions, seeds = (
+        list(dict.fromkeys(run[key] for run in record["runs"])) for key in ("condition", "seed")
+    )
     if json:
-        return print_json({"schema": 1, "study": record["study"], **about, "seeds": seeds})
-    print(plain(record["title"]))
-    if record.get("source") == "tensorboard":
-        print("\nImported logs: returns are means of 100 episodes, as Stable-Baselines3 logs them.")
-    print(f"\nConditions: {plain(', '.join(conditions))}\nCompared with: {plain(record['baseline'])}")
+        about = {key: record[key] for key in ("study", "title", "baseline")}
+        return print_json({**about, "conditions": conditions, "seeds": seeds})
+    say(record["title"])
+    say(f"Conditions: {', '.join(conditions)}; compared with: {record['baseline']}")
     print(f"Seeds: {', '.join(map(str, seeds))}")
     return None
 
 
-# --- status ---------------------------------------------------------------------------------------
+# --- status ----------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Say how far the runs of a study are.")
 @opt.grouped
 def status(
+    selection: plan.Selection,
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
-    selection: opt.Selected = None,
-    world: opt.OneWorld = None,
+    world: opt.WorldName = None,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
@@ -156,52 +146,36 @@ def status(
     store = Store(results)
     jobs = _queued(store)
 
-    def standing(study: str) -> tuple[dict[str, Any], list[RunState]]:
+    def standing(study: str) -> dict[str, Any]:
         record = study_record(store, study, selection, world)
         states = run_states(store, record)
-        return _document(store, record["study"], states, jobs), states
+        ids = [own.run["run_id"] for own in states]
+        runs = [
+            {
+                **{key: own.run[key] for key in ("run_id", "condition", "seed")},
+                **{"status": own.status.name, "step": own.status.step, "published": own.published},
+            }
+            for own in states
+        ]
+        queued = {run_id: jobs[run_id] for run_id in ids if run_id in jobs}
+        if not json:
+            counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in states).items())
+            say(f"{record['study']}: {counts}")
+            rows = []
+            for own in states:
+                run_id, job = own.run["run_id"], queued.get(own.run["run_id"])
+                told = [own.told, own.reached, f"job {job['job']} {job['state'].lower()}" if job else ""]
+                seed = f"seed {own.run['seed']}"
+                rows.append((f"  {own.run['condition']}", seed, run_id, " ".join(filter(None, told))))
+            print_table([""] * 4, rows)
+        return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
 
     found = [standing(name)] if name else each_study(known_studies(store, world), standing)
     if json:
-        documents = [document for document, _ in found]
-        return print_json(documents[0] if name else {"schema": 1, "studies": documents})
+        return print_json(found[0] if name else {"studies": found})
     if not found:
         print(f"No study was run in {results} yet.")
-    for document, states in found:
-        counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in states).items())
-        print(f"{plain(document['study'])}: {counts}")
-        print_table([""] * 6, [_row(own, document) for own in states])
     return None
-
-
-def _document(
-    store: Store, study: str, states: Sequence[RunState], jobs: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return how the runs of a study stand: each, which are unlike most, and which are in Slurm's queue."""
-    runs = [
-        {
-            **{key: own.run[key] for key in ("run_id", "condition", "seed")},
-            **{"status": own.status, "step": own.step, "published": own.published, "trained": False},
-        }
-        for own in states
-    ]
-    ids = [run["run_id"] for run in runs]
-    unlike = unusual_origins(stored_origins(store, ids))
-    queued = {run_id: jobs[run_id] for run_id in ids if run_id in jobs}
-    return {"schema": 1, "study": study, "runs": runs, "unlike_most": unlike, "jobs": queued}
-
-
-def _row(own: RunState, document: Mapping[str, Any]) -> tuple[str, ...]:
-    run_id, job = own.run["run_id"], document["jobs"].get(own.run["run_id"])
-    unlike = document["unlike_most"].get(run_id)
-    return (
-        f"  {own.run['condition']}",
-        f"seed {own.run['seed']}",
-        run_id,
-        " ".join(filter(None, [own.told, own.reached])),
-        f"job {job['job']} {job['state'].lower()}" if job else "",
-        f"({unlike} than most)" if unlike else "",
-    )
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pneuma.cli.output import say
-from pneuma.errors import UserError, plain, unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Status, Store
-from pneuma.worlds import check_world, split_world
+from pneuma.worlds import split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
 
 Read = TypeVar("Read")
+NOTHING = plan.Selection()
 
 
 def study_record(
-    store: Store, name: str, selection: plan.Selection | None, world: str | None = None
+    store: Store, name: str, selection: plan.Selection = NOTHING, world: str | None = None
 ) -> dict[str, Any]:
     """Return a study's latest record, the runs that a selection picks from it, or those that it plans anew.
 
@@ -30,17 +31,20 @@ def study_record(
     Raises:
         UserError: for a study that is nowhere, or a selection or world that it does not have.
     """
-    check_world(world)
     if is_shipped(name):
         stem = spec.load_study(name, world).name
     else:
         stem = spec.name_in_world(Path(name).stem if name.endswith(".toml") else name, world)
-    chosen = selection or plan.Selection()
-    options = {"--preset": chosen.preset, "--steps": chosen.steps, "--engine": chosen.engine}
-    given = [option for option, value in {**options, "--set": chosen.settings}.items() if value]
-    record = _own_record(store, name, stem) or _published_record(store, stem)
-    if given and _is_asked_for(name) and (record or {}).get("source") != "tensorboard":
-        return execute.selection_record(plan.make_plan(spec.load_study(name, world), chosen))
+    planning = {
+        "--preset": selection.preset,
+        "--steps": selection.steps,
+        "--engine": selection.engine,
+        "--set": selection.settings,
+    }
+    given = [option for option, value in planning.items() if value]
+    record = _latest(store, name, stem)
+    if given and _may_be_loaded(name) and (record or {}).get("source") != "tensorboard":
+        return execute.selection_record(plan.make_plan(spec.load_study(name, world), selection))
     elsewhere = dict(split_world(own) for own in known_studies(store) if own != stem)
     if record is None and world is None and stem in elsewhere:
         say(f"Note: {stem} has no runs in its usual world; shown is {elsewhere[stem]}.", aside=True)
@@ -49,11 +53,11 @@ def study_record(
         raise _unknown(store, name, stem, world)
     if given:
         raise UserError(f"{given[0]}: study {stem} is not planned here: --condition and --seeds alone pick")
-    return _pick(record, chosen) if selection else record
+    return _pick(record, selection)
 
 
 def open_data(
-    store: Store, name: str, selection: plan.Selection | None, world: str | None, published: bool = True
+    store: Store, name: str, selection: plan.Selection, world: str | None, published: bool = True
 ) -> StudyData:
     """Open a study's data, published or not, and say how many runs of the selection are left out."""
     record = study_record(store, name, selection, world)
@@ -66,7 +70,7 @@ def open_data(
 
 def tell_left_out(data: StudyData) -> None:
     """Say how many runs of a selection are not shown, or not here, if any."""
-    of = f"of {data.left_out + len(data.runs)} runs of {plain(data.study)}"
+    of = f"of {data.left_out + len(data.runs)} runs of {data.study}"
     if 0 < len(data.published) < len(data.runs):
         say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
     if data.left_out:
@@ -83,12 +87,7 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
 
     What looks like a study's file is none of them: such a name is for a person to give.
     """
-    check_world(world)
-    names = set(store.studies())
-    if (store.root / "published").is_dir():
-        from pneuma.analysis.published import published_studies
-
-        names |= {*published_studies(store)}
+    names = {*store.studies(), *(path.stem for path in (store.root / "published").glob("*.parquet"))}
     return sorted(
         name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )
@@ -125,79 +124,60 @@ class RunState(NamedTuple):
 
     Attributes:
         run: its entry in the record.
-        status: the name of its status.
-        published: whether that is told by the published table, as the run is not here, or damaged.
-        step: agent steps of its records, or of its latest checkpoint.
-        damaged: whether the run that lies here is.
+        status: of the run here, or else as its study has published it.
+        published: whether the status is the published one.
     """
 
     run: dict[str, Any]
-    status: str
+    status: Status
     published: bool
-    step: int
-    damaged: bool = False
 
     @property
     def told(self) -> str:
         """How it stands, for people."""
-        here = ", damaged here" if self.damaged else ""
-        return f"{self.status} as published{here}" if self.published else self.status
+        return f"{self.status.name} as published" if self.published else self.status.name
 
     @property
     def reached(self) -> str:
         """How far it is, for people; '' of one that has ended, or has kept nothing yet."""
-        return f"at step {self.step:,}" if self.step and self.status not in FINISHED else ""
+        unfinished = self.status.step and self.status.name not in FINISHED
+        return f"at step {self.status.step:,}" if unfinished else ""
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     """Return how every run of a record stands, here or in the published table of its study."""
-    taken: dict[str, Status] = {}
+    published: dict[str, Status] = {}
     if (store.root / "published").is_dir():
         from pneuma.analysis.run_index import RunIndex
 
         found = RunIndex(store).of_record(record, "own")
-        taken = {run_id: own.status for run_id, own in found.items() if own.published}
-    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
-    states = []
-    for run in record["runs"]:
-        own, run_id = here[run["run_id"]], run["run_id"]
-        status = taken.get(run_id, own)
-        states.append(RunState(run, status.name, run_id in taken, status.step, own.name == "damaged"))
-    return states
+        published = {run_id: own.status for run_id, own in found.items() if own.published}
+    return [
+        RunState(run, published.get(run["run_id"]) or store.status(run["run_id"]), run["run_id"] in published)
+        for run in record["runs"]
+    ]
 
 
-def _own_record(store: Store, name: str, stem: str) -> dict[str, Any] | None:
-    """Return the record of what was run here; None without one, or where it is damaged, which is told.
+def _latest(store: Store, name: str, stem: str) -> dict[str, Any] | None:
+    """Return the record of what was run here, or else of what is published; None without either.
 
     Raises:
-        UserError: where that is the record of another file of the same name.
+        UserError: where it is the record of another file of the same name, or the table is damaged.
     """
-    record, path = store.selection(stem), store.selection_path(stem)
-    if record is None and path.exists() and _has_table(store, stem):
-        say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", aside=True)
+    record, table = store.selection(stem), store.root / "published" / f"{stem}.parquet"
     if record is not None and name.endswith(".toml"):
         execute.check_same_file(record, Path(name), store)
-    return record
-
-
-def _published_record(store: Store, study: str) -> dict[str, Any] | None:
-    if not _has_table(store, study):
-        return None
+    if record is not None or not table.exists():
+        return record
+    if store.selection_path(stem).exists():
+        path = store.selection_path(stem)
+        say(f"Note: {path} is damaged; what is published of {stem} is taken instead.", aside=True)
     from pneuma.analysis.published import read_published
 
-    return read_published(store, study).record
+    return read_published(store, stem).record
 
 
-def _has_table(store: Store, study: str) -> bool:
-    """Tell whether a study has a published table in a results folder, damaged or not."""
-    if not (store.root / "published").is_dir():
-        return False
-    from pneuma.analysis.published import published_path
-
-    return published_path(store, study).exists()
-
-
-def _is_asked_for(name: str) -> bool:
+def _may_be_loaded(name: str) -> bool:
     """Tell whether a name is a study that may be loaded: a shipped one, or a file that a person names.
 
     A file that a record names may be untrusted, and loading it would run the reward that it names.
@@ -207,6 +187,8 @@ def _is_asked_for(name: str) -> bool:
 
 def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any]:
     """Return a record with only the conditions and seeds of a selection."""
+    if not selection.conditions and selection.seeds is None:
+        return dict(record)
     known = list(dict.fromkeys(run["condition"] for run in record["runs"]))
     for name in selection.conditions:
         if name not in known:
@@ -226,15 +208,13 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
 
 
 def _unknown(store: Store, name: str, stem: str, world: str | None) -> UserError:
-    path = store.selection_path(stem)
-    told = f"{name} --world {world}" if world else name
-    if path.exists():
-        anew = f"`pneuma study run {told}` writes it" if _is_asked_for(name) else "import or fork its runs"
-        return UserError(f"{path}: damaged; {anew} anew")
-    if not _is_asked_for(name):
+    told = f"`pneuma study run {name}{f' --world {world}' if world else ''}`"
+    if store.selection_path(stem).exists():
+        anew = f"{told} writes it" if _may_be_loaded(name) else "import or fork its runs"
+        return UserError(f"{store.selection_path(stem)}: damaged; {anew} anew")
+    if not _may_be_loaded(name):
         known = sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
         return unknown_name("study", name, known)
     return UserError(
-        f"study {stem} has no runs in {store.root}: run `pneuma study run {told}` first, "
-        "or name the folder with --results"
+        f"study {stem} has no runs in {store.root}: run {told} first, or name the folder with --results"
     )

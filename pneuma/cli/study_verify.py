@@ -14,7 +14,7 @@ from pneuma.cli.output import print_json, print_table
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS, check_world
+from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.analysis.claims import ClaimList
@@ -28,10 +28,8 @@ def verify(
     claims: Annotated[
         list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
     ] = None,
-    world: opt.OneWorld = None,
-    file: Annotated[
-        Path | None, opt.path_option("--claims", "FILE", "Other claims than the thesis's.")
-    ] = None,
+    world: opt.WorldName = None,
+    file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
     design: Annotated[
         bool, opt.flag("--design", "Say what the seeds of each claim can tell, and read no runs.")
     ] = False,
@@ -39,7 +37,6 @@ def verify(
     json: opt.Json = False,
 ) -> None:
     """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
-    check_world(world)
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
 

@@ -1,11 +1,7 @@
-"""What produced a run: packages, machine, code and time. Kept beside it, never part of its records.
-
-And which of several runs were trained on something else than most: their last bits may differ.
-"""
+"""What produced a run: packages, machine, code and time. Kept beside it, never part of its records."""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import platform
@@ -13,7 +9,6 @@ import re
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -167,29 +162,6 @@ def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, 
     for name in run_ids:
         if (told := store.read_document(name, "provenance.json")) and "imported" not in told:
             yield name, told
-
-
-def unusual_origins(origins: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, str]:
-    """Say in a word which runs were trained on another kind of processor, or with other packages, than most.
-
-    Of two that are as frequent the one of the run that was begun first counts as the usual.
-    """
-    rows = sorted(
-        (
-            str(own.get("started")),
-            name,
-            processors(own),
-            json.dumps([own.get("python"), own.get("packages")], sort_keys=True),
-        )
-        for name, own in origins
-    )
-    marks: dict[str, list[str]] = {}
-    for word, place in (("other processor", 2), ("other packages", 3)):
-        for usual, _ in Counter(row[place] for row in rows).most_common(1):
-            for row in rows:
-                if row[place] != usual:
-                    marks.setdefault(row[1], []).append(word)
-    return {name: ", ".join(words) for name, words in marks.items()}
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:

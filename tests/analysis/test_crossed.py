@@ -117,7 +117,7 @@ def test_the_command_tells_effects_and_means_with_their_unit(tmp_path: Path) -> 
     assert "  learning_rate: 0.0001 0.400;  0.001 0.600" in lines
     rows = {row["effect"]: row for row in described(*asked(tmp_path, "--json"))["effects"]}
     (both,) = (row for name, row in rows.items() if " × " in name)
-    assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ([2, 2], 1, 4, 8)
+    assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ("2 × 2", 1, 4, 8)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,6 @@ RUN = "study run activation"
 MISTAKES = {
     "study run activaton": "'activaton' (did you mean activation?)",
     f"{RUN} --condition tahn": "'tahn' (did you mean tanh?)",
-    f"{RUN} --set lerning_rate=1": "'lerning_rate' (did you mean learning_rate?)",
     f"{RUN} --set gamma=2": "gamma = 2",
     f"{RUN} --set optimizer=sdg": "did you mean sgd?",
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
@@ -44,19 +43,15 @@ MISTAKES = {
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
     f"{RUN} --steps 0": "--steps 0: must be a whole number of at least 1",
     f"{RUN} --executor lcal": "did you mean local?",
-    f"{RUN} --address a:1": "--address a:1: goes with --executor ray",
-    f"{RUN} --slurm mem=1GB": "--slurm mem=1GB: goes with --executor slurm",
-    f"{RUN} --detach": "--detach: goes with --executor slurm",
+    f"{RUN} --address a:1": "--address: goes with --executor ray",
     f"{RUN} --executor slurm --slurm mem": "--slurm mem: must be KEY=VALUE",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
-    f"{RUN} --seeds 10001": "a count from 1 to 10000",
     f"{RUN} --seeds 4294967296,": "from 0 to 4294967295",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "studdy": "'study'",
     "study run": "NAME",
     "study export activation --out x.csv": "--table",
     "study plot activation": "pneuma study run activation",
-    "study export activation --table episodes --out x.csv": "pneuma study run activation",
 }
 
 

@@ -89,8 +89,7 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
     ("options", "told"),
     [
         (("--band", "min-max"), "--band min-max: unknown value 'min-max' (did you mean minmax?)"),
-        (("--quantity", "entropi"), "--quantity entropi: unknown value 'entropi' (did you mean entropy?)"),
-        (("--figure", "summary", "--band", "ci"), "--band: is of --figure curves"),
+        (("--figure", "summary", "--band", "ci"), "are of --figure curves"),
         (("nosuch",), "unknown study 'nosuch'"),
     ],
 )

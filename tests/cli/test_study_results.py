@@ -62,7 +62,7 @@ def test_status_is_of_the_latest_selection_or_of_one_that_is_named(
     monkeypatch.setenv("PNEUMA_RESULTS", str(trained))
     document = described("study", "status", "activation", "--json")
     assert {*document["runs"][0]} == {
-        "run_id", "condition", "seed", "status", "step", "published", "trained",
+        "run_id", "condition", "seed", "status", "step", "published",
     }  # fmt: skip
     assert [(run["seed"], run["status"]) for run in document["runs"]] == [
         (0, "done"), (0, "done"), (1, "done"), (1, "done"),
@@ -152,7 +152,7 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
 
 def test_what_cannot_be_exported_is_told(trained: Path) -> None:
     for words, told in {
-        "--out e.csv --band se": "--band se: goes with --table curves alone",
+        "--out e.csv --band se": "go with --table curves alone",
         "--out e.xlsx": "--out e.xlsx: must end in",
     }.items():
         export = ("study", "export", "activation", "--table", "episodes", *words.split())

@@ -54,7 +54,7 @@ def test_a_selection_in_another_world_is_of_other_runs_and_picks_from_its_own_re
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("plan activation --world gdot", "unknown world 'gdot' (did you mean godot?)"),
+        ("plan activation --world gdot", "--world gdot: unknown value 'gdot' (did you mean godot?)"),
         ("status activation --world godot", "run `pneuma study run activation --world godot` first"),
     ],
 )

@@ -133,7 +133,7 @@ def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
         prepare(second, store)
     with pytest.raises(UserError, match="are of .*a/mine.toml"):
-        study_record(store, str(paths[1]), None)
+        study_record(store, str(paths[1]))
     paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
     prepare(second, store)
-    assert study_record(store, str(paths[1]), None)["path"] == str(paths[1])
+    assert study_record(store, str(paths[1]))["path"] == str(paths[1])

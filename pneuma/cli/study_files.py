@@ -24,15 +24,7 @@ from pneuma.analysis import (
     WINDOWS,
 )
 from pneuma.cli import options as opt
-from pneuma.cli.output import (
-    check_choice,
-    check_file,
-    draw_files,
-    print_json,
-    read_formats,
-    tell_written,
-    write_file,
-)
+from pneuma.cli.output import check_file, draw_files, print_json, read_formats, say, tell_written, write_file
 from pneuma.cli.study_records import (
     each_study,
     is_shipped,
@@ -42,10 +34,11 @@ from pneuma.cli.study_records import (
     study_record,
     tell_left_out,
 )
-from pneuma.errors import UserError, plain
+from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_KINDS
+from pneuma.study.plan import Selection
 from pneuma.study.store import Store
-from pneuma.worlds import in_world, split_world
+from pneuma.worlds import in_world, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -58,53 +51,37 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 
 @opt.grouped
 def plot(
+    selection: Selection,
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
     ] = None,
     figure: Annotated[
-        str, opt.option("--figure", "|".join(FIGURE_KINDS), "Curves over steps, or what the runs came to.")
+        str, opt.choice("--figure", FIGURE_KINDS, "Curves over steps, or what the runs came to.")
     ] = FIGURE_KINDS[0],
     quantity: Annotated[
-        opt.Several,
-        opt.option(
+        list[Any] | None,
+        opt.choice(
             "--quantity",
-            "NAME",
+            (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
             "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
+            "NAME",
         ),
     ] = None,
-    band: Annotated[
-        opt.Text,
-        opt.option(
-            "--band",
-            "|".join(BAND_NAMES),
-            "What the band shows (default: ci).",
-        ),
-    ] = None,
-    window: Annotated[
-        opt.Text, opt.option("--window", "|".join(WINDOWS), "Which episodes a point averages.")
-    ] = None,
+    band: Annotated[opt.Text, opt.choice("--band", BAND_NAMES, "What the band shows (default: ci).")] = None,
+    window: Annotated[opt.Text, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
     beside: Annotated[
         opt.Text, opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
     ] = None,
     format: opt.Formats = None,
-    out: Annotated[
-        Path | None, opt.path_option("--out", "DIR", "Where to write (default: RESULTS/figures).")
-    ] = None,
-    selection: opt.Selected = None,
-    world: opt.OneWorld = None,
+    out: opt.PlotFolder = None,
+    world: opt.WorldName = None,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
-    of_curves = {"quantity": quantity, "band": band, "window": window, "beside": beside}
-    check_choice("--figure", figure, FIGURE_KINDS)
-    check_choice("--band", band or BAND_NAMES[0], BAND_NAMES)
-    check_choice("--window", window or WINDOWS[0], WINDOWS)
-    for each in quantity or ():
-        check_choice("--quantity", each, (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY))
-    if idle := next((key for key, value in of_curves.items() if value and figure == "summary"), None):
-        raise UserError(f"--{idle}: is of --figure curves; a summary has one look")
-    formats, store = read_formats(format, out, always=True), Store(results)
+    if figure == "summary" and (quantity or band or window or beside):
+        raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
+    formats, store = read_formats(format, out), Store(results)
     if not names and (lacking := nothing_yet(store, world)):
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
@@ -115,13 +92,11 @@ def plot(
 
     target = out or store.root / "figures"
     owners = {entry["file"]: entry.get("from") for entry in read_index(target)}
-    other = open_study(store, study_record(store, beside, None)) if beside else None
-    chosen = [*opt.selecting_words(selection), *(["--world", world] if world else [])] if selection else []
+    other = open_study(store, study_record(store, beside)) if beside else None
     entries: list[dict[str, Any]] = []
 
     def draw_one(name: str, folder: Path) -> None:
-        data = open_study(store, study_record(store, name, selection, world))
-        tell_left_out(data)
+        data = open_data(store, name, selection, world)
         settled = None
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
@@ -133,33 +108,27 @@ def plot(
         while not all(owners.setdefault(f"{stem()}.{form}", own) == own for form in formats):
             data.figure += f"-{data.study}"  # the name is another study's figure's
         if settled:
-            drawn = {"figure": figure, **asdict(settled)}
+            drawn: dict[str, Any] = asdict(settled)
             paths = draw_study(data, folder, settled, formats, beside=other)
         else:
-            drawn = {"figure": figure, "outcome": shown_outcome(data)}
+            drawn = {"outcome": shown_outcome(data)}
             paths = draw_summary(data, folder, formats)
-        words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else []), *chosen]
-        entries.extend(index_entries(paths, shlex.join([*words, *_options(drawn, formats)]), data, drawn))
+        words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else [])]
+        words += [*opt.selecting_words(selection), *(world_option(world) if world else [])]
+        look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
+        look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
+        words += [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
+        entries.extend(index_entries(paths, shlex.join(words), data, {"figure": figure, **drawn}))
 
     def draw(folder: Path) -> list[Path]:
-        if names:
-            for name in names:
-                draw_one(name, folder)
-        else:
+        for name in names or ():
+            draw_one(name, folder)
+        if not names:
             each_study(known_studies(store, world), lambda name: draw_one(name, folder))
         (folder / INDEX).write_bytes(encode_index([*read_index(target), *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
     tell_written([path for path in draw_files(store, out, draw) if path.name != INDEX], json)
-
-
-def _options(drawn: dict[str, Any], formats: tuple[str, ...]) -> list[str]:
-    """Return the options that draw a figure again as it was drawn."""
-    singles = [key for key in ("figure", "band", "window") if key in drawn]
-    several = {"quantity": drawn.get("quantities", ()), "format": formats}
-    return [word for key in singles for word in (f"--{key}", drawn[key])] + [
-        word for key, values in several.items() for value in values for word in (f"--{key}", value)
-    ]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -176,38 +145,30 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
 @opt.grouped
 def export(
     name: opt.StudyName,
-    table: Annotated[str, opt.option("--table", "|".join(EXPORT_TABLES), "What to export.")],
+    table: Annotated[str, opt.choice("--table", EXPORT_TABLES, "What to export.")],
     out: Annotated[
         Path,
-        opt.path_option(
-            "--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."
-        ),
+        opt.option("--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."),
     ],
+    selection: Selection,
     band: Annotated[
         opt.Text,
-        opt.option(
-            "--band", "|".join(EDGED_BANDS), f"Of curves: what low and high are (else {EXPORTED_BAND})."
-        ),
+        opt.choice("--band", EDGED_BANDS, f"Of curves: what low and high are (else {EXPORTED_BAND})."),
     ] = None,
     window: Annotated[
-        opt.Text, opt.option("--window", "|".join(WINDOWS), "Of curves: which episodes a point averages.")
+        opt.Text, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
     ] = None,
-    selection: opt.Selected = None,
     world: opt.WorldName = None,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
-    check_choice("--table", table, EXPORT_TABLES)
-    for key, value, allowed in (("--band", band, EDGED_BANDS), ("--window", window, WINDOWS)):
-        if value is not None:
-            check_choice(key, value, allowed)
-            if table != "curves":
-                raise UserError(f"{key} {value}: goes with --table curves alone")
+    if (band or window) and table != "curves":
+        raise UserError("--band and --window: go with --table curves alone")
     printed = str(out) == "-"
     if not printed:
         check_file(out, EXPORT_SUFFIXES)
-    if json and printed:
+    elif json:
         raise UserError("--json: standard output is for the table; name a file by --out")
     data = open_data(Store(results), name, selection, world, published=table not in ("episodes", "metrics"))
     from pneuma.analysis.export import encode_table
@@ -219,21 +180,36 @@ def export(
         return None
     write_file(out, encoded)
     if json:
-        return print_json({"schema": 1, "file": str(out), "rows": rows})
-    print(f"wrote {plain(str(out))}: {rows:,} rows")
-    return None
+        return print_json({"file": out, "rows": rows})
+    return say(f"wrote {out}: {rows:,} rows")
 
 
 # --- publish --------------------------------------------------------------------------------------
 
 
+def _read_curves(text: str) -> tuple[str, ...]:
+    """Return the quantities named, of which `actions` is all actions' shares."""
+    names = [] if text == "none" else [name.strip() for name in text.split(",")]
+    allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
+    for name in names:
+        if name not in allowed:
+            raise UserError(f"--curves {name}: {unknown_name('value', name, allowed)}")
+    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == ACTIONS else (name,)))
+
+
 @opt.grouped
 def publish(
     name: opt.StudyName,
-    selection: opt.Selected = None,
+    selection: Selection,
     world: opt.WorldName = None,
     curves: Annotated[
-        opt.Text, opt.option("--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.")
+        Any,
+        opt.option(
+            "--curves",
+            "NAME,…|none",
+            "Keep curves of these quantities, not of the usual.",
+            _read_curves,
+        ),
     ] = None,
     as_: Annotated[
         opt.Text, opt.option("--as", "NAME", "Name the table: a second budget has one of its own.")
@@ -247,7 +223,6 @@ def publish(
     may thus be trained on several machines, or part by part. Runs that other studies have published are found
     in their tables.
     """
-    kept = _read_curves(curves)
     store = Store(results)
     record = study_record(store, name, selection, world)
     if as_ is not None:
@@ -265,22 +240,11 @@ def publish(
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
     tell_left_out(data)
-    encoded = encode_study(data, kept, index.table(data.study))
+    encoded = encode_study(data, curves, index.table(data.study))
     store.write(path, encoded)
     store.write(times_path(store, data.study), encode_times(data))
     if json:
-        document = {"schema": 1, "study": data.study, "file": str(path), "bytes": len(encoded)}
-        return print_json({**document, "runs": new, "staying": staying})
+        about = {"study": data.study, "file": path, "bytes": len(encoded)}
+        return print_json({**about, "runs": new, "staying": staying})
     more = f", {staying} as they were published before" if staying else ""
-    print(f"wrote {plain(str(path))}: {new} runs from here{more}; {len(encoded) / 1000:.0f} kB")
-    return None
-
-
-def _read_curves(told: str | None) -> tuple[str, ...] | None:
-    """Return the quantities named, of which `actions` is all actions' shares; None for the usual."""
-    if told is None:
-        return None
-    names = [] if told == "none" else [name.strip() for name in told.split(",")]
-    for name in names:
-        check_choice("--curves", name, (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS))
-    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == ACTIONS else (name,)))
+    return say(f"wrote {path}: {new} runs from here{more}; {len(encoded) / 1000:.0f} kB")
