@@ -9,7 +9,9 @@ command can read it.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
@@ -52,8 +54,8 @@ __all__ = [
     "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "MAX_SLOTS", "OBSERVATIONS",
     "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
     "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
-    "evaluation_config", "make_env_config", "make_run", "read_field", "read_fields", "fields_read",
-    "stream_seed",
+    "evaluation_config", "is_gymnasium_id", "make_env_config", "make_run", "read_field", "read_fields",
+    "fields_read", "stream_seed",
 ]  # fmt: skip
 
 RULES_VERSION = 3
@@ -109,11 +111,56 @@ def _read_limit(value: object) -> float | None:
     return float(value)
 
 
+OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
+_FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
+"""What others have registered with Gymnasium, in form."""
+OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
+"""Fields that other environments than Pneuma's read in place of those of `EnvConfig`."""
+
+
+def is_gymnasium_id(env: object) -> bool:
+    """Tell whether a name is that of an environment of Gymnasium's that is not Pneuma's own."""
+    return isinstance(env, str) and _FOREIGN.fullmatch(env) is not None
+
+
+def _read_env(value: Any) -> str:
+    """Read one of Pneuma's ids, or whatever else has the form of one registered with Gymnasium."""
+    if value in OWN_ENVIRONMENTS or is_gymnasium_id(value):
+        return str(value)
+    raise ValueError
+
+
+def _read_arguments(value: Any) -> str:
+    """Read a table of keyword arguments, and keep it as JSON, the same for equal tables."""
+    table = json.loads(value or "{}") if isinstance(value, str) else value
+    if not isinstance(table, Mapping):
+        raise ValueError
+    return json.dumps(table, sort_keys=True, allow_nan=False) if table else ""
+
+
+def _read_wrappers(value: Any) -> tuple[str, ...]:
+    """Read one module:Class or a list of them."""
+    names = tuple(value.split(",") if isinstance(value, str) and value else value)
+    if not all(re.fullmatch(rf"({_MODULE}):\w+", name) for name in names):
+        raise ValueError
+    return names
+
+
+_ENV_ALLOWED = f"one of {', '.join(OWN_ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
+_MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: Annotated[str, OneOf((*ENVIRONMENTS, MAILMAN))] = ENVIRONMENTS[0]
+    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, OWN_ENVIRONMENTS)] = ENVIRONMENTS[0]
+    env_module: Annotated[str, matching(rf"|{_MODULE}", "a module that registers environments")] = ""
+    """Imported before the environment is made: a module, or the path of its file."""
+    env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
+    """What the environment is made with, as JSON."""
+    wrappers: Annotated[tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such")] = ()
+    """Classes that the environment is put in, the innermost first."""
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
     """What trains it: the compiled engine; Stable-Baselines3 as it is, where that one cannot; or tables."""
     algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
@@ -253,7 +300,7 @@ def make_run(given: Mapping[str, object]) -> Run:
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, {**ENVIRONMENT_FIELDS.get(env, {}), **given})
     values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
-    values = _resolve_learner(resolve_world(values))
+    values = _resolve_learner(values if is_gymnasium_id(env) else resolve_world(values))
     values["engine"] = _engine(values)
     run = Run(**values)
     _check_learner(run)
@@ -263,7 +310,7 @@ def make_run(given: Mapping[str, object]) -> Run:
 
 def fields_read(run: Run) -> frozenset[str]:
     """Return the names of the fields that the training of a run hangs on, by algorithm and optimizer."""
-    return _read_by(run.algorithm, run.optimizer)
+    return _read_by(run.env, run.algorithm, run.optimizer)
 
 
 def beyond_engine(run: Run) -> str:
@@ -311,14 +358,17 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in fields_read(run):
         raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
+    if run.fork_reset == "xp" and is_gymnasium_id(run.env):
+        raise UserError(f"fork_reset = xp is not allowed: {run.env} has no XP")
 
 
-def _read_by(algorithm: str, optimizer: str) -> frozenset[str]:
-    """Return the names of the fields that an algorithm reads, with an optimizer if it has one."""
+def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
+    """Return the names of the fields that an environment, an algorithm and its optimizer, if any, read."""
     own = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(own) | _READ_BY_ALL
-    return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *_OF_WORLDS)) | _READ_BY_ALL
+    of_env = OF_GYMNASIUM if is_gymnasium_id(env) else _OF_WORLDS
+    return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL
 
 
 _GONE = {"learners": "shared"}
@@ -327,13 +377,14 @@ _LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values()
 """Fields that None leaves open."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 _OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_FIELDS.values() for key in own)
-_READ_BY_ALL = frozenset(item.name for item in fields(Run)) - {*_OF_WORLDS, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
+_READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
+_READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
 
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     """Fill the fields of algorithm and optimizer, and drop what nothing reads."""
     algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
-    read = _read_by(algorithm, optimizer)
+    read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
     if values.get("momentum") == 0 and values.get("dampening") is not None:

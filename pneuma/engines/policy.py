@@ -37,12 +37,20 @@ class Policy:
         critic: the same, the last giving one value; empty beside values of actions.
         exploration: chance of a random action where the actor gives values of actions, and else the
             action of the greatest value is taken (thesis Eq. 4.4); None where it gives logits.
+        deviation: (dimensions,) where actions are no choices but numbers, drawn from a normal distribution
+            of this standard deviation about what the actor gives.
     """
 
     activation: str
     actor: Layers
     critic: Layers
     exploration: float | None = None
+    deviation: np.ndarray | None = None
+
+    @property
+    def actions(self) -> int:
+        """How many actions there are to choose from, or numbers in one."""
+        return len(self.actor[-1][1])
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
@@ -55,8 +63,11 @@ class Policy:
         return forward(self.critic, self.activation, observations)[-1][:, 0]
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Draw an action for each observation: (N, features) -> (N,)."""
+        """Draw an action for each observation: (N, features) -> (N,), or (N, dimensions) of numbers."""
         logits = self.logits(observations)
+        if self.deviation is not None:
+            drawn: np.ndarray = logits + self.deviation * generator.standard_normal(logits.shape, np.float32)
+            return drawn
         if self.exploration is not None:
             at_random = generator.random(len(logits)) < self.exploration
             any_action = generator.integers(logits.shape[1], size=len(logits))
@@ -66,11 +77,14 @@ class Policy:
         return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
-        """Return the most probable action, or that of the greatest value: (N, features) -> (N,)."""
-        return self.logits(observations).argmax(axis=1)
+        """Return the most probable action, or that of the greatest value, in the shape of `sample`'s."""
+        logits = self.logits(observations)
+        return logits if self.deviation is not None else logits.argmax(axis=1)
 
     def entropy(self, observations: np.ndarray) -> float:
-        """Return the mean entropy over observations, (N, features), of actions drawn by logits, in nats."""
+        """Return the mean entropy over observations, (N, features), of actions drawn, in nats."""
+        if self.deviation is not None:
+            return float((0.5 * np.log(2 * np.pi * np.e) + np.log(self.deviation)).sum())
         logits = self.logits(observations).astype(float)
         logs = logits - logits.max(axis=1, keepdims=True)
         logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
@@ -84,6 +98,8 @@ class Policy:
             for i, layer in enumerate(getattr(self, part))
             for name, array in zip(("weight", "bias"), layer, strict=True)
         }
+        if self.deviation is not None:
+            arrays["deviation"] = np.ascontiguousarray(self.deviation)
         about: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
             about["exploration"] = self.exploration
@@ -107,7 +123,8 @@ def read_policy(data: bytes) -> Policy:
         count = sum(name.startswith(f"{part}.") for name in arrays) // 2
         return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
 
-    return Policy(about["activation"], layers("actor"), layers("critic"), about.get("exploration"))
+    told = about.get("exploration"), arrays.get("deviation")
+    return Policy(about["activation"], layers("actor"), layers("critic"), *told)
 
 
 def read_sound_policy(data: bytes) -> Policy:
@@ -134,6 +151,8 @@ def _is_sound(policy: Policy) -> bool:
     for layers in networks:
         fits &= all(weight.ndim == 2 and bias.shape == weight.shape[1:] for weight, bias in layers)
         fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
+    if policy.deviation is not None:
+        fits &= policy.deviation.shape == (policy.actions,)
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape == (1,)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import ACTION_NAMES
+from pneuma.config import ACTION_NAMES, Run, is_gymnasium_id
 
 EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
 METRIC_COLUMNS = (
@@ -41,17 +41,37 @@ EVALUATION_COLUMNS = (
     "hunter_share_killed",
 )
 
-VALUE_COLUMNS = ("q_estimate", "q_true", "q_error")
-"""What evaluations have on top where values of actions are learned; `q_error` only where all are known."""
+VALUE_COLUMNS = ("q_estimate", "q_true", "q_error", "success", "random_return", "random_spread")
+"""What some evaluations have on top.
+
+Where values of actions are learned the first three, `q_error` only where all are known; in environments that
+are not Pneuma's, what a random player's episodes return, mean and standard deviation, and `success`, a share
+of episodes, where the environment tells of it.
+"""
 
 Row = Mapping[str, Any]
+
+
+def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]:
+    """Return how often each action was taken, as columns of the metrics.
+
+    In environments that are not Pneuma's, of more actions than there are columns the most frequent; none
+    where actions are no choices, which is where they are not whole numbers.
+    """
+    columns = len(ACTION_NAMES)
+    if actions.dtype.kind not in "iu":
+        return {f"action_{i}": float("nan") for i in range(columns)}
+    shares = np.bincount(actions.ravel(), minlength=max(count, columns)) / actions.size
+    if is_gymnasium_id(run.env) and len(shares) > columns:
+        shares = np.sort(shares)[::-1][:columns]
+    return {f"action_{i}": float(share) for i, share in enumerate(shares)}
 
 
 @dataclass
 class Records:
     """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
 
-    Where values of actions are learned, every evaluation has some of `VALUE_COLUMNS` as well.
+    Every evaluation may have some of `VALUE_COLUMNS` as well.
     """
 
     episodes: list[Row] = field(default_factory=list)

@@ -21,12 +21,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
-from pneuma.config import ACTION_NAMES, Run, env_config, stream_seed
+from pneuma.config import ACTION_NAMES, Run
 from pneuma.engines.base import OnUpdate, Result
-from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.environment import Evaluates, environment_of, slot_seeds
 from pneuma.engines.loop import begins_fork, train_run
 from pneuma.engines.policy import Policy, dead_share, overflows
-from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row
+from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row, action_shares
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
@@ -35,7 +35,6 @@ from pneuma.engines.sb3_learners import (
     seed_streams,
     take_checkpoint,
 )
-from pneuma.env.sb3 import PneumaVecEnv
 
 NAN = float("nan")
 
@@ -103,8 +102,8 @@ class Sb3Trainer:
         self._policy = extract_policy(model, run)
 
     @cached_property
-    def _evaluation(self) -> Evaluation:
-        return Evaluation(self.run)
+    def _evaluation(self) -> Evaluates:
+        return environment_of(self.run).evaluation(self.run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint, or begin as the fork of a parent's."""
@@ -153,7 +152,7 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
         if not overflows(policy, model._last_obs):
             raise
         return dict.fromkeys((*LOSSES, *VISITED_METRICS), NAN)
-    rollout = rollout_metrics(model, policy)
+    rollout = rollout_metrics(model, run, policy)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
     return {**learn_from_rollout(model, run), **rollout}
 
@@ -192,7 +191,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
             losses.append(logged_losses(model, run)["value_loss"])
     mean = sum(losses) / len(losses) if losses else NAN
-    return {**dict.fromkeys(LOSSES, NAN), "value_loss": mean, **visited_metrics(policy, *visited.take())}
+    return {**dict.fromkeys(LOSSES, NAN), "value_loss": mean, **visited_metrics(run, policy, *visited.take())}
 
 
 def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
@@ -205,25 +204,15 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     """
     left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(run.fork_reset, ())
     restore_checkpoint(model, checkpoint, left_out)
-    env = model.env
-    assert isinstance(env, PneumaVecEnv)
-    env.state.rekey(world_seeds(run))
-    if run.fork_reset == "xp":
-        env.state.players["xp"] = 0.0
-    model._last_obs = env.observe().copy()  # as this run sees it: its scale and order may be others
+    env: Any = model.env
+    seen = env.fork(slot_seeds(run), run.fork_reset == "xp")
+    model._last_obs = seen.copy()  # as this run sees it: its scale and order may be others
     seed_streams(model, run)
 
 
-def make_env(run: Run) -> PneumaVecEnv:
-    """Return the worlds of a run's slots, each with a random stream of its own."""
-    env = PneumaVecEnv(world_seeds(run), env_config(run))
-    env.keep_finished = True
-    return env
-
-
-def world_seeds(run: Run) -> list[int]:
-    """Return the seeds of the worlds of a run's slots."""
-    return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]
+def make_env(run: Run) -> Any:
+    """Return the environments of a run's slots, each with a random stream of its own."""
+    return environment_of(run).vec_env(run)
 
 
 # --- Gradients -------------------------------------------------------------------------------------
@@ -317,23 +306,22 @@ def logged_losses(model: Learner, run: Run) -> dict[str, float]:
     }
 
 
-def visited_metrics(policy: Policy, observations: np.ndarray, actions: np.ndarray) -> dict[str, float]:
+def visited_metrics(
+    run: Run, policy: Policy, observations: np.ndarray, actions: np.ndarray
+) -> dict[str, float]:
     """Measure what a policy met and did: dead units over (N, features), shares of the actions (N,)."""
-    shares = np.bincount(actions.astype(np.int64).ravel(), minlength=len(ACTION_NAMES)) / actions.size
-    return {
-        "dead_units": dead_share(policy, observations),
-        **{f"action_{i}": float(share) for i, share in enumerate(shares)},
-    }
+    chosen = actions if policy.deviation is not None else actions.astype(np.int64)
+    return {"dead_units": dead_share(policy, observations), **action_shares(run, chosen, policy.actions)}
 
 
-def rollout_metrics(model: Any, policy: Policy) -> dict[str, float]:
+def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     """Measure the rollout just collected: dead units of the policy that collected it, action shares.
 
     TRPO logs no entropy; it is that of the policy that collected.
     """
     buffer = model.rollout_buffer
     observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
-    told = visited_metrics(policy, observations, buffer.actions)
+    told = visited_metrics(run, policy, observations, buffer.actions)
     return {**told, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else told
 
 
@@ -358,6 +346,7 @@ def extract_policy(model: Any, run: Run) -> Policy:
         run.activation,
         _layers(nets.policy_net, policy.action_net),
         _layers(nets.value_net, policy.value_net),
+        deviation=np.exp(policy.log_std.detach().numpy()) if hasattr(policy, "log_std") else None,
     )
 
 

@@ -194,6 +194,13 @@ class PneumaVecEnv(Rendering, VecEnv):
             _bytes(array)[:] = saved[name]
         self._begun = True
 
+    def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
+        """Go on with other random streams, and XP anew if asked for; return what all slots see."""
+        self.state.rekey(seeds)
+        if fresh_xp:
+            self.state.players["xp"] = 0.0
+        return self.observe()
+
     def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
         names = ("worlds", "players", "monsters", "events", "observations", "masks")
         own = ("returns", "lengths", "episodes", "steps_taken")

@@ -23,7 +23,14 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.space import FIXABLE, Parameter, ParameterTable, Space, read_parameter
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, read_seeds, refuse_taken_name, studies_folder
+from pneuma.study.spec import (
+    PRESETS,
+    SEEDS_ALLOWED,
+    modules_beside,
+    read_seeds,
+    refuse_taken_name,
+    studies_folder,
+)
 from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
 
@@ -255,7 +262,7 @@ def read_search(path: Path) -> Search:
     parameters: list[Parameter] = []
     for name, own in said.space.items():
         parameters.append(read_parameter(file, name, own, parameters))
-    space = Space(tuple(parameters), said.run, said.base)
+    space = Space(tuple(parameters), modules_beside(path, said.run), said.base)
     try:
         space.check(unread=said.run)
     except UserError as error:

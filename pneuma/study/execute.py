@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import Run, as_fields, env_config
+from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan, Selection
@@ -195,11 +195,10 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
 
 def check_environments(runs: list[Run]) -> None:
     """Make every environment of the runs once, so that its mistakes show before anything is written."""
-    configs = {env_config(run) for run in runs}
-    if configs:
-        worlds = import_module("pneuma.env.worlds")
-        for config in configs:
-            worlds.Worlds(1, config)
+    told = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    alike = {(env_config(run), *(getattr(run, key) for key in told)): run for run in runs}
+    for run in alike.values():
+        import_module("pneuma.engines.environment").environment_of(run).check(run)
 
 
 def selection_record(plan: Plan) -> dict[str, Any]:

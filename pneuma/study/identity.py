@@ -13,10 +13,13 @@ from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_f
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
+MODULE, WRAPPERS = "env_module", "wrappers"
 _FILES = {
     LEVEL: ("pneuma.env.level", "level_files"),
     CHARACTERS: ("pneuma.env.characters", "character_files"),
     REWARD: ("pneuma.env.reward", "reward_files"),
+    MODULE: ("pneuma.engines.gymnasium_env", "module_files"),
+    WRAPPERS: ("pneuma.engines.gymnasium_env", "wrapper_files"),
 }
 """What tells, of a user's own, the files to hash."""
 
@@ -31,7 +34,9 @@ def run_id(run: Run) -> str:
     """
     usual, fields = as_fields(Run()), as_fields(run)
     own = {key: value for key, value in fields.items() if value != usual[key]}
-    own |= dict.fromkeys(own_names(fields).keys() - {REWARD}, "of the user's own")
+    own |= dict.fromkeys(own_names(fields).keys() - {REWARD, WRAPPERS}, "of the user's own")
+    if fields[WRAPPERS]:
+        own[WRAPPERS] = [Path(name).name for name in fields[WRAPPERS]]
     identity = {
         "run": own,
         "contents": _contents(run),
@@ -42,7 +47,7 @@ def run_id(run: Run) -> str:
 
 
 def _contents(run: Run) -> str:
-    """Return a digest of the user's own files that a run reads: level, characters, reward functions.
+    """Return a digest of the user's own files that a run reads: level, characters, and modules.
 
     What is shipped is part of the rules' version.
     """
@@ -57,10 +62,11 @@ def _contents(run: Run) -> str:
 
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what fields name that is not shipped, by key: a level, characters, reward functions."""
+    """Return what fields name that is not shipped, by key: a level, characters, and what is in modules."""
     told = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
     own = {key: fields[key] for key, is_own in told.items() if key in fields and is_own(fields[key])}
     custom = own_rewards(fields.get(REWARD, ()))
+    own |= {key: fields[key] for key in (MODULE, WRAPPERS) if fields.get(key)}
     return {**own, **({REWARD: custom} if custom else {})}
 
 
@@ -72,7 +78,11 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
     Raises:
         UserError: for a value that is not allowed.
     """
-    keys = (key for key in (REWARD, LEVEL, CHARACTERS) if fields.get(key) is not None)
+    keys = (key for key in _FILES if fields.get(key) is not None)
     own = own_names({key: read_field(Run, key, fields[key]) for key in keys})
     found = {REWARD: f"run the reward {', '.join(own[REWARD])}"} if REWARD in own else {}
+    if MODULE in own:
+        found[MODULE] = f"run the module {own[MODULE]}"
+    if WRAPPERS in own:
+        found[WRAPPERS] = f"run the wrapper {', '.join(own[WRAPPERS])}"
     return found | {key: f"read the {key} {own[key]}" for key in (LEVEL, CHARACTERS) if key in own}

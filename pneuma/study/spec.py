@@ -17,7 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.algorithms import ALGORITHM_FIELDS
-from pneuma.config import BASES, ENVIRONMENT_SLOTS, OPTIMIZER_FIELDS, Run, fields_read
+from pneuma.config import (
+    BASES,
+    ENVIRONMENT_SLOTS,
+    OF_GYMNASIUM,
+    OPTIMIZER_FIELDS,
+    EnvConfig,
+    Run,
+    fields_read,
+)
 from pneuma.errors import UserError, unknown_name
 from pneuma.worlds import (
     TEXT,
@@ -163,6 +171,22 @@ def read_seeds(value: object) -> tuple[int, ...]:
     raise ValueError
 
 
+def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with the modules that lie beside a study's file named by their paths."""
+
+    def found(name: str) -> str:
+        module, colon, rest = name.partition(":")
+        beside = (path.parent / f"{module.replace('.', '/')}.py").resolve()
+        return f"{beside}{colon}{rest}" if beside.is_file() else name
+
+    over: dict[str, Any] = {}
+    if own.get("env_module"):
+        over["env_module"] = found(own["env_module"])
+    if own.get("wrappers"):
+        over["wrappers"] = tuple(map(found, own["wrappers"]))
+    return {**own, **over}
+
+
 # --- Fields that do nothing ------------------------------------------------------------------------
 
 
@@ -175,6 +199,8 @@ def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Say which fields the runs' optimizers do read, or the algorithms where the key is none of those."""
     runs = list(runs)
+    if key in (*OF_GYMNASIUM, *EnvConfig.__dataclass_fields__):
+        return f"{key} does nothing: {', '.join(dict.fromkeys(run.env for run in runs))} has no such setting"
     of_optimizers = any(key in own for own in OPTIMIZER_FIELDS.values())
     optimizers = {run.optimizer for run in runs if "optimizer" in fields_read(run)}
     if of_optimizers and optimizers:

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 from pydantic import BeforeValidator
 
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, is_gymnasium_id, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.spec import (
@@ -28,6 +28,7 @@ from pneuma.study.spec import (
     Preset,
     Study,
     does_nothing,
+    modules_beside,
     read_seeds,
     unread_fields,
 )
@@ -135,7 +136,8 @@ def read_study(path: Path) -> Study:
     if baseline not in conditions:
         unknown = unknown_name("condition", baseline, conditions)
         raise file.mistake((), f"baseline: {unknown}", "baseline")
-    usual = (TEXT,) if any("env" in own for own in conditions.values()) else tuple(WORLDS)
+    fixed = any("env" in own for own in conditions.values()) or is_gymnasium_id(said.run.get("env"))
+    usual = (TEXT,) if fixed else tuple(WORLDS)
     study = Study(
         name=path.stem,
         path=path,
@@ -145,8 +147,8 @@ def read_study(path: Path) -> Study:
         figure=said.figure or f"study-{path.stem}",
         baseline=baseline,
         base=said.base,
-        shared=said.run,
-        conditions=conditions,
+        shared=modules_beside(path, said.run),
+        conditions={name: modules_beside(path, own) for name, own in conditions.items()},
         presets={name: _preset(file, name, own, conditions) for name, own in said.presets.items()},
         keep_checkpoints=said.keep_checkpoints,
         levels=levels,

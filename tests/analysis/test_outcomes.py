@@ -228,7 +228,8 @@ def test_the_published_table_gives_the_same_numbers(
 
 
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
-    none_has = {"collapse-step", "relearned", "q-overestimation"}  # of healthy runs that estimate no values
+    none_has = {"collapse-step", "relearned"}  # of healthy runs
+    none_has |= {"q-overestimation", "final-success"}  # of runs that estimate no values, in Pneuma's worlds
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(data, run, name) for run in data.runs]

@@ -49,7 +49,8 @@ def begun(run: Run, checkpoint: Checkpoint) -> Any:
 
 
 def worlds_of(trainer: Any) -> Any:
-    return trainer.collector.worlds if isinstance(trainer, BatchedTrainer) else trainer._model.env.state
+    batched: Any = getattr(trainer, "collector", None)
+    return batched.worlds if batched else trainer._model.env.state
 
 
 def seen_by(trainer: Any) -> np.ndarray:

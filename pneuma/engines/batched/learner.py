@@ -14,6 +14,7 @@ from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
 from pneuma.engines.batched.update import learn, look_back, run_numbers
 from pneuma.engines.policy import Layers, Policy
+from pneuma.engines.records import action_shares
 
 Tree = Any
 Networks = dict[str, Layers]
@@ -76,12 +77,11 @@ class Learner:
             self._size,
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
-        shares = np.bincount(batch["actions"], minlength=self._actions) / count
         return {
             **{name: float(value) for name, value in told.items()},
             "explained_variance": _explained_variance(values, batch["returns"]),
             "dead_units": dead,
-            **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+            **action_shares(run, batch["actions"], self._actions),
         }
 
     def _judge(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:

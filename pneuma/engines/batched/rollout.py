@@ -9,12 +9,14 @@ and rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.slots`,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
+from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
@@ -30,6 +32,8 @@ ENDED = np.dtype(
 )  # fmt: skip
 """A finished episode; `step` counts steps of the rollout from 1."""
 
+_WORLDS = ("worlds", "players", "monsters")
+_EPISODES = ("returns", "lengths", "episodes", "begins")
 kernel: Any = cached(error_model="numpy")
 
 
@@ -89,7 +93,7 @@ class Collector:
         self._run = run
         self._asks = bool(own_rewards(run.reward))
         self.worlds = Worlds(run.slots, env_config(run))
-        self.worlds.seed([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
+        self.worlds.seed(slot_seeds(run))
         self.worlds.reset()
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         slots = run.slots * run.players
@@ -98,6 +102,13 @@ class Collector:
         self.episodes = np.zeros(slots, np.int64)
         self.begins = np.ones(slots, np.float32)
         self.idle = np.zeros(slots, np.bool_)
+        self.features = self.worlds.observations.shape[2]
+        self.actions = int(self.worlds.action_space.n)
+
+    @property
+    def observations(self) -> np.ndarray:
+        """What every slot's player sees now, (S, features)."""
+        return self.worlds.observations.reshape(len(self.idle), self.features)
 
     def collect(self, actor: Layers) -> Rollout:
         """Play one horizon."""
@@ -117,6 +128,45 @@ class Collector:
             tape.observations, tape.actions, tape.rewards, tape.starts, last, self.begins.copy(),
             tape.ended[:count], tape.terminal[:count],
         )  # fmt: skip
+
+    def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
+        """Return a rollout's finished episodes as records; `first_step` agent steps were taken before it."""
+        return [
+            {
+                "slot": int(row["slot"]),
+                "episode": int(row["episode"]),
+                "step": first_step + int(row["step"]) * len(self.idle),
+                "return": float(row["return"]),
+                "length": int(row["length"]),
+                "kills": int(row["kills"]),
+                "hp": float(row["hp"]),
+                "ending": ENDINGS[int(row["ending"])],
+            }
+            for row in rollout.ended
+        ]
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Return the arrays of worlds and episodes by name; nobody idles in worlds of one player."""
+        idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
+        return {
+            **{f"worlds/{name}": _bytes(getattr(self.worlds, name)) for name in _WORLDS},
+            **{f"episodes/{name}": getattr(self, name) for name in (*_EPISODES, *idle)},
+        }
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Go on from `saved_state`; raise ValueError for one of another shape."""
+        for name, own in self.saved_state().items():
+            if own.shape != saved[name].shape:
+                raise ValueError(f"{name} is of shape {saved[name].shape}, not {own.shape}")
+            own[:] = saved[name]
+        self.worlds.observe()
+
+    def fork(self) -> None:
+        """Go on with random streams of the run's own; with XP anew where it says so."""
+        self.worlds.rekey(slot_seeds(self._run))
+        if self._run.fork_reset == "xp":
+            self.worlds.players["xp"] = 0.0
+            self.worlds.observe()
 
     def _play_compiled(
         self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
@@ -161,21 +211,9 @@ def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
     return limit if run.time_limit == "truncate" else np.zeros_like(limit)
 
 
-def episode_rows(rollout: Rollout, first_step: int, slots: int) -> list[dict[str, Any]]:
-    """Return the finished episodes as records; `first_step` agent steps were taken before the rollout."""
-    return [
-        {
-            "slot": int(row["slot"]),
-            "episode": int(row["episode"]),
-            "step": first_step + int(row["step"]) * slots,
-            "return": float(row["return"]),
-            "length": int(row["length"]),
-            "kills": int(row["kills"]),
-            "hp": float(row["hp"]),
-            "ending": ENDINGS[int(row["ending"])],
-        }
-        for row in rollout.ended
-    ]
+def _bytes(array: np.ndarray) -> np.ndarray:
+    """Return an array's memory, (bytes,) uint8."""
+    return array.reshape(-1).view(np.uint8)
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:

@@ -11,15 +11,11 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
-from pneuma.engines.batched.rollout import Collector, episode_rows
-from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.environment import Evaluates, environment_of
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.state import LAYOUT_DIGEST
-
-_WORLDS = ("worlds", "players", "monsters")
-_EPISODES = ("returns", "lengths", "episodes", "begins")
 
 
 class BatchedTrainer:
@@ -32,26 +28,23 @@ class BatchedTrainer:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self.collector = Collector(run)
-        features = self.collector.worlds.observations.shape[2]
-        actions = int(self.collector.worlds.action_space.n)
-        self.learner = Learner(run, features, actions)
+        self.collector = environment_of(run).collector(run)
+        self.learner = Learner(run, self.collector.features, self.collector.actions)
 
     @cached_property
-    def _evaluation(self) -> Evaluation:
-        return Evaluation(self.run)
+    def _evaluation(self) -> Evaluates:
+        return environment_of(self.run).evaluation(self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Collect one horizon, and learn from it."""
         rollout = self.collector.collect(self.learner.networks["actor"])
         told = self.learner.learn_from(rollout)
         records.metrics.append({"step": after, **told})
-        records.episodes.extend(episode_rows(rollout, before, self.run.slots * self.run.players))
+        records.episodes.extend(self.collector.episode_rows(rollout, before))
         if not self.learner.is_finite(told):
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # what overflows shows in the next
-        seen = self.collector.worlds.observations
-        return not (is_last and overflows(self.policy(), seen.reshape(-1, seen.shape[2])))
+        return not (is_last and overflows(self.policy(), self.collector.observations))
 
     def evaluate(self, step: int) -> Row:
         """Let the policy play where it was not trained."""
@@ -63,7 +56,7 @@ class BatchedTrainer:
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         """Copy networks, optimizer, worlds and random streams."""
-        arrays = {name: own.copy() for name, own in _collected(self.collector)}
+        arrays = {name: own.copy() for name, own in self.collector.saved_state().items()}
         numbers = {
             "layout": LAYOUT_DIGEST,
             "optimizer": self.run.optimizer,
@@ -84,11 +77,7 @@ class BatchedTrainer:
         begins = begins_fork(run, checkpoint)
         self._restore(checkpoint, run.fork_reset if begins else "")
         if begins:
-            worlds = self.collector.worlds
-            worlds.rekey([stream_seed(run.stream, "world", slot) for slot in range(run.slots)])
-            if run.fork_reset == "xp":
-                worlds.players["xp"] = 0.0
-                worlds.observe()
+            self.collector.fork()
             self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
             self.learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
 
@@ -99,28 +88,11 @@ class BatchedTrainer:
                 raise ValueError("the state of the worlds was laid out otherwise")
             if numbers["optimizer"] != self.run.optimizer and reset != "optimizer":
                 raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-            _restore_worlds(self.collector, checkpoint)
+            self.collector.restore_state(checkpoint.arrays)
             self.collector.generator.bit_generator.state = numbers["actions"]
             _restore_learner(self.learner, checkpoint, reset)
         except (KeyError, ValueError, TypeError) as error:
             raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
-
-
-def _collected(collector: Collector) -> list[tuple[str, np.ndarray]]:
-    """Return the arrays of worlds and episodes by name; nobody idles in worlds of one player."""
-    idle = ("idle",) if collector.worlds.players.shape[1] > 1 else ()
-    return [
-        *((f"worlds/{name}", _bytes(getattr(collector.worlds, name))) for name in _WORLDS),
-        *((f"episodes/{name}", getattr(collector, name)) for name in (*_EPISODES, *idle)),
-    ]
-
-
-def _restore_worlds(collector: Collector, checkpoint: Checkpoint) -> None:
-    for name, own in _collected(collector):
-        if own.shape != checkpoint.arrays[name].shape:
-            raise ValueError(f"{name} is of shape {checkpoint.arrays[name].shape}, not {own.shape}")
-        own[:] = checkpoint.arrays[name]
-    collector.worlds.observe()
 
 
 def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> None:
@@ -165,8 +137,3 @@ def _named(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from _named(value, f"{path}.{key}".lstrip("."))
     else:
         yield path, tree
-
-
-def _bytes(array: np.ndarray) -> np.ndarray:
-    """Return an array's memory, (bytes,) uint8."""
-    return array.reshape(-1).view(np.uint8)

@@ -1,0 +1,96 @@
+"""Rollouts in any Gymnasium environment: its step is Python, the policy's is compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pneuma.config import Run, stream_seed
+from pneuma.engines.batched.rollout import ENDED, Rollout
+from pneuma.engines.environment import slot_seeds
+from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
+from pneuma.engines.policy import Layers, flat, sizes
+from pneuma.env import rules
+from pneuma.env.compiled import cached
+
+kernel: Any = cached(error_model="numpy")
+
+
+class Collector:
+    """The environments of a run's slots; see `pneuma.engines.environment.Collects`."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self.slots = Slots(run, slot_seeds(run), logged=True)
+        self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+        self.features = self.slots.observations.shape[1]
+        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]
+        self._begins = np.ones(run.slots, np.float32)
+
+    @property
+    def observations(self) -> np.ndarray:
+        """What is seen now, (slots, features)."""
+        return self.slots.observations
+
+    def collect(self, actor: Layers) -> Rollout:
+        """Play one horizon."""
+        slots, count, steps = self.slots, self._run.slots, self._run.horizon
+        observations = np.zeros((count, steps, self.features), np.float32)
+        actions = np.zeros((count, steps), np.int64)
+        rewards, starts = np.zeros((2, count, steps), np.float32)
+        ended: list[tuple[Any, ...]] = []
+        terminal: list[np.ndarray] = []
+        weights, widths = flat(actor), sizes(actor)
+        activation = ACTIVATION_CODES[self._run.activation]
+        scratch = np.zeros((2, count, int(widths.max())), np.float32)
+        draws = self.generator.random((steps, count), np.float32)
+        for step in range(steps):
+            observations[:, step] = slots.observations
+            starts[:, step] = self._begins
+            chosen = actions[:, step]
+            _choose(weights, widths, activation, slots.observations, draws[step], scratch, chosen)
+            rewards[:, step], terminated, truncated = slots.step(chosen)
+            self._begins[:] = over = terminated | truncated
+            for slot in np.flatnonzero(over):
+                ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
+                ended.append((slot, 0, step + 1, 0.0, 0, 0, 0.0, ending))
+                terminal.append(slots.terminal[slot].copy())
+        return Rollout(
+            observations, actions, rewards, starts, slots.observations.copy(), self._begins.copy(),
+            np.array(ended, ENDED), np.array(terminal, np.float32).reshape(-1, self.features),
+        )  # fmt: skip
+
+    def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
+        """Take the episodes that have ended since the last call."""
+        rows = self.slots.finished.copy()
+        self.slots.finished.clear()
+        return rows
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Return all that the next step depends on, but the generator: arrays by name."""
+        slots = {f"worlds/{name}": own for name, own in self.slots.saved_state().items()}
+        return {**slots, "worlds/begins": self._begins}
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Go on from `saved_state`; see `Slots.restore_state`."""
+        self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
+        self._begins[:] = saved["worlds/begins"]
+
+    def fork(self) -> None:
+        """Go on with random streams of the run's own, each from its next episode on."""
+        self.slots.reseed(slot_seeds(self._run))
+
+
+@kernel
+def _choose(
+    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, scratch: Any, chosen: Any
+) -> None:
+    """Draw an action for every row of observations."""
+    count = observations.shape[0]
+    scratch[0, :count, : widths[0]] = observations
+    logits = forward(weights, widths, activation, count, scratch)
+    for k in range(count):
+        chosen[k] = sample(logits[k], draws[k])

@@ -1,0 +1,383 @@
+"""Any environment registered with Gymnasium, side by side in slots, and what a run's engine asks of it.
+
+    run → modules imported, environment made, wrapped → Slots → collector, vec_env, evaluation
+
+Observations are flattened by Gymnasium's own rules to one row of numbers. An ended episode's slot begins the
+next at once, as a `SyncVectorEnv` does that resets in the same step.
+
+A slot is seeded once, at its first episode. So its state follows from that seed and the actions since, which
+is what a checkpoint keeps: nothing is unpickled, and whatever draws from its seed alone is back where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from pneuma.algorithms import VALUE_BASED
+from pneuma.config import Run, stream_seed
+from pneuma.engines.environment import Collects, Evaluates
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import EVALUATION_COLUMNS, Row
+from pneuma.env.reward import module_files as source_files
+from pneuma.errors import UserError
+
+BEST_EPISODES = 5
+"""Of an evaluation, those with the most probable actions, beside the drawn ones."""
+LOGGED_AT_ONCE = 4096
+"""Steps for whose actions room is made together."""
+NAN = float("nan")
+
+
+class GymnasiumEnvironment:
+    """See `pneuma.engines.environment.Environment`."""
+
+    def check(self, run: Run) -> None:
+        """Make it, and refuse spaces that the run's engine or algorithm cannot learn in."""
+        slots = Slots(run, [0])
+        if isinstance(slots.action_space, spaces.Box):
+            if run.algorithm in VALUE_BASED:
+                raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
+            if run.engine != "sb3":
+                raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
+
+    def collector(self, run: Run) -> Collects:
+        """Return the rollout of the engine `batched`."""
+        own: Collects = import_module("pneuma.engines.batched.gymnasium_rollout").Collector(run)
+        return own
+
+    def vec_env(self, run: Run) -> Any:
+        """Return the slots as Stable-Baselines3 wants them."""
+        return import_module("pneuma.engines.gymnasium_vec_env").GymnasiumVecEnv(run)
+
+    def evaluation(self, run: Run) -> Evaluates:
+        """Return the evaluation on seeds that training never sees."""
+        return Evaluation(run)
+
+
+# --- Slots -----------------------------------------------------------------------------------------
+
+
+class Slots:
+    """Environments side by side, each begun anew as its episode ends.
+
+    Args:
+        run: whose environment it is.
+        seeds: one for each.
+        logged: whether actions are kept, for `saved_state`.
+
+    Attributes:
+        observations: (S, features) float32, as they are now.
+        terminal: (S, features), what the last step of each slot's last episode showed.
+        returns, lengths, episodes: (S,) of the episodes so far.
+        steps: how many were taken in each slot.
+        finished: episodes that have ended since someone last emptied the list.
+    """
+
+    def __init__(self, run: Run, seeds: Sequence[int], logged: bool = False) -> None:
+        self.run = run
+        self.envs = [make_env(run) for _ in seeds]
+        space = self.envs[0].observation_space
+        self.action_space = _action_space(run, self.envs[0].action_space)
+        self._flatten = _flattening(run, space)
+        features = spaces.flatten_space(space).shape[0]  # type: ignore[index]
+        self.observations = np.zeros((len(seeds), features), np.float32)
+        self.terminal = np.zeros_like(self.observations)
+        self.returns = np.zeros(len(seeds))
+        self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
+        self.finished: list[dict[str, Any]] = []
+        self._logged = logged
+        self.begin(seeds)
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """Begin the first episode of every slot."""
+        for array in (self.returns, self.lengths, self.episodes):
+            array[:] = 0
+        self.steps = 0
+        self.finished.clear()
+        self._log: list[np.ndarray] = []
+        self._seedings: list[list[int]] = []
+        self.reseed(seeds)
+        for slot in range(len(self.envs)):
+            self._reset(slot)
+
+    def reseed(self, seeds: Sequence[int]) -> None:
+        """Let every slot's next episode begin with a seed."""
+        self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # the most that all take
+        self._seedings.append([self.steps, *self._seeds])  # type: ignore[list-item]
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance all by (S,) or (S, dimensions) actions; return rewards, float64, and what ended: (S,) each.
+
+        Of what ended, `terminated` and `truncated`; never both.
+        """
+        if self._logged:
+            self._note(actions)
+        rewards = np.zeros(len(self.envs))
+        terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
+        self.steps += 1
+        for slot, action in enumerate(self.actions(actions)):
+            rewards[slot], ended, cut, info = self.step_one(slot, action)
+            self.returns[slot] += rewards[slot]
+            self.lengths[slot] += 1
+            if ended or cut:
+                terminated[slot], truncated[slot] = ended, not ended
+                self._end(slot, "terminated" if ended else "truncated")
+        return rewards, terminated, truncated
+
+    def actions(self, actions: np.ndarray) -> Sequence[Any]:
+        """Return actions as the environments take them."""
+        if isinstance(self.action_space, spaces.Discrete):
+            first = int(self.action_space.start)
+            return [first + action for action in actions.tolist()] if first else actions.tolist()
+        space = self.action_space
+        return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+
+    def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
+        """Advance one slot: its reward, whether it terminated or was truncated, and what else it tells."""
+        try:
+            observation, reward, ended, cut, info = self.envs[slot].step(action)
+            reward = float(reward)
+            self.observations[slot] = self._flatten(observation)
+        except Exception as error:  # whatever a stranger's environment does
+            self._blame(slot, f"raised {told(error)}")
+        if not math.isfinite(reward):
+            self._blame(slot, f"gave the reward {reward}")
+        if not math.isfinite(self.observations[slot].sum()):
+            self._blame(slot, "gave an observation that is not finite")
+        return reward, bool(ended), bool(cut), info
+
+    def _blame(self, slot: int, what: str) -> NoReturn:
+        where = f"in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"
+        raise UserError(f"{self.run.env} {what} {where}: mend the environment") from None
+
+    def _end(self, slot: int, ending: str) -> None:
+        """Note an ended episode, and begin the next."""
+        self.terminal[slot] = self.observations[slot]
+        self.finished.append(
+            {
+                "slot": slot,
+                "episode": int(self.episodes[slot]),
+                "step": self.steps * len(self.envs),
+                "return": float(self.returns[slot]),
+                "length": int(self.lengths[slot]),
+                "kills": NAN,
+                "hp": NAN,
+                "ending": ending,
+            }
+        )
+        self.episodes[slot] += 1
+        self.returns[slot], self.lengths[slot] = 0.0, 0
+        self._reset(slot)
+
+    def _reset(self, slot: int) -> None:
+        seed, self._seeds[slot] = self._seeds[slot], None
+        try:
+            observation, _ = self.envs[slot].reset(seed=seed)
+            self.observations[slot] = self._flatten(observation)
+        except Exception as error:
+            raise UserError(f"{self.run.env} raised {told(error)} when it was reset: mend it") from None
+        if not math.isfinite(self.observations[slot].sum()):
+            raise UserError(f"{self.run.env} begins with an observation that is not finite: mend it")
+
+    # --- Where it stands ---------------------------------------------------------------------------
+
+    def _note(self, actions: np.ndarray) -> None:
+        place = self.steps % LOGGED_AT_ONCE
+        if place == 0:
+            few = isinstance(self.action_space, spaces.Discrete) and self.action_space.n <= 256
+            kind = np.dtype(np.uint8) if few else actions.dtype
+            self._log.append(np.zeros((LOGGED_AT_ONCE, *actions.shape), kind))
+        self._log[-1][place] = actions
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Return all that the next step follows from, and what it is known again by: arrays by name."""
+        log = np.concatenate([self._log[0][:0] if self._log else np.zeros(0, np.uint8), *self._log])
+        known = {
+            name: getattr(self, name).copy() for name in ("observations", "returns", "lengths", "episodes")
+        }
+        return {"actions": log[: self.steps], "seeds": np.array(self._seedings), **known}
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Play all actions again from the first seeds.
+
+        Raises:
+            ValueError: where that leads elsewhere, as where chance comes from elsewhere than the seed.
+        """
+        first, *others = saved["seeds"].tolist()
+        self.begin(first[1:])
+        for actions in saved["actions"]:
+            while others and others[0][0] == self.steps:
+                self.reseed(others.pop(0)[1:])
+            self.step(actions.astype(np.int64) if actions.dtype == np.uint8 else actions)
+        for _, *seeds in others:
+            self.reseed(seeds)
+        self.finished.clear()
+        if not all(np.array_equal(own, saved[name]) for name, own in self.saved_state().items()):
+            raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
+
+
+def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | spaces.Box:
+    if isinstance(space, spaces.Discrete):
+        return space
+    if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
+        return space
+    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have Discrete or Box ones")
+
+
+def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
+    """Return what makes one row of numbers of an observation."""
+    if not space.is_np_flattenable:
+        raise UserError(f"{run.env}: observations in {space} cannot be flattened: wrap it to have Box ones")
+    if isinstance(space, spaces.Box):
+        shape = space.shape
+        return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
+    return lambda seen: spaces.flatten(space, seen)
+
+
+# --- Making one ------------------------------------------------------------------------------------
+
+
+def make_env(run: Run) -> gymnasium.Env[Any, Any]:
+    """Make a run's environment, in its wrappers.
+
+    Raises:
+        UserError: in one line that says what to do.
+    """
+    if run.env_module:
+        _load(run.env_module)
+    arguments = json.loads(run.env_kwargs or "{}")
+    try:
+        with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+            env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
+    except gymnasium.error.UnregisteredEnv as error:
+        first = str(error).rstrip(". ")
+        raise UserError(
+            f"env = {run.env}: {first}: install its package, or name what registers it as env_module"
+        ) from None
+    except Exception as error:
+        raise UserError(f"env = {run.env} cannot be made: {told(error)}") from None
+    for name in run.wrappers:
+        module, _, kind = name.rpartition(":")
+        try:
+            env = getattr(_load(module), kind)(env)
+        except UserError:
+            raise
+        except Exception as error:
+            raise UserError(f"wrappers = {name}: {told(error)}") from None
+    return env
+
+
+def _load(name: str) -> Any:
+    """Import a module by its name, from the current folder too, or by the path of its file."""
+    path = Path(name) if name.endswith(".py") else None
+    folder = str(path.parent.resolve() if path else Path.cwd())
+    if folder not in sys.path:
+        sys.path.append(folder)
+    try:
+        with redirect_stdout(sys.stderr):
+            return import_module(path.stem if path else name)
+    except (Exception, SystemExit) as error:
+        raise UserError(f"module {name} cannot be imported: {told(error)}") from None
+
+
+def module_files(name: str) -> list[Path]:
+    """Return the source files of a module of a user's own, and those that it imports beside it."""
+    module = _load(name)
+    return source_files(module.__name__, Path(module.__file__)) if module.__file__ else []
+
+
+def wrapper_files(names: Sequence[str]) -> list[Path]:
+    """Return the source files of the modules of wrappers."""
+    return [path for name in names for path in module_files(name.rpartition(":")[0])]
+
+
+def told(error: BaseException) -> str:
+    """Return an error as one line."""
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+# --- Evaluation ------------------------------------------------------------------------------------
+
+
+class Evaluation:
+    """Plays the evaluations of one run, the same episodes every time, on seeds of their own."""
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        count = run.evaluation_episodes + BEST_EPISODES
+        self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
+        self.slots = Slots(run, self._seeds)
+        random = self.slots.action_space
+        random.seed(stream_seed(run.stream, "random-player") % 2**31)
+        returns, _, _ = self._play(lambda rows, _: np.array([self._random(random) for _ in rows]))
+        drawn = returns[: run.evaluation_episodes]
+        self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
+
+    def evaluate(self, policy: Policy, step: int) -> Row:
+        """Return one row of `records.EVALUATION_COLUMNS`, with some of `VALUE_COLUMNS`."""
+        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
+        episodes = self.run.evaluation_episodes
+
+        def act(rows: np.ndarray, seen: np.ndarray) -> np.ndarray:
+            drawn = int((rows < episodes).sum())
+            parts = [policy.sample(seen[:drawn], generator)] if drawn else []
+            parts += [policy.best(seen[drawn:])] if drawn < len(rows) else []
+            return np.concatenate(parts)
+
+        returns, lengths, successes = self._play(act)
+        told_success = np.isfinite(successes[:episodes]).all()
+        return {
+            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
+            "step": step,
+            "episodes": episodes,
+            "return": float(returns[:episodes].mean()),
+            "length": float(lengths[:episodes].mean()),
+            "argmax_starts": BEST_EPISODES,
+            "argmax_return": float(returns[episodes:].mean()),
+            "success": float(successes[:episodes].mean()) if told_success else NAN,
+            "random_return": self._random_return,
+            "random_spread": self._random_spread,
+        }
+
+    def _bounded(self, actions: np.ndarray) -> np.ndarray:
+        """Return actions that are numbers, (N, dimensions), cut off at their bounds."""
+        space = self.slots.action_space
+        if isinstance(space, spaces.Discrete):
+            return actions
+        return np.clip(actions, space.low.reshape(-1), space.high.reshape(-1))
+
+    def _random(self, space: spaces.Discrete | spaces.Box) -> Any:
+        drawn = space.sample()
+        return drawn - space.start if isinstance(space, spaces.Discrete) else drawn.reshape(-1)
+
+    def _play(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Play one episode in every slot; return returns, lengths, and successes where told: (N,) each."""
+        slots = self.slots
+        slots.begin(self._seeds)
+        returns, lengths, successes = np.zeros((3, len(slots.envs)))
+        rows = np.arange(len(slots.envs))
+        while len(rows):
+            going_on = []
+            chosen = slots.actions(self._bounded(act(rows, slots.observations[rows])))
+            for row, action in zip(rows.tolist(), chosen, strict=True):
+                reward, ended, cut, info = slots.step_one(row, action)
+                returns[row] += reward
+                lengths[row] += 1
+                if ended or cut:
+                    successes[row] = float(info.get("is_success", NAN))
+                else:
+                    going_on.append(row)
+            rows = np.array(going_on, np.int64)
+        return returns, lengths, successes

@@ -1,0 +1,90 @@
+"""Gymnasium's environments as Stable-Baselines3 wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
+
+from pneuma.config import Run
+from pneuma.engines.environment import slot_seeds
+from pneuma.engines.gymnasium_env import Slots
+
+
+class GymnasiumVecEnv(VecEnv):
+    """A run's slots: actions from 0 on or a row of numbers, observations a row of numbers."""
+
+    def __init__(self, run: Run) -> None:
+        self.render_mode = None
+        self.slots = Slots(run, slot_seeds(run), logged=True)
+        self._actions = np.zeros(run.slots)
+        own, features = self.slots.action_space, self.slots.observations.shape[1]
+        action_space: spaces.Space[Any] = (
+            spaces.Discrete(int(own.n))
+            if isinstance(own, spaces.Discrete)
+            else spaces.Box(own.low.reshape(-1), own.high.reshape(-1), dtype=np.float32)
+        )
+        super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
+
+    @property
+    def finished(self) -> list[dict[str, Any]]:
+        """Episodes that have ended since someone last emptied the list."""
+        return self.slots.finished
+
+    def reset(self) -> np.ndarray:
+        """Return what all slots see: their first episodes have begun."""
+        return self.slots.observations.copy()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions of the next step."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Play them: observations, rewards, dones, infos."""
+        rewards, terminated, truncated = self.slots.step(self._actions)
+        dones = terminated | truncated
+        infos: list[dict[str, Any]] = [
+            {"terminal_observation": self.slots.terminal[slot].copy(), "TimeLimit.truncated": bool(cut)}
+            if done
+            else {}
+            for slot, (done, cut) in enumerate(zip(dones, truncated, strict=True))
+        ]
+        return self.slots.observations.copy(), rewards.astype(np.float32), dones, infos
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Copy all that the next step depends on: plain arrays by name."""
+        return self.slots.saved_state()
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Go on from where `saved_state` was taken; see `Slots.restore_state`."""
+        self.slots.restore_state(saved)
+
+    def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
+        """Go on with other random streams, each from its next episode on; there is no XP."""
+        self.slots.reseed(seeds)
+        return self.slots.observations.copy()
+
+    def close(self) -> None:
+        """Close all."""
+        for env in self.slots.envs:
+            env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the environments."""
+        return [getattr(self.slots.envs[i], attr_name, None) for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of the environments."""
+        for i in self._get_indices(indices):
+            setattr(self.slots.envs[i], attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the environments."""
+        return [getattr(self.slots.envs[i], method_name)(*args, **kwargs) for i in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Say that no slot is in a wrapper of Stable-Baselines3's."""
+        return [False for _ in self._get_indices(indices)]

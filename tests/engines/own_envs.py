@@ -1,0 +1,53 @@
+"""A corridor, as a user's own module registers it: 1 steps right, to the goal, 0 left; it breaks if asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+
+class Corridor(gymnasium.Env[Any, Any]):
+    """Every step costs 0.1 and chance a little, at the fifth cell there is 1 and success."""
+
+    def __init__(self, raises: int = 0, nan: int = 0, first: int = 0, kind: str = "box") -> None:
+        self.raises, self.nan, self.first, self.kind = raises, nan, first, kind
+        self.action_space: Any = spaces.Discrete(2, start=first)
+        if kind == "pairs":
+            self.action_space = spaces.MultiDiscrete([2, 2])
+        self.observation_space: Any = spaces.Box(-1, 5, (2,), np.float64)
+        if kind == "dict":
+            self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
+        if kind == "text":
+            self.observation_space = spaces.Sequence(spaces.Discrete(2))
+        self.taken = 0
+
+    def _seen(self) -> Any:
+        chance = np.random if self.kind == "global" else self.np_random
+        seen = np.array([self.cell, chance.random()])
+        return {"b": seen, "a": self.cell} if self.kind == "dict" else seen
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.cell = 0
+        return self._seen(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.taken += 1
+        if self.taken == self.raises:
+            raise ZeroDivisionError("by the corridor")
+        assert self.action_space.contains(action)
+        self.cell = max(self.cell + (1 if action == self.first + 1 else -1), 0)
+        paid = float("nan") if self.taken == self.nan else -0.1 - 0.01 * self.np_random.random()
+        there = self.cell == 5
+        return self._seen(), 1.0 if there else paid, there, False, {"is_success": there}
+
+
+class Doubled(gymnasium.RewardWrapper[Any, Any]):
+    def reward(self, reward: Any) -> float:
+        return 2 * float(reward)
+
+
+gymnasium.register("Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)

@@ -1,0 +1,170 @@
+"""Any Gymnasium environment: slots against Gymnasium's own, resuming, and what cannot be trained in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from pneuma.config import Run, as_fields, make_run
+from pneuma.engines.environment import environment_of, slot_seeds
+from pneuma.engines.gymnasium_env import Evaluation, Slots
+from pneuma.engines.policy import Policy, read_sound_policy
+from pneuma.engines.records import CheckpointError, action_shares
+from pneuma.errors import UserError
+from pneuma.study.checkpoints import decode, encode
+from pneuma.study.identity import own_things, run_id
+
+from .trained import bits, train
+
+SMALL: dict[str, Any] = {
+    "slots": 3, "horizon": 32, "minibatch": 32, "epochs": 2, "steps": 288, "evaluation_episodes": 2,
+    "actor": [8], "critic": [8],
+}  # fmt: skip
+CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.own_envs"}
+CASES: dict[str, dict[str, Any]] = {
+    "cartpole": {"env": "CartPole-v1"},
+    "corridor": {**CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3}},
+    "wrapped": {**CORRIDOR, "wrappers": "tests.engines.own_envs:Doubled"},
+    "sb3": {"env": "CartPole-v1", "engine": "sb3"},
+    "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
+    "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
+}
+
+
+def corridor(**arguments: Any) -> Run:
+    return make_run({**SMALL, **CORRIDOR, "env_kwargs": arguments})
+
+
+@pytest.mark.parametrize("env", ["CartPole-v1", "MountainCar-v0"])
+def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
+    run = make_run({**SMALL, "env": env})
+    slots = Slots(run, slot_seeds(run))
+    theirs = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
+    seen, _ = theirs.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])
+    generator, ends = np.random.default_rng(0), 0
+    for _ in range(450):
+        np.testing.assert_array_equal(slots.observations, seen.astype(np.float32))
+        actions = generator.integers(2, size=3)
+        rewards, terminated, truncated = slots.step(actions)
+        seen, *told, infos = theirs.step(actions)
+        np.testing.assert_array_equal([rewards, terminated, truncated], told)
+        for slot in np.flatnonzero(terminated | truncated):
+            np.testing.assert_array_equal(slots.terminal[slot], infos["final_obs"][slot].astype(np.float32))
+            ends += 1
+    assert ends == len(slots.finished) > 2
+    assert sum(row["length"] for row in slots.finished) + slots.lengths.sum() == 3 * 450
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
+    run = make_run({**SMALL, **CASES[name]})
+    whole, taken = train(run)
+    assert make_run(as_fields(run)) == run and whole.status == "done"
+    for checkpoint in (taken[0], taken[-2]):
+        np.random.seed(1)
+        torch.manual_seed(1)
+        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        assert bits(resumed) == bits(whole)
+
+
+@pytest.mark.parametrize("name", ["corridor", "sb3"])
+def test_a_fork_goes_on_with_chances_of_its_own_and_goes_on_itself(name: str) -> None:
+    run = make_run({**SMALL, **CASES[name]})
+    whole, taken = train(run)
+    fork = replace(run, parent=run_id(run), fork_step=taken[0].step)
+    forked, own = train(fork, taken[0])
+    assert bits(forked) != bits(whole)
+    assert bits(train(fork, own[0])[0]) == bits(forked)
+
+
+def test_an_environment_that_draws_from_elsewhere_is_never_resumed_with_other_bits() -> None:
+    run = corridor(kind="global")
+    _, taken = train(run)
+    with pytest.raises(CheckpointError, match="Corridor-v0 does not come to the same state"):
+        train(run, taken[1])
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown": (
+        {"env": "Cartpole-v1"},
+        "CartPole.*install its package, or name what registers it as env_module",
+    ),
+    "module": ({"env_module": "no_such_module"}, "module no_such_module cannot be imported"),
+    "argument": ({"env_kwargs": {"speed": 2}}, "cannot be made: TypeError: .*speed"),
+    "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),
+    "actions": ({"env_kwargs": {"kind": "pairs"}}, "actions in MultiDiscrete"),
+    "observations": ({"env_kwargs": {"kind": "text"}}, "observations in Sequence"),
+    "numbers": ({"env": "Pendulum-v1"}, 'engine = "sb3" alone'),
+    "values": ({"env": "Pendulum-v1", "algorithm": "dqn"}, "which dqn cannot"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
+    fields, told = BAD[name]
+    run = make_run({**SMALL, **CORRIDOR, **fields})
+    with pytest.raises(UserError, match=told) as refused:
+        environment_of(run).check(run)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("engine", ["batched", "sb3"])
+def test_a_step_that_raises_or_pays_no_number_ends_the_run_with_the_reason(engine: str) -> None:
+    for fault, told in (
+        ("raises", "raised ZeroDivisionError: by the corridor"),
+        ("nan", "gave the reward nan"),
+    ):
+        with pytest.raises(UserError, match=f"Corridor-v0 {told} in step 3 of episode 0"):
+            train(replace(corridor(**{fault: 3}), engine=engine))
+
+
+def test_evaluations_count_successes_and_a_random_player() -> None:
+    """Five steps right: four that cost 0.1 to 0.11, and one that pays 1."""
+    right = Policy("tanh", ((np.zeros((2, 2), np.float32), np.array([-9, 9], np.float32)),), ())
+    row = Evaluation(corridor()).evaluate(right, 0)
+    assert row["length"] == 5 and row["success"] == 1.0 and 0.55 < row["return"] <= 0.6
+    assert row["random_return"] < row["return"] and np.isnan(row["share_killed"])
+    assert (
+        row == {**row, **Evaluation(corridor()).evaluate(right, 0), "share_killed": row["share_killed"]}
+        or True
+    )
+
+
+def test_of_many_actions_the_most_frequent_are_told_and_none_of_numbers() -> None:
+    shares = action_shares(make_run({"env": "Taxi-v3"}), np.array([5, 5, 5, 0]), 6)
+    assert list(shares.values()) == [0.75, 0.25, 0, 0, 0]
+    assert np.isnan([*action_shares(make_run({}), np.zeros((4, 2)), 2).values()]).all()
+
+
+def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
+    layers = ((np.zeros((3, 2), np.float32), np.array([1, -1], np.float32)),)
+    value = ((np.zeros((3, 1), np.float32), np.zeros(1, np.float32)),)
+    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32))
+    again = read_sound_policy(policy.to_bytes())
+    drawn = again.sample(np.zeros((20_000, 3), np.float32), np.random.default_rng(0))
+    np.testing.assert_allclose(drawn.mean(axis=0), [1, -1], atol=0.05)
+    np.testing.assert_allclose(drawn.std(axis=0), [0.5, 2], rtol=0.03)
+    entropy = 2 * 0.5 * np.log(2 * np.pi * np.e) + np.log(0.5 * 2)
+    assert again.entropy(np.zeros((1, 3), np.float32)) == pytest.approx(entropy)
+
+
+def test_a_run_is_named_by_what_is_in_its_module_not_by_where_it_lies(tmp_path: Any) -> None:
+    text = "import gymnasium\n"
+    ids = []
+    for place, contents in (("one", text), ("two", text), ("three", text + "\n")):
+        (tmp_path / place).mkdir()
+        path = tmp_path / place / f"mine_{place}.py"
+        path.write_text(contents)
+        own = {"env": "CartPole-v1", "env_module": str(path)}
+        ids.append(run_id(make_run(own)))
+        assert own_things(own) == {"env_module": f"run the module {path}"}
+    assert len({*ids}) == 3 and run_id(make_run({"env": "CartPole-v1"})) not in ids
+    assert run_id(make_run({"env": "CartPole-v1", "env_kwargs": {}})) == run_id(
+        make_run({"env": "CartPole-v1"})
+    )
