@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from pneuma.env.render import Renderer
 from pneuma.env.watch import fight_worlds, level_worlds
-from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
 MOVES = (
@@ -36,22 +35,15 @@ def draw_mailman(folder: Path) -> list[Path]:
             axes.text(*place, name, ha="center", va="center", fontsize=7, zorder=3)
         for start, end, label, place in MOVES:
             best = "s₂\nletters" in (start, end)
-            _arrow(axes, STATES[start], STATES[end], COLOURS[0] if best else "#777777", 2.0 if best else 1.0)
+            axes.add_patch(
+                FancyArrowPatch(
+                    STATES[start], STATES[end], arrowstyle="-|>", mutation_scale=11, shrinkA=29, shrinkB=29,
+                    color=COLOURS[0] if best else GREY, linewidth=2.0 if best else 1.0, zorder=1,
+                )
+            )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
         axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
         return save_figure(figure, folder, "fig-2-1", ("png", "svg"))
-
-
-def _arrow(
-    axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str, width: float
-) -> None:
-    shrink = 29
-    axes.add_patch(
-        FancyArrowPatch(
-            start, end, arrowstyle="-|>", mutation_scale=11, color=colour, linewidth=width,
-            shrinkA=shrink, shrinkB=shrink, zorder=1,
-        )
-    )  # fmt: skip
 
 
 def draw_level(folder: Path) -> list[Path]:

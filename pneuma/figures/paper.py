@@ -88,7 +88,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         UserError: when a published table, or the index that is there, is damaged.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    known = {entry["file"] for entry in read_index(folder)}  # a damaged one is told before all is drawn
+    known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged one
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
     tell_figures_apart(studies)
@@ -136,22 +136,16 @@ def settings_table() -> pd.DataFrame:
 
 
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tuple[str, str]) -> Entries:
-    """Draw a study, under the name that its figures have among all that are drawn."""
+    """Draw everything of a study and write its tables; return what the index tells of each file.
+
+    Figures have the name that is theirs among all that are drawn. They are made small, as they are committed.
+    """
     study, figure = names
     (data,) = open_published(results, [study])
     data.figure = figure
     logs = open_published(results, [beside[study]])[0] if study in beside else None
-    return draw_published(data, folder, logs)
-
-
-def draw_published(data: StudyData, folder: Path, logs: StudyData | None = None) -> Entries:
-    """Draw everything of a study and write its tables; return what the index tells of each file.
-
-    Pictures are made small: they are committed, and drawn anew whenever a study is published. Imported logs
-    are drawn beside its curves.
-    """
     entries = []
-    for shown, paths, told in [*_curves(data, folder, logs), *_others(data, folder)]:
+    for shown, paths, told in _figures(data, folder, logs):
         for path in paths:
             shrink(path)
         entries += index_entries(paths, COMMAND, shown, told)
@@ -168,8 +162,12 @@ Drawn = tuple[StudyData, list[Path], dict[str, Any]]
 """What a figure shows, its files, and how it is drawn."""
 
 
-def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
-    """Draw the conditions of the thesis's figure, also as it drew them, and all where the study has more."""
+def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
+    """Draw curves, what the runs came to, and where they are known collapses and maps.
+
+    Curves are of the conditions of the thesis's figure, also as it drew them; of all, where the study has
+    more; and of imported logs beside the study's own.
+    """
 
     def drawn(own: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
         drawing = settle(own, **how)
@@ -193,10 +191,6 @@ def _curves(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[D
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
         yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=held)
-
-
-def _others(data: StudyData, folder: Path) -> Iterator[Drawn]:
-    """Draw what the runs came to, and where they are known collapses and maps."""
     yield data, draw_summary(data, folder), {"figure": "summary", "outcome": shown_outcome(data)}
     if len(collapsed_shares(data)):
         yield data, draw_collapse(data, folder, stem_of(data, "collapses")), {"figure": "collapses"}

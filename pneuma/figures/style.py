@@ -122,18 +122,13 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
     places: dict[str, int] = {}
     for kind in kinds.values():
-        place = _OWN_PLACES.get(kind)
-        if place is not None and place not in places.values():
-            places[kind] = place
+        if kind in _OWN_PLACES and _OWN_PLACES[kind] not in places.values():
+            places[kind] = _OWN_PLACES[kind]
     free = (place for place in range(len(kinds)) if place not in places.values())
-    for kind in kinds.values():
-        if kind not in places:
-            places[kind] = next(free)
+    places |= {kind: next(free) for kind in dict.fromkeys(kinds.values()) if kind not in places}
+    count = len(COLOURS)
     return {
-        name: {
-            "color": COLOURS[places[kind] % len(COLOURS)],
-            "marker": MARKERS[places[kind] % len(MARKERS)],
-        }
+        name: {"color": COLOURS[places[kind] % count], "marker": MARKERS[places[kind] % count]}
         for name, kind in kinds.items()
     }
 

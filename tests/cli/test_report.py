@@ -22,7 +22,7 @@ from pneuma.study.tables import to_parquet
 from pneuma.worlds import WORLDS
 
 from ..hand_made import make_id
-from .calls import described, refused
+from .calls import described
 
 Read = Callable[[bytes], Any]
 BUDGET = 1024
@@ -157,7 +157,3 @@ def test_what_is_damaged_is_said_and_the_rest_is_shown(store: Store, make: Calla
         assert damaged in words
     assert len(page.all("img")) == 1
     assert str(store.root) not in words
-
-
-def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
-    assert "must end in .html" in refused("report", "--out", tmp_path / "report.pdf", "--results", tmp_path)

@@ -82,10 +82,6 @@ def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
     assert policy.attributes["content"].startswith("default-src 'none'; img-src data:;")
 
 
-def test_two_writes_give_the_same_bytes() -> None:
-    assert _page() == _page()
-
-
 def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, read_page: Read) -> None:
     hostile = read_page(_page(HOSTILE))
     assert [each.tag for each in hostile.elements] == [each.tag for each in page.elements]
