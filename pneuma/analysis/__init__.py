@@ -1,6 +1,6 @@
 """Analysis: from records to curves. Reads the store, trains nothing."""
 
-BAND_NAMES = ("ci", "bootstrap", "se", "std", "minmax", "iqr", "runs")
+BAND_NAMES = ("ci", "se", "std", "minmax", "runs")
 EDGED_BANDS = tuple(name for name in BAND_NAMES if name != "runs")
 """Those that have a lower and an upper edge."""
 EXPORTED_BAND = "std"

@@ -87,13 +87,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
-    """Return a run's outcome; NaN where it has none.
-
-    Args:
-        data: the study.
-        run: one of its finished runs.
-        name: one of `OUTCOMES`, or steps-to:X for a share X of monsters killed.
-        at_step: as the run stood then; at its budget when left out.
+    """Return a run's outcome, as the run stood at a step or at its budget; NaN where it has none.
 
     Raises:
         UserError: for a name that is no outcome's.
@@ -143,21 +137,17 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     if found.source == "times":
         return f"{data.what} does not tell how long the run took"
     if found.source == "signs":
-        return _no_sign(data, run, name, at_step)
+        seen = diagnose(data, run, at_step)
+        if seen.blind:
+            return f"{data.what} holds no sign of collapse"
+        if seen.collapsed:
+            return f"no evaluation tells of {name}"
+        early = at_step is not None and at_step < run.end
+        return f"the run had not collapsed by step {at_step:,.0f}" if early else "the run never collapsed"
     if run.records.kept_outcome(name) is None and found.source not in (*data.tables, *data.quantities):
         return f"{data.what} holds no {found.source}"
-    early = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
-    return f"{early} has no value of its {found.source} to take {name} from"
-
-
-def _no_sign(data: StudyData, run: FinishedRun, name: str, at_step: float | None) -> str:
-    found = diagnose(data, run, at_step)
-    if found.blind:
-        return f"{data.what} holds no sign of collapse"
-    if found.collapsed:
-        return f"no evaluation tells of {name}"
-    early = at_step is not None and at_step < run.end
-    return f"the run had not collapsed by step {at_step:,.0f}" if early else "the run never collapsed"
+    early_end = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
+    return f"{early_end} has no value of its {found.source} to take {name} from"
 
 
 # --- Measures --------------------------------------------------------------------------------------
@@ -167,21 +157,19 @@ Take = Callable[[np.ndarray], float]
 """From values in the order of their steps, (points,) of which there is at least one, to a number."""
 
 
-def _evaluations(column: str, take: Take) -> Measure:
-    return lambda seen: _taken(seen.evaluations(column), take)
+def _of(read: Callable[[RunView, str], Series], name: str, take: Take) -> Measure:
+    """Return the number that is taken from the values of what is read by its name; NaN without any."""
+
+    def measure(seen: RunView) -> float:
+        _, values = read(seen, name)
+        return float(take(values)) if len(values) else NAN
+
+    return measure
 
 
-def _curve(quantity: str, take: Take) -> Measure:
-    return lambda seen: _taken(seen.curve(quantity), take)
-
-
-def _peaks(quantity: str, take: Take) -> Measure:
-    return lambda seen: _taken(seen.peaks(quantity), take)
-
-
-def _taken(series: Series, take: Take) -> float:
-    _, values = series
-    return float(take(values)) if len(values) else NAN
+_evaluations, _curve, _peaks = (
+    partial(_of, read) for read in (RunView.evaluations, RunView.curve, RunView.peaks)
+)
 
 
 def _last(values: np.ndarray) -> float:
@@ -202,19 +190,14 @@ def _roughness(values: np.ndarray) -> float:
 
 def _most_of_one(seen: RunView) -> float:
     """Return the share of the most frequent action at the end."""
-    shares = [_taken(seen.curve(f"action_{i}"), _last) for i in range(len(ACTION_NAMES))]
-    return max(shares, default=NAN)
+    return max(_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES)))
 
 
-def _early(quantity: str) -> Measure:
-    """Return the mean of a curve over the first tenth of the run's budget."""
-
-    def measure(seen: RunView) -> float:
-        steps, values = seen.curve(quantity)
-        early = values[steps <= 0.1 * min(seen.run.budget, seen.until)]
-        return float(early.mean()) if len(early) else NAN
-
-    return measure
+def _early_variance(seen: RunView) -> float:
+    """Return the mean of the critic's explained variance over the first tenth of the run's budget."""
+    steps, values = seen.curve("explained_variance")
+    early = values[steps <= 0.1 * min(seen.run.budget, seen.until)]
+    return float(early.mean()) if len(early) else NAN
 
 
 def _mean_height(series: Series, until: float) -> float:
@@ -330,7 +313,7 @@ OUTCOMES: dict[str, Outcome] = {
         _curve("approx_kl", np.mean)),
     "early-explained-variance": Outcome(
         "share of the returns' variance that the critic explains, first tenth of training",
-        "", UP, (-np.inf, 1.0), "explained_variance", _early("explained_variance")),
+        "", UP, (-np.inf, 1.0), "explained_variance", _early_variance),
     "collapsed": Outcome(
         "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", _diagnosed("collapsed")),
     "collapse-step": Outcome(

@@ -199,6 +199,8 @@ def p_of_kind(
     p = np.zeros((len(PValues._fields), len(a)))
     for draws, together, close in ROUNDS:
         again = np.flatnonzero(np.minimum(2 * np.minimum(p[0], p[1]), p[2]) <= close)
+        if not len(again):
+            break
         for rows in np.split(again, range(together, len(again), together)):
             if kind == "one mean":
                 flips = pvalues.sign_flips(seeds, generator, draws)
@@ -233,8 +235,7 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         for seeds in SEEDS:
             runs = draw(generator, (samples, seeds))
             for band in bands:
-                drawn = runs[:fewer] if band == "bootstrap" else runs
-                yield _covered(band, name, seeds, band_coverage(band, drawn))
+                yield _covered(band, name, seeds, band_coverage(band, runs))
             for method, interval, truth in one_by_one:
                 made = [own for own in map(interval, runs[:fewer]) if own.exists]
                 share = np.mean([own.low <= truth <= own.high for own in made]) if made else np.nan

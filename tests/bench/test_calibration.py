@@ -19,11 +19,8 @@ def test_the_committed_coverages_are_those_that_are_drawn() -> None:
     generator = np.random.default_rng(1)
     for i, seeds in enumerate(bands.COVERAGE_SEEDS):
         for band, least in bands.LEAST_COVERAGE.items():
-            samples, near = (500, 0.06) if band == "bootstrap" else (3_000, 0.03)
-            drawn = [
-                band_coverage(band, draw(generator, (samples, seeds))) for draw in DISTRIBUTIONS.values()
-            ]
-            assert min(drawn) == pytest.approx(least[i], abs=near), (band, seeds)
+            drawn = [band_coverage(band, draw(generator, (3_000, seeds))) for draw in DISTRIBUTIONS.values()]
+            assert min(drawn) == pytest.approx(least[i], abs=0.03), (band, seeds)
 
 
 def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:

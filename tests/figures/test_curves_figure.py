@@ -63,7 +63,7 @@ def test_every_run_of_another_study_is_drawn_beside(
 
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
-    (path,) = study.draw(tmp_path, band="bootstrap", formats=("png",))
+    (path,) = study.draw(tmp_path, band="ci", formats=("png",))
     with Image.open(path) as image:
         assert image.width == 1400
     width, height = drawn[0].bbox.size
