@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import print_json, print_table
+from pneuma.cli.output import check_file, print_json, print_table
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
@@ -98,10 +98,9 @@ def render(
     policy plays in the environment that it was trained in, --set on top.
     """
     from pneuma.env.render import Renderer
-    from pneuma.env.video import check_video, write_video
-    from pneuma.env.watch import FRAMES_PER_SECOND, episode_frames
+    from pneuma.env.watch import FRAMES_PER_SECOND, VIDEOS, episode_frames, write_video
 
-    check_video(out)
+    check_file(out, VIDEOS)
     moving = out.suffix.lower() != ".png"
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")

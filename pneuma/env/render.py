@@ -30,9 +30,6 @@ FOLLOW_FACTOR = 4
 MAP_SIDE = 900
 """About how many pixels the longer side of the whole map gets."""
 
-USUAL_TILE = 64.0
-"""Side in pixels of the tiles for which the art is drawn: 4 pixels of the world an art pixel."""
-
 MOST_TILES = 90_000
 BAR_WIDTH = 12
 PANEL_BAR = (48, 3)
@@ -77,33 +74,27 @@ class Renderer:
             raise unknown_name("camera", camera, CAMERAS)
         self.worlds = worlds
         self.camera = camera
-        level = worlds.level
-        self._split = max(round(level.tile / USUAL_TILE), 1)  # large tiles are drawn as several
-        self._zoom = max(round(USUAL_TILE / level.tile), 1)  # among small ones, bodies are drawn larger
-        self._art_per_pixel = sprites.TILE * self._split / level.tile
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
         height, width = self.background.shape[:2]
         if camera == "follow":
-            self._factor, self._divisor = FOLLOW_FACTOR, 1
-            width, height = VIEW
+            self._factor, (width, height) = FOLLOW_FACTOR, VIEW
         else:
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
-            self._divisor = max(round(max(height, width) / MAP_SIDE), 1)
-        self._size = width * self._factor // self._divisor, height * self._factor // self._divisor
-        self._panel = _Panel(worlds, self._size[0]) if panel else None
-        self.size = self._size[0], self._size[1] + (self._panel.height if self._panel else 0)
+        self._size = width * self._factor, height * self._factor
+        self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
+        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos want even sides
+        self._panel = (strip, self._size[0], 3) if panel else None
+        self.size = self._size[0], self._size[1] + (strip if panel else 0)
 
     def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
         if index not in self._scenes:
             level = self.worlds.levels[index]
-            if level.terrain.size * self._split**2 > MOST_TILES:
-                raise UserError(
-                    f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles of 64 px"
-                )
-            ground = ground_kinds(level).repeat(self._split, 0).repeat(self._split, 1)
-            solid = (level.terrain == rules.SOLID).repeat(self._split, 0).repeat(self._split, 1)
+            if level.terrain.size > MOST_TILES:
+                raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
+            ground = ground_kinds(level)
+            solid = level.terrain == rules.SOLID
             self._scenes[index] = sprites.paint_ground(ground), tuple(_obstacles(solid, ground))
         return self._scenes[index]
 
@@ -116,30 +107,29 @@ class Renderer:
         """
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
-        return np.concatenate([self._panel.strip(world, player), frame]) if self._panel else frame
+        return np.concatenate([self._strip(world, player), frame]) if self._panel else frame
 
     # --- Cameras ---------------------------------------------------------------------------------
 
     def _whole_map(self, world: int) -> np.ndarray:
         canvas = self.background.copy()
         self._draw(canvas, world, 0, 0)
-        return sprites.enlarge(sprites.reduce(canvas, self._divisor), self._factor)
+        return sprites.enlarge(canvas, self._factor)
 
     def _follow(self, world: int, player: int) -> np.ndarray:
-        width, height = self._size
-        factor = max(self._factor // self._zoom, 1)
         row = self.worlds.players[world, player]
         x, y = self._place(row["x"], row["y"])
         rows, columns = self.background.shape[:2]
-        left, columns = _clamp(x, -(-width // factor), columns)
-        top, rows = _clamp(y, -(-height // factor), rows)
+        left, columns = _clamp(x, VIEW[0], columns)
+        top, rows = _clamp(y, VIEW[1], rows)
         canvas = self.background[top : top + rows, left : left + columns].copy()
         self._draw(canvas, world, left, top)
-        return _centre(sprites.enlarge(canvas, factor), self._size)
+        return _centre(sprites.enlarge(canvas, self._factor), self._size)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         """Return the art pixel of a place in the world."""
-        level, scale = self.worlds.level, self._art_per_pixel
+        level = self.worlds.level
+        scale = sprites.TILE / level.tile
         return int((x - level.left) * scale // 1), int((y - level.top) * scale // 1)
 
     # --- What stands in the world ----------------------------------------------------------------
@@ -192,7 +182,6 @@ class Renderer:
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         """Yield a picture with its feet at the lower edge of a body, and its shadow."""
         x, y = self._place(body["x"], _foot(body, stats))
-        picture = sprites.enlarge(picture, self._zoom)
         height, width = picture.shape[:2]
         shadow = sprites.shadow_picture(width - 2)
         yield Item(y - 0.5, shadow, x - (width - 2) // 2, y + 2 - shadow.shape[0])
@@ -202,7 +191,7 @@ class Renderer:
         """Return a player's sword, centred at its hilt."""
         way, facing = player["facing"], sprites.FACINGS[player["facing"]]
         moment = sprites.SWINGS[int(3 * (stats["swing"] - player["busy"]) // stats["swing"])]
-        picture = sprites.enlarge(sprites.sword_picture(facing, moment), self._zoom)
+        picture = sprites.sword_picture(facing, moment)
         x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
         _, foot = self._place(0.0, _foot(player, stats))
         height, width = picture.shape[:2]
@@ -219,34 +208,19 @@ class Renderer:
             for body, stats in zip(bodies[world], all_stats, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
                     filled = _filled_part(body["hp"], stats["hp"], BAR_WIDTH)
-                    bar = sprites.enlarge(sprites.bar_picture(filled, BAR_WIDTH, colour), self._zoom)
+                    bar = sprites.bar_picture(filled, BAR_WIDTH, colour)
                     x, y = self._place(body["x"], _foot(body, stats))
-                    yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3) * self._zoom)
+                    yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3))
 
+    # --- The strip above -------------------------------------------------------------------------
 
-class _Panel:
-    """Draws the strip above a picture, of one size.
-
-    Attributes:
-        height: in pixels.
-    """
-
-    def __init__(self, worlds: Worlds, width: int) -> None:
-        """Prepare for the state of worlds and a width in pixels."""
-        self.worlds = worlds
-        self._width = width
-        self._factor = min(max(width // PANEL_WIDTH, 1), 3)
-        self.height = (PANEL_LINE + 2 * PANEL_GAP) * self._factor // 2 * 2  # videos want even sides
-
-    def strip(self, world: int, player: int) -> np.ndarray:
-        """Return the strip for a player of a world, (height, width, 3) uint8."""
-        strip = np.empty((self.height, self._width, 3), np.uint8)
-        strip[...] = sprites.rgb(sprites.PLATE)
-        left = PANEL_GAP
+    def _strip(self, world: int, player: int) -> np.ndarray:
+        """Return the strip of numbers for a player of a world, (height, width, 3) uint8."""
+        strip = np.full(self._panel or (), sprites.rgb(sprites.PLATE), np.uint8)
+        left, factor = PANEL_GAP, self._panel_factor
         for picture in self._pieces(world, player):
             down = PANEL_GAP + (PANEL_LINE - picture.shape[0]) // 2
-            large = sprites.enlarge(picture, self._factor)
-            sprites.blend(strip, large, left * self._factor, down * self._factor)
+            sprites.blend(strip, sprites.enlarge(picture, factor), left * factor, down * factor)
             left += picture.shape[1] + PANEL_GAP
         return strip
 

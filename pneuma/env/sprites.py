@@ -142,16 +142,7 @@ def blend(canvas: np.ndarray, picture: np.ndarray, left: int, top: int) -> None:
 
 def enlarge(picture: np.ndarray, factor: int) -> np.ndarray:
     """Return a picture or a frame with every pixel a square of `factor`."""
-    return picture if factor == 1 else picture.repeat(factor, 1).repeat(factor, 0)
-
-
-def reduce(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Return a frame with every square of `factor` averaged to a pixel."""
-    if factor == 1:
-        return picture
-    height, width = picture.shape[0] // factor, picture.shape[1] // factor
-    whole = picture[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
-    return (whole.sum(axis=(1, 3), dtype=np.uint32) // factor**2).astype(np.uint8)
+    return picture.repeat(factor, 1).repeat(factor, 0)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

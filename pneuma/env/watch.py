@@ -1,4 +1,4 @@
-"""A world for somebody to watch: a window, what the faces render, smooth episodes, play at the keyboard.
+"""A world for somebody to watch: a window, what the faces render, smooth episodes, videos, play by hand.
 
 The faces give one frame a step. Episodes and play show a step of 8 ticks in four frames of 2, so that
 motion is smooth. A window needs pygame-ce.
@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import copy
 import importlib
+import importlib.util
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from PIL import Image
+from PIL.GifImagePlugin import getdata
 
 from pneuma.config import ACTION_NAMES, SPELL_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
@@ -24,6 +28,8 @@ from pneuma.errors import UserError, install_extra, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
 RENDER_MODES = ("rgb_array", "human")
+VIDEOS = (".gif", ".mp4", ".png")
+"""What frames can be written to; .png is the first."""
 
 FRAMES_PER_STEP = 4
 FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
@@ -265,3 +271,88 @@ def fight_worlds() -> Worlds:
                 if worlds.events["hits"][0, 0] and awake > most:
                     best, most = copy.deepcopy(worlds), awake
     return best
+
+
+# --- Videos ---------------------------------------------------------------------------------------
+# Frame by frame, so that a long video needs no more memory than a short one.
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
+    """Write frames to a .gif, .mp4 or, only the first, .png; the file appears whole or not at all.
+
+    Args:
+        path: where to; its suffix says which format.
+        frames: arrays of one shape (height, width, 3), uint8, taken one at a time.
+        frames_per_second: how fast to play them; browsers play a GIF of more than 50 slowly.
+
+    Raises:
+        UserError: for an .mp4 without imageio-ffmpeg, or a file that cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise UserError(f"{path}: .mp4 needs imageio-ffmpeg: {install_extra('video')}, or choose .gif")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if suffix == ".png":
+            Image.fromarray(next(iter(frames))).save(partial)
+        else:
+            (_write_gif if suffix == ".gif" else _write_mp4)(partial, iter(frames), frames_per_second)
+        partial.replace(path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _write_mp4(path: Path, frames: Iterator[np.ndarray], frames_per_second: float) -> None:
+    ffmpeg = importlib.import_module("imageio_ffmpeg")
+    first = _with_even_sides(next(frames))
+    size = first.shape[1], first.shape[0]
+    writer = ffmpeg.write_frames(
+        str(path), size, fps=frames_per_second, macro_block_size=2, quality=8, ffmpeg_log_level="error"
+    )
+    try:
+        writer.send(None)  # runs up to where it waits for frames
+    except RuntimeError as error:  # there is no ffmpeg in its package, or for this system
+        raise OSError(f"imageio-ffmpeg: {error}") from None
+    try:
+        writer.send(first)
+        for frame in frames:
+            writer.send(_with_even_sides(frame))
+    finally:
+        writer.close()
+    try:
+        ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError:  # nobody else tells that ffmpeg was cut short
+        raise OSError("ffmpeg did not come to its end: is the disk full?") from None
+
+
+def _with_even_sides(frame: np.ndarray) -> np.ndarray:
+    """Return a frame with its last row or column doubled where H.264 needs an even number."""
+    height, width = frame.shape[:2]
+    return np.ascontiguousarray(np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+
+
+def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: float) -> None:
+    """Write a GIF that plays for ever; Pillow's own `save_all` would keep every frame in memory."""
+    before: np.ndarray | None = None
+    with open(path, "wb") as file:
+        for number, frame in enumerate(frames):
+            height, width = frame.shape[:2]
+            box = (0, 0, width, height)
+            if before is not None:  # where it differs; one pixel if nowhere
+                box = Image.fromarray(before ^ frame).getbbox() or (0, 0, 1, 1)
+            left, top, right, bottom = box
+            if before is None:
+                size = b"".join(side.to_bytes(2, "little") for side in (right, bottom))
+                file.write(b"GIF89a" + size + bytes(3) + b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
+            start, end = (round(100 * edge / frames_per_second) for edge in (number, number + 1))
+            # Where there are no more than 256 colours anyway, this changes none.
+            piece = Image.fromarray(frame[top:bottom, left:right]).quantize(256, dither=Image.Dither.NONE)
+            image = getdata(
+                piece, (left, top), duration=10 * (end - start), disposal=1, include_color_table=True
+            )
+            file.writelines(image)
+            before = frame.copy()  # the caller may draw the next frame into the same array
+        file.write(b";")

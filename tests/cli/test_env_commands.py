@@ -142,7 +142,6 @@ MISTAKES = {
     "check pneuma/Pneuma-v1": "did you mean pneuma/Pneuma-v0?",
     "check pneuma/Mailman-v0 --set level=thesis": "unexpected keyword argument 'level'",
     f"{RENDER} map.bmp": "map.bmp",
-    f"{RENDER} nowhere/map.png": "there is no folder nowhere",
     f"{RENDER} map.png --player hunter": "--player hunter is for videos",
     f"{RENDER} map.gif --player nobody": "--player nobody",
     f"{RENDER} map.png --set clases=tank": "did you mean classes?",
