@@ -18,6 +18,7 @@ from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.store import Store
 from pneuma.worlds import TEXT, WORLDS
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -167,8 +168,17 @@ Outcomes = Annotated[
 
 
 @dataclass(frozen=True)
-class Selecting:
-    """The options that select runs."""
+class Chosen:
+    """What the options of `Choosing` come to."""
+
+    selection: Selection
+    world: str | None
+    store: Store
+
+
+@dataclass(frozen=True)
+class Choosing:
+    """The options that select runs of a study, and say where they are kept."""
 
     preset: Preset = None
     seeds: Seeds = None
@@ -176,11 +186,14 @@ class Selecting:
     engine: EngineName = None
     condition: Conditions = None
     set_: Settings = None
+    world: WorldName = None
+    results: Results = RESULTS
 
-    def read(self) -> Selection:
-        """Return what they select."""
+    def read(self) -> Chosen:
+        """Return what they choose."""
         conditions, settings = tuple(self.condition or ()), dict(self.set_ or ())
-        return Selection(self.preset, self.seeds, self.steps, self.engine, conditions, settings)
+        selection = Selection(self.preset, self.seeds, self.steps, self.engine, conditions, settings)
+        return Chosen(selection, self.world, Store(self.results))
 
 
 @dataclass(frozen=True)
@@ -215,11 +228,11 @@ class Placing:
 
 
 Answer = TypeVar("Answer")
-_GROUPS: dict[str, type[Selecting | Placing]] = {"selection": Selecting, "place": Placing}
+_GROUPS: dict[str, type[Choosing | Placing]] = {"chosen": Choosing, "place": Placing}
 
 
 def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that its parameters `selection` and `place` are read from.
+    """Give a command the options that its parameters `chosen` and `place` are read from.
 
     Typer makes a command's options from its signature, so they are put there.
     """

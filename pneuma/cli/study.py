@@ -134,20 +134,18 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
 @app.command(short_help="Say how far the runs of a study are.")
 @opt.grouped
 def status(
-    selection: plan.Selection,
+    chosen: opt.Chosen,
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
     ] = None,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Say how far the runs of a study are, as it was last run or as selected."""
-    store = Store(results)
+    store = chosen.store
     jobs = _queued(store)
 
     def standing(study: str) -> dict[str, Any]:
-        record = study_record(store, study, selection, world)
+        record = study_record(store, study, chosen.selection, chosen.world)
         states = run_states(store, record)
         ids = [own.run["run_id"] for own in states]
         runs = [
@@ -170,11 +168,11 @@ def status(
             print_table([""] * 4, rows)
         return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
 
-    found = [standing(name)] if name else each_study(known_studies(store, world), standing)
+    found = [standing(name)] if name else each_study(known_studies(store, chosen.world), standing)
     if json:
         return print_json(found[0] if name else {"studies": found})
     if not found:
-        print(f"No study was run in {results} yet.")
+        print(f"No study was run in {store.root} yet.")
     return None
 
 

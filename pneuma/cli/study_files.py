@@ -36,9 +36,7 @@ from pneuma.cli.study_records import (
 )
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_KINDS
-from pneuma.study.plan import Selection
-from pneuma.study.store import Store
-from pneuma.worlds import in_world, split_world, world_option
+from pneuma.worlds import TEXT, in_world, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -51,7 +49,7 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 
 @opt.grouped
 def plot(
-    selection: Selection,
+    chosen: opt.Chosen,
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
     ] = None,
@@ -74,15 +72,13 @@ def plot(
     ] = None,
     format: opt.Formats = None,
     out: opt.PlotFolder = None,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Draw a study: curves over its steps, or what its runs came to."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
-    formats, store = read_formats(format, out), Store(results)
-    if not names and (lacking := nothing_yet(store, world)):
+    formats, store = read_formats(format, out), chosen.store
+    if not names and (lacking := nothing_yet(store, chosen.world)):
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, file_stem, settle
@@ -96,7 +92,7 @@ def plot(
     entries: list[dict[str, Any]] = []
 
     def draw_one(name: str, folder: Path) -> None:
-        data = open_data(store, name, selection, world)
+        data = open_data(chosen, name)
         settled = None
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
@@ -114,7 +110,7 @@ def plot(
             drawn = {"outcome": shown_outcome(data)}
             paths = draw_summary(data, folder, formats)
         words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else [])]
-        words += [*opt.selecting_words(selection), *(world_option(world) if world else [])]
+        words += [*opt.selecting_words(chosen.selection), *world_option(chosen.world or TEXT)]
         look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
         look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
         words += [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
@@ -124,7 +120,7 @@ def plot(
         for name in names or ():
             draw_one(name, folder)
         if not names:
-            each_study(known_studies(store, world), lambda name: draw_one(name, folder))
+            each_study(known_studies(store, chosen.world), lambda name: draw_one(name, folder))
         (folder / INDEX).write_bytes(encode_index([*read_index(target), *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
@@ -150,7 +146,7 @@ def export(
         Path,
         opt.option("--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."),
     ],
-    selection: Selection,
+    chosen: opt.Chosen,
     band: Annotated[
         opt.Text,
         opt.choice("--band", EDGED_BANDS, f"Of curves: what low and high are (else {EXPORTED_BAND})."),
@@ -158,8 +154,6 @@ def export(
     window: Annotated[
         opt.Text, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
     ] = None,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Write a study's records as one tidy table."""
@@ -170,7 +164,7 @@ def export(
         check_file(out, EXPORT_SUFFIXES)
     elif json:
         raise UserError("--json: standard output is for the table; name a file by --out")
-    data = open_data(Store(results), name, selection, world, published=table not in ("episodes", "metrics"))
+    data = open_data(chosen, name, published=table not in ("episodes", "metrics"))
     from pneuma.analysis.export import encode_table
 
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
@@ -200,8 +194,7 @@ def _read_curves(text: str) -> tuple[str, ...]:
 @opt.grouped
 def publish(
     name: opt.StudyName,
-    selection: Selection,
-    world: opt.WorldName = None,
+    chosen: opt.Chosen,
     curves: Annotated[
         Any,
         opt.option(
@@ -214,7 +207,6 @@ def publish(
     as_: Annotated[
         opt.Text, opt.option("--as", "NAME", "Name the table: a second budget has one of its own.")
     ] = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Write a study's runs as one small table, from which it is drawn and judged without them.
@@ -223,8 +215,8 @@ def publish(
     may thus be trained on several machines, or part by part. Runs that other studies have published are found
     in their tables.
     """
-    store = Store(results)
-    record = study_record(store, name, selection, world)
+    store = chosen.store
+    record = study_record(store, name, chosen.selection, chosen.world)
     if as_ is not None:
         if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
@@ -238,7 +230,7 @@ def publish(
     data = open_study(index, record, "own")
     new, staying = len(data.runs) - len(data.published), len(data.published)
     if not new:
-        raise UserError(f"study {data.study}: its runs are not in {results}; there is nothing new to publish")
+        raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
     tell_left_out(data)
     encoded = encode_study(data, curves, index.table(data.study))
     store.write(path, encoded)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from pneuma.cli.options import Chosen
 from pneuma.cli.output import say
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
@@ -56,14 +57,12 @@ def study_record(
     return _pick(record, selection)
 
 
-def open_data(
-    store: Store, name: str, selection: plan.Selection, world: str | None, published: bool = True
-) -> StudyData:
+def open_data(chosen: Chosen, name: str, published: bool = True) -> StudyData:
     """Open a study's data, published or not, and say how many runs of the selection are left out."""
-    record = study_record(store, name, selection, world)
+    record = study_record(chosen.store, name, chosen.selection, chosen.world)
     from pneuma.analysis.run_index import open_study
 
-    data = open_study(store, record, "all" if published else "none")
+    data = open_study(chosen.store, record, "all" if published else "none")
     tell_left_out(data)
     return data
 

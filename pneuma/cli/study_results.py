@@ -23,8 +23,6 @@ from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
-from pneuma.study.plan import Selection
-from pneuma.study.store import Store
 from pneuma.values import shown_level, shown_value
 
 if TYPE_CHECKING:
@@ -59,17 +57,15 @@ def _with_unit(outcome: str) -> str:
 @opt.grouped
 def summary(
     name: opt.StudyName,
-    selection: Selection,
+    chosen: opt.Chosen,
     outcome: opt.Outcomes = None,
     all_: Annotated[
         bool, opt.flag("--all", "Print every statistic of all usual outcomes, not three means.")
     ] = False,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    data = open_data(Store(results), name, selection, world)
+    data = open_data(chosen, name)
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.summaries import summary_table
 
@@ -163,14 +159,12 @@ def compare(
     name: opt.StudyName,
     a: Annotated[str, typer.Argument(metavar="A", help="A condition.", show_default=False)],
     b: Annotated[str, typer.Argument(metavar="B", help="The condition that A is held against.")],
-    selection: Selection,
+    chosen: opt.Chosen,
     outcome: opt.Outcomes = None,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Compare two conditions: the difference of their means, and how likely a run of A is better."""
-    data = open_data(Store(results), name, selection, world)
+    data = open_data(chosen, name)
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
@@ -199,7 +193,7 @@ def compare(
 @opt.grouped
 def collapse(
     name: opt.StudyName,
-    selection: Selection,
+    chosen: opt.Chosen,
     fork: Annotated[
         bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
     ] = False,
@@ -210,14 +204,12 @@ def collapse(
     format: opt.Formats = None,
     workers: opt.Workers = None,
     trust: opt.Trust = False,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
-    formats, store = read_formats(format, out), Store(results)
-    data = open_data(store, name, selection, world, published=not fork)
+    formats, store = read_formats(format, out), chosen.store
+    data = open_data(chosen, name, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found, shares = diagnoses(data), incidence(data)
@@ -273,14 +265,12 @@ def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
 @opt.grouped
 def effects(
     name: opt.StudyName,
-    selection: Selection,
+    chosen: opt.Chosen,
     outcome: opt.Outcome = PRIMARY,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
-    data = open_data(Store(results), name, selection, world)
+    data = open_data(chosen, name)
     from pneuma.analysis.crossed import effects_table, study_effects
     from pneuma.analysis.frames import common_step
 
@@ -341,18 +331,16 @@ def robustness(
             _read_contrast,
         ),
     ],
-    selection: Selection,
+    chosen: opt.Chosen,
     outcome: opt.Outcome = PRIMARY,
     out: opt.FigureFolder = None,
     format: opt.Formats = None,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
-    formats, store = read_formats(format, out), Store(results)
+    formats, store = read_formats(format, out), chosen.store
     setting, better, worse = contrast
-    data = open_data(store, name, selection, world)
+    data = open_data(chosen, name)
     from pneuma.analysis.crossed import map_table, robustness_map
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import find_outcome

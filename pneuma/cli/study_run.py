@@ -31,17 +31,15 @@ Unpublished = Annotated[
 @opt.grouped
 def plan_(
     name: opt.StudyName,
-    selection: plan.Selection,
-    world: opt.WorldName = None,
+    chosen: opt.Chosen,
     unpublished: Unpublished = False,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Say what is stored and what would be trained, and about how long that takes; none is trained."""
     from pneuma.study import estimate
 
-    store = Store(results)
-    planned = _plan(store, name, world, selection, unpublished)
+    store = chosen.store
+    planned = _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(list(todo.values()))
@@ -78,8 +76,7 @@ def plan_(
 @opt.grouped
 def run(
     name: opt.StudyName,
-    selection: plan.Selection,
-    world: opt.WorldName = None,
+    chosen: opt.Chosen,
     workers: opt.Workers = None,
     place: Supervision = HERE,
     checkpoint_seconds: Annotated[
@@ -88,13 +85,12 @@ def run(
     ] = 15.0,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
-    results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
-    store = Store(results)
-    planned = _plan(store, name, world, selection, unpublished)
+    store = chosen.store
+    planned = _plan(chosen, name, unpublished)
     how = replace(
         place,
         workers=opt.most_workers(workers, place),
@@ -151,17 +147,15 @@ def train(
     return code
 
 
-def _plan(
-    store: Store, name: str, world: str | None, selection: plan.Selection, unpublished: bool
-) -> plan.Plan:
+def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
-    study = spec.load_study(name, world)
+    study, selection = spec.load_study(name, chosen.world), chosen.selection
     told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
     rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
     for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):
         say(f"Note: the study's file names the reward {reward}, which is loaded and called.", aside=True)
     planned = plan.make_plan(study, selection)
-    return replace(planned, published=_published(store, planned)) if unpublished else planned
+    return replace(planned, published=_published(chosen.store, planned)) if unpublished else planned
 
 
 def _published(store: Store, planned: plan.Plan) -> frozenset[str]:

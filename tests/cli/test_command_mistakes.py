@@ -14,7 +14,7 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
-from .calls import call, described, printed, refused
+from .calls import described, refused
 
 CLI = Path(__file__).parents[2] / "cli.py"
 
@@ -69,11 +69,6 @@ def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:
     assert [row["run_id"] for row in again] == [row["run_id"] for row in rows]
 
 
-def test_the_status_of_nothing_is_no_mistake(here: Path) -> None:
-    assert "No study was run" in printed("study", "status")
-    assert described("study", "status", "--json") == {"schema": 1, "studies": []}
-
-
 # --- Choices that are checked once there is something to show -------------------------------------
 
 CHOICES = {
@@ -94,14 +89,3 @@ def test_a_wrong_choice_is_one_line_and_nothing_is_written(words: str, here: Pat
     before = sorted(here.rglob("*"))
     assert CHOICES[words] in refused(*words.split())
     assert sorted(here.rglob("*")) == before
-
-
-# --- As a command of its own ---------------------------------------------------------------------
-
-
-def test_a_command_left_out_is_answered_with_readable_help() -> None:
-    for words in ([], ["study"]):
-        told = call(*words)
-        lines = (told.out + told.err).splitlines()
-        assert len(lines) > 5 and max(map(len, lines)) < 200
-        assert any(line.startswith("Usage:") for line in lines)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import sys
 
 import pytest
@@ -75,22 +74,6 @@ def test_a_log_gets_a_line_now_and_then_and_one_for_every_end(
         "tanh seed 0: done; 1/2 runs ended, 70% of all steps, 6 s left",
         "relu seed 0: diverged; 2/2 runs ended, 100% of all steps",
     ]
-
-
-def test_a_terminal_gets_a_bar_for_each_condition_once_and_lines_above_them(
-    plan: Plan, terminal: _Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "stderr", terminal)
-    tanh, relu = plan.cells
-    with ProgressDisplay(plan, _runs(plan), quiet=False) as display:
-        display.update(CellProgress(tanh, 2560, "done"))
-        display.update(CellProgress(relu, 1280))
-        print("Stopping", file=sys.stderr)  # what the supervisor says after Ctrl-C
-    last = terminal.getvalue().rpartition("Stopping")[2]
-    text = re.sub(r"\x1b\[[0-9;?]*\w", "", last)
-    assert re.search(r"tanh .*1/1 runs +2560/2560", text)
-    assert re.search(r"relu .*0/1 runs +1280/2560", text)
-    assert re.search(r"all .*1/2 runs +3840/5120", text)
 
 
 def test_training_outlives_its_terminal(

@@ -75,12 +75,3 @@ def test_a_reader_who_has_gone_is_no_mistake(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sys, "stdout", Gone())
     with pytest.raises(BrokenPipeError):
         say("what was asked for")
-
-
-def test_what_files_say_drives_no_terminal(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        'title = "\\u001b[2J"\nbase = "table-6-2"\n[conditions.only]\nhorizon = 256\n'
-        "[presets.quick]\nseeds = 1\nsteps = 256\n"
-    )
-    assert "\x1b" not in printed("study", "show", path)

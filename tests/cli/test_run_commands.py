@@ -137,13 +137,11 @@ def test_nonsense_in_place_of_provenance_is_shown_and_drives_no_terminal(about: 
     ("name", "words"),
     [
         ("00aa", f"give more digits; .* holds {ALONE}, {ALIKE}"),
-        ("00aa00000000000f", f"no run '00aa00000000000f' .*the nearest is {ALONE}"),
         ("../../results", "no run .*pneuma run list"),
         ("", "no run ''"),
     ],
 )
 def test_a_run_that_is_not_there_is_one_line(name: str, words: str, store: Store) -> None:
-    save(store, "ff00000000000000", make_run({}))
     assert re.search(words, refused("run", "show", name))
     assert f"run {ALONE}:" in printed("run", "show", "00AA0")
 

@@ -158,11 +158,8 @@ def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(tmp_p
     [
         (["run", "pop"], "unknown search 'pop' (did you mean ppo?)"),
         (["run", "ppo", "--set", "learning_rate=1"], "learning_rate is searched by [space.learning_rate]"),
-        (["run", "ppo", "--set", "sloths=1"], "unknown key of --set 'sloths' (did you mean slots?)"),
-        (["run", "ppo", "--preset", "quik"], "unknown preset of search ppo 'quik' (did you mean quick?)"),
         (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
         (["status", "ppo", "--world", "godot"], "search ppo-godot was not run"),
-        (["promote", "my.toml"], "search my was not run"),
     ],
 )
 def test_mistakes_are_told_in_one_line_and_train_nothing(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import typer
 
-from pneuma.cli.options import grouped, selecting_words
+from pneuma.cli.options import Chosen, grouped, selecting_words
 from pneuma.study.plan import Selection
 
 
@@ -27,8 +27,8 @@ def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, wor
 
     @app.command()
     @grouped
-    def take(selection: Selection) -> None:
-        read.append(selection)
+    def take(chosen: Chosen) -> None:
+        read.append(chosen.selection)
 
     assert " ".join(told) == words
     app(told, standalone_mode=False)

@@ -47,15 +47,6 @@ def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path)
     assert call(*run, "--quiet") == Called(0, "", "")
 
 
-def test_plan_tells_what_is_stored_and_what_is_not(trained: Path) -> None:
-    plan = ("study", "plan", "activation", *TINY, "--seeds", "3", "--json", "--results", trained)
-    document = described(*plan)
-    assert (document["schema"], document["study"]) == (1, "activation")
-    assert {*document["runs"][0]} == {"run_id", "condition", "seed", "state", "expected_seconds"}
-    assert [run["state"] for run in document["runs"]] == ["stored"] * 4 + ["to-train"] * 2
-    assert [run["seed"] for run in document["runs"]] == [0, 0, 1, 1, 2, 2]
-
-
 def test_status_is_of_the_latest_selection_or_of_one_that_is_named(
     trained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,15 +139,6 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
         means = [own[own["run_id"] == name]["return"][-100:].mean() for name in own["run_id"].unique()]
         found = returns[returns["condition"] == condition][["low", "mean", "high"]].to_numpy(float)[0]
         assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
-
-
-def test_what_cannot_be_exported_is_told(trained: Path) -> None:
-    for words, told in {
-        "--out e.csv --band se": "go with --table curves alone",
-        "--out e.xlsx": "--out e.xlsx: must end in",
-    }.items():
-        export = ("study", "export", "activation", "--table", "episodes", *words.split())
-        assert told in refused(*export, "--results", trained)
 
 
 def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Path) -> None:
