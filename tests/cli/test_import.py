@@ -63,7 +63,7 @@ def test_its_tables_are_exported_without_times(results: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        (("--window", "budget-5%"), "window budget-5% cannot be had of study old"),
+        (("--window", "budget-5%"), "unknown window of study old 'budget-5%'"),
         (("--seeds", "7,"), "--seeds: study old has none of these; it has [1, 2]"),
         (("--steps", "500"), "--steps: study old is not planned here"),
     ],
