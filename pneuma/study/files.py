@@ -7,9 +7,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,31 +32,23 @@ def write_whole(path: Path, data: bytes) -> None:
     if path.exists() and not path.is_file():
         path.write_bytes(data)
         return
-    replace_file(path, data)
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Put a new file in the place of whatever file or link is there, whole or not at all."""
     replace_files(path.parent, {path.name: data})
 
 
 def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Put new files into a folder, in this order, each whole or not at all.
 
-    All are on the disk before the first is in its place. They are waited for together, which a file system
-    that keeps a journal does in about the time of one.
+    All are on the disk before the first is in its place.
     """
     written: dict[str, str] = {}
     try:
-        with ExitStack() as opened:
-            descriptors = []
-            for name, data in files.items():
-                descriptor, written[name] = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
-                file = opened.enter_context(os.fdopen(descriptor, "wb"))
+        for name, data in files.items():
+            descriptor, written[name] = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
+            with os.fdopen(descriptor, "wb") as file:
                 file.write(data)
-                file.flush()
-                descriptors.append(descriptor)
-            _wait_for_disk(descriptors)
+        for temporary in written.values():
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
         for name, temporary in written.items():
             os.chmod(temporary, _mode(folder / name))
             os.replace(temporary, folder / name)
@@ -79,15 +69,6 @@ def _mode(path: Path) -> int:
 _UMASK = os.umask(0o077)
 """What new files are kept from; it can only be read by setting it, so at the start alone."""
 os.umask(_UMASK)
-
-
-def _wait_for_disk(descriptors: Sequence[int]) -> None:
-    """Wait until what was written to open files is on the disk."""
-    if len(descriptors) == 1:
-        return os.fsync(descriptors[0])
-    with ThreadPoolExecutor(len(descriptors)) as pool:
-        list(pool.map(os.fsync, descriptors))
-    return None
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -100,13 +100,9 @@ class Store:
             UserError: when that fails, or a part of it is a link out of it or no folder.
         """
         try:
-            if any(path.is_file() for path in (self.root, *self.root.parents)):
-                raise OSError(0, "there is a file in its place")
             self.root.mkdir(parents=True, exist_ok=True)
             for folder in (self.root / "runs", self.root / "studies"):
                 self._check_within(folder)
-                if os.path.lexists(folder) and not folder.is_dir():
-                    raise UserError(f"{folder}: there is a file in place of the folder; remove it")
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:

@@ -32,7 +32,7 @@ from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Detached, OnEvent, Supervision, end_event
 from pneuma.study.executors.supervisor import Interrupts, Supervisor
-from pneuma.study.files import replace_file, to_json
+from pneuma.study.files import replace_files, to_json
 from pneuma.study.store import Status, Store
 
 MOST_AT_ONCE = 256
@@ -151,7 +151,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
         executor = _executor(folder / "jobs", name, how)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            replace_file(folder / NOTE, to_json([list(group) for group in array]))  # none is forgotten
+            replace_files(folder, {NOTE: to_json([list(group) for group in array])})  # none is forgotten
             executor.submit_array([Training(group, shared, how) for group in array])
         except Exception as error:  # submitit has many kinds; it has printed what sbatch said
             shutil.rmtree(folder, ignore_errors=True)
