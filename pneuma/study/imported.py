@@ -8,7 +8,6 @@ records. Its id is a hash of its event files, so importing twice changes nothing
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -68,19 +67,9 @@ class ImportedRun:
     new: bool
 
     @property
-    def cell(self) -> dict[str, Any]:
-        """What a study's record has of it."""
-        fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": self.steps}
-        return {"condition": self.condition, "seed": self.seed, "run_id": self.run_id, "run": fields}
-
-    @property
-    def notes(self) -> list[str]:
-        """What could not be read of it, and what was written again."""
-        notes = [f"{self.shown}/{words}" for words in self.provenance["damage"]]
-        if again := self.points["superseded"].sum():
-            written = f"{again:,} of {len(self.points):,} points were written again after a restart"
-            notes.append(f"{self.shown}: {written}; the later ones count")
-        return notes
+    def fields(self) -> dict[str, Any]:
+        """What is known of its configuration."""
+        return {"env": "Imported TensorBoard logs", "slots": None, "steps": self.steps}
 
 
 @dataclass(frozen=True)
@@ -113,36 +102,37 @@ def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None =
             notes.append(f"{run.shown}: holds the same log as {found[run.run_id].shown} and is left out")
         else:
             found[run.run_id] = run
-            notes += run.notes
+            notes += [f"{run.shown}/{words}" for words in run.provenance["damage"]]
+            if again := run.points["superseded"].sum():
+                written = f"{again:,} of {len(run.points):,} points were written again after a restart"
+                notes.append(f"{run.shown}: {written}; the later ones count")
     runs = [*found.values()]
     if not runs:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
     store.check_writable()
     for run in runs:
         if run.new:
-            store.save_run(run.run_id, Status("done", run.steps), _files(run))
-    told = {"study": study, "source": SOURCE, "path": None, "title": study, "figure": study}
+            about = {"schema": 1, "run_id": run.run_id, "source": SOURCE, "run": run.fields}
+            files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
+            scalars = run.points[["tag", "step", "value", "superseded"]]
+            files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
+            store.save_run(run.run_id, Status("done", run.steps), files)
     record: dict[str, Any] = {
-        **told,
+        "study": study,
+        "source": SOURCE,
+        "path": None,
+        "title": study,
+        "figure": study,
         "baseline": runs[0].condition,
         "same": [],
         "selection": asdict(Selection()),
+        "runs": [
+            {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "run": run.fields}
+            for run in runs
+        ],
     }
-    store.save_selection(study, {**record, "runs": [run.cell for run in runs]})
+    store.save_selection(study, record)
     return Import(study, runs, notes)
-
-
-def _files(run: ImportedRun) -> dict[str, bytes]:
-    """Return the files of a run in the store."""
-    scalars = io.BytesIO()
-    columns = ["tag", "step", "value", "superseded"]
-    run.points[columns].to_parquet(scalars, compression="zstd", index=False)
-    about = {"schema": 1, "run_id": run.run_id, "source": SOURCE, "run": run.cell["run"]}
-    return {
-        "run.json": to_json(about),
-        "provenance.json": to_json(run.provenance),
-        SCALARS_FILE: scalars.getvalue(),
-    }
 
 
 # --- Which runs there are -------------------------------------------------------------------------
@@ -198,20 +188,17 @@ def _condition_and_seed(parts: tuple[str, ...]) -> tuple[str, int]:
 
 
 def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
-    study = name
-    if study is None:
-        shared = Path(os.path.commonpath([folder.resolve() for folder in folders]))
-        study = re.sub(r"[^A-Za-z0-9._-]+", "-", shared.name).strip("-.")
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study) or study.endswith(".toml"):
-        raise UserError(
-            f"--name {study}: a study's name is letters, digits, dots, - and _, and not a file's (….toml)"
-        )
-    if split_world(study)[0] in list_studies():
-        raise UserError(f"--name {study}: a shipped study is called that; give another")
-    record = store.selection(study)
+    if name is None:
+        shared = os.path.commonpath([folder.resolve() for folder in folders])
+        name = re.sub(r"[^A-Za-z0-9._-]+", "-", Path(shared).name).strip("-.")
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
+        raise UserError(f"--name {name}: a study's name is letters, digits, dots, - and _, and no file's")
+    if split_world(name)[0] in list_studies():
+        raise UserError(f"--name {name}: a shipped study is called that; give another")
+    record = store.selection(name)
     if record and record.get("source") != SOURCE:
-        raise UserError(f"--name {study}: a study of that name was run in {store.root}; give another")
-    return study
+        raise UserError(f"--name {name}: a study of that name was run in {store.root}; give another")
+    return name
 
 
 # --- One log --------------------------------------------------------------------------------------
