@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
+import socket
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -31,8 +30,8 @@ from pneuma.study.provenance import CARRIED_CODE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
-JOIN_SECONDS = 15.0
-"""How long a cluster may take to let a process join; Ray itself would wait for minutes."""
+JOIN_SECONDS = 5.0
+"""How long a cluster's head may take to answer."""
 BURY_SECONDS = 10.0
 """How long Ray may take to tell that a process which was ended has gone."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -97,36 +96,24 @@ def join(address: str | None) -> None:
 
     if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
         worker.print_to_stdstream = lambda *_, **__: None
+    code: dict[str, Any]
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        code: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # it lies here, compiled
+        code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # it lies here, compiled
         here: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
         ray.init("local", include_dashboard=False, runtime_env=code, **here, **quiet)
     else:
-        _refuse_unreachable(address)
-        ray.init(address, runtime_env={"py_modules": [str(CODE)], "excludes": ["__pycache__"]}, **quiet)
-
-
-def _refuse_unreachable(address: str) -> None:
-    """Join a cluster from a process that can be ended: nothing else ends Ray's attempts in time.
-
-    Raises:
-        UserError: when that fails.
-    """
-    attempt = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, logging_level='CRITICAL')"
-    command = [sys.executable, "-c", attempt, address]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=JOIN_SECONDS)
-        if done.returncode == 0:
-            return
-        why = " ".join(done.stderr.rpartition("Error: ")[2].split())
-    except subprocess.TimeoutExpired:
-        why = f"nothing that Ray knows answers in {JOIN_SECONDS:.0f} s"
-    raise UserError(
-        f"--address {address}: no cluster can be joined there ({why}); give the address that `ray start "
-        "--head` printed, on a machine of the cluster (`ray start --address HOST:PORT --num-cpus 0`)"
-    )
+        host, _, port = address.rpartition(":")
+        try:  # or Ray would try for minutes
+            socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
+            code = {"py_modules": [str(CODE)], "excludes": ["__pycache__"]}
+            ray.init(address, runtime_env=code, **quiet)
+        except Exception as error:  # of Ray's there are many kinds
+            raise UserError(
+                f"--address {address}: no cluster can be joined there ({error}); give the address that "
+                "`ray start --head` printed, on a machine of the cluster"
+            ) from None
 
 
 # --- Workers on nodes ---------------------------------------------------------------------------------
@@ -161,9 +148,7 @@ class Node:
         here = versions()
         lacking = [f"{name} {own}" for name, own in command.versions.items() if here.get(name) != own]
         if lacking:
-            raise UserError(
-                f"--executor ray: the node {node} lacks {', '.join(lacking)}, which the command has"
-            )
+            raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
         if not Path(command.mark).exists():
             raise UserError(
                 f"--executor ray: the node {node} does not see {job['results']}: all must share that folder"
