@@ -12,8 +12,6 @@ from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.verdicts import decide
 from pneuma.bench.calibration import DISTRIBUTIONS, SETTINGS, band_coverage, is_false, wrong_lists
 
-from ..cli.calls import described
-
 
 def test_the_committed_coverages_are_those_that_are_drawn() -> None:
     generator = np.random.default_rng(1)
@@ -54,16 +52,9 @@ def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
 def test_what_counts_as_a_false_verdict(truth: str, claimed: str, p: tuple[float, ...], wrong: bool) -> None:
     greater, less, equal, far_greater, far_less = p
     own = Contrast(
-        "mean",
-        0.0,
-        no_interval(),
-        greater,
-        less,
-        equal,
-        (9, 9),
-        p_far_greater=far_greater,
-        p_far_less=far_less,
-    )
+        "mean", 0.0, no_interval(), greater, less, equal, (9, 9),
+        p_far_greater=far_greater, p_far_less=far_less,
+    )  # fmt: skip
     assert is_false(decide(own, claimed, 60).verdict, own, truth, claimed) == wrong
 
 
@@ -80,10 +71,3 @@ def test_lists_of_ten_seeds_keep_their_error_rate(name: str) -> None:
     wrong = wrong_lists(400, DISTRIBUTIONS[name], 10, SETTINGS["alike"], np.random.default_rng(5))
     known = 0.023  # the greatest of the three that docs/evidence.md has for ten seeds
     assert 0 < wrong / 400 < known + 3 * np.sqrt(known * (1 - known) / 400)
-
-
-@pytest.mark.slow
-def test_the_command_prints_one_document() -> None:
-    document = described("bench", "calibration", "--lists", "1", "--json")
-    assert {row["seeds"] for row in document["false_verdicts"]} >= {"3", "50"}
-    assert {row["method"] for row in document["coverage"]} > {"ci", "se", "std", "BCa bootstrap"}

@@ -23,16 +23,6 @@ def test_ratios_are_the_medians_of_rounds_and_are_printed(monkeypatch: pytest.Mo
     assert f"{case}: batched over sb3, median of rounds: 3.00\n" in printed("bench", "engines")
 
 
-@pytest.mark.slow
-def test_every_face_is_measured_beside_cartpole(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = env.bench_env(rounds=1, seconds=0.01)
-    monkeypatch.setattr(env, "bench_env", lambda: quick)
-    document = described("bench", "env", "--json")
-    assert {case["face"] for case in document["cases"]} == {"kernel", "single", "vector", "cartpole"}
-    assert all(case["agent_steps_per_second"] > 0 for case in document["cases"])
-    assert len(printed("bench", "env").splitlines()) == len(document["cases"])
-
-
 def test_worst_case_keeps_every_monster_busy() -> None:
     worlds = Worlds(2)
     worlds.reset()

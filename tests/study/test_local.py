@@ -64,9 +64,7 @@ def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
     assert [event["status"] for event in events if event["event"] == "end"] == ["done"]
 
 
-@pytest.mark.parametrize(
-    "line", ["Welcome!", "3", '{"event": "step"}', '{"event": "end", "run_id": "another", "status": "done"}']
-)
+@pytest.mark.parametrize("line", ["Welcome!", '{"event": "end", "run_id": "another", "status": "done"}'])
 def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

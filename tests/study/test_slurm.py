@@ -114,7 +114,7 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     with pytest.raises(Detached):
         train([runs], store, DETACHED)
     done, crashed, lost = runs
-    assert {str(job) for job in slurm.queued(store).values()} == {"job 7_0 is running node1"}
+    assert {job.id for job in slurm.queued(store).values()} == {"7_0"}
     store.save_run(done, Status("done", 500), {"run.json": b"{}"})
     store.save_run(crashed, Status("crashed"), {"run.json": b"{}"})
     queue.gone = True

@@ -155,8 +155,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
             executor.submit_array([Training(group, shared, how) for group in array])
         except Exception as error:  # submitit has many kinds; it has printed what sbatch said
             shutil.rmtree(folder, ignore_errors=True)
-            why = _last_line(str(error))
-            raise UserError(f"--executor slurm: jobs are not submitted: {why}") from None
+            raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
@@ -178,7 +177,8 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):
-                on_event({"event": "passing", "run_id": name, "text": str(job)})
+                text = f"job {job.id} is {job.state.lower()} {job.where}".rstrip()
+                on_event({"event": "passing", "run_id": name, "text": text})
     with suppress(UserError):  # what is not put away now will be next time
         _put_away(store, queued(store))
 
@@ -218,10 +218,6 @@ class Job:
     state: str
     where: str = ""
 
-    def __str__(self) -> str:
-        """Tell of it."""
-        return f"job {self.id} is {self.state.lower()} {self.where}".rstrip()
-
 
 def queued(store: Store) -> dict[str, Job]:
     """Return the jobs that are queued or running by the ids of the runs that they train.
@@ -248,9 +244,8 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
         UserError: where submitit or srun is missing, or for an option that is not for people to set.
     """
     options = {key: True if text == "true" else text for key, text in how.slurm}
-    for key in OWN:
-        if key in options:
-            raise UserError(f"--slurm {key}={options[key]}: is set by Pneuma")
+    if taken := [key for key in OWN if key in options]:
+        raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
     path = f"export PYTHONPATH={shlex.quote(local.SOURCE)}${{PYTHONPATH:+:$PYTHONPATH}}"
     cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
     setup = [path, cores, str(options.pop("setup", ""))]
@@ -273,13 +268,10 @@ def _ask(*command: str) -> list[str]:
         UserError: with its own words, when it fails or does not answer in time.
     """
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=ANSWER_SECONDS)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine ({error})") from None
-    if done.returncode:
-        raise UserError(f"--executor slurm: {command[0]} failed: {_last_line(done.stderr)}")
-    return [line.strip() for line in done.stdout.splitlines()]
-
-
-def _last_line(text: str) -> str:
-    return (text.strip().splitlines() or [""])[-1]
+        told = subprocess.run(
+            command, capture_output=True, text=True, timeout=ANSWER_SECONDS, check=True
+        ).stdout
+    except (OSError, subprocess.SubprocessError) as error:
+        own = " ".join((getattr(error, "stderr", None) or str(error)).split())
+        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine: {own}") from None
+    return [line.strip() for line in told.splitlines()]
