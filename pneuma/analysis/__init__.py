@@ -29,7 +29,7 @@ UPDATE_QUANTITIES = (
 
 TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 
-EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed")
+EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
 """What a curve over evaluations may be of: columns of the evaluations table."""
 
 CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)

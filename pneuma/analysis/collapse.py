@@ -3,9 +3,10 @@
     stretches of signs and evaluations of a run → Diagnosis → incidence per condition
 
 A run collapses where one of three lasts (docs/outcomes.md gives the numbers): its policy has no entropy and
-one action alone; it kills far less than at its best; or, in worlds that never reset XP, its return has been
-above zero and lies below, so that it has died more often than it has killed. It has recovered where that
-ends and does not come again, and relearned where it then kills nearly as much as at its best before.
+one action alone; it kills far less than at its best, or where nobody is killed returns far less; or, in
+worlds that never reset XP, its return has been above zero and lies below, so that it has died more often than
+it has killed. It has recovered where that ends and does not come again, and relearned where it then plays
+nearly as well as at its best before.
 
 Logs that hold neither actions nor evaluations are judged by their entropy and return alone; what could not be
 seen is told.
@@ -70,14 +71,14 @@ class Diagnosis:
 def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
     """Diagnose a run, as it stood at a step where one is given."""
     seen = view(data, run, at_step)
-    steps, shares = seen.evaluations("share_killed")
+    steps, shares, random = _played(seen)
     distance = _update_steps(run)
     gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
     found = {
         sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
         for sign, parts in run.records.signs().items()
     }
-    falls, losses = _falls(seen, steps, shares), _losses(seen)
+    falls, losses = _falls(steps, shares, random), _losses(seen)
     sunk = _lasting(losses or [], gap, shortest)
     alone = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
@@ -111,7 +112,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
         signs=tuple(sign for sign in SIGNS if sign in held),
         unseen=unseen,
         recovered_step=None if lasts else int(ended),
-        relearned=_relearned(seen, steps, shares, onset, None if lasts else ended),
+        relearned=_relearned(seen, steps, shares, random, onset, None if lasts else ended),
     )
 
 
@@ -175,23 +176,42 @@ def _losses(seen: RunView) -> list[Stretch] | None:
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
-def _falls(seen: RunView, steps: np.ndarray, shares: np.ndarray) -> list[Stretch]:
+def _played(seen: RunView) -> tuple[np.ndarray, np.ndarray, float | None]:
+    """Return steps, how well evaluations were played there, and a random player's level, if it is known.
+
+    That is the share of monsters killed; elsewhere the gain in return over the random player, in the unit in
+    which `DEPTH` is twice the standard deviation of what one of its episodes returns.
+    """
+    _, returned = seen.evaluations("random_return")
+    if not len(returned):
+        _, random = seen.evaluations("random_share_killed")
+        return *seen.evaluations("share_killed"), float(random[0]) if len(random) else None
+    _, spreads = seen.evaluations("random_spread")
+    steps, returns = seen.evaluations("return")
+    unit = 2 * max(spreads[0], 0.01 * abs(returned[0]), 1e-9) / DEPTH
+    return steps, (returns - returned[0]) / unit, 0.0
+
+
+def _falls(steps: np.ndarray, shares: np.ndarray, random: float | None) -> list[Stretch]:
     """Return where two evaluations or more in a row lie far below the best before."""
-    _, random = seen.evaluations("random_share_killed")
-    if not len(shares) or not len(random):
+    if not len(shares) or random is None:
         return []
     best = np.maximum.accumulate(shares)
-    learned = best - random[0] >= DEPTH
+    learned = best - random >= DEPTH
     fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= DEPTH)
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
 
 
 def _relearned(
-    seen: RunView, steps: np.ndarray, shares: np.ndarray, onset: float, recovered: float | None
+    seen: RunView,
+    steps: np.ndarray,
+    shares: np.ndarray,
+    random: float | None,
+    onset: float,
+    recovered: float | None,
 ) -> bool | None:
     """Tell whether evaluations after the recovery come near the best before the onset."""
-    _, random = seen.evaluations("random_share_killed")
-    if not len(shares) or not len(random):
+    if not len(shares) or random is None:
         return None
     if recovered is None:
         return False
@@ -199,7 +219,7 @@ def _relearned(
         return None
     best = max(shares[steps < onset], default=0.0)
     after = max(shares[steps > int(recovered)], default=0.0)
-    return bool(after >= max(RELEARNED * best, random[0] + DEPTH))
+    return bool(after >= max(RELEARNED * best, random + DEPTH))
 
 
 def _update_steps(run: FinishedRun) -> int | None:

@@ -24,10 +24,10 @@ from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.factorial import Effect, factorial
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.outcomes import (
-    PRIMARY,
     find_outcome,
     outcome,
     outcome_values,
+    primary,
     reason,
     refuse_unlike_returns,
 )
@@ -76,18 +76,19 @@ class Effects:
     corrected: tuple[float, ...]
 
 
-def study_effects(data: StudyData, name: str = PRIMARY) -> Effects:
+def study_effects(data: StudyData, name: str | None = None) -> Effects:
     """Test every main effect and two-way interaction of the factors that a study crosses.
 
     Args:
         data: the study.
-        name: an outcome.
+        name: an outcome; the study's primary one when left out.
 
     Raises:
         UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed,
             mixed engines, a cell without a run that has the outcome, an endless value, or no more runs than
             the effects take up.
     """
+    name = name or primary(data)
     refuse_unlike_returns(data, name)
     factors, levels = find_crossing(data)
     cells = _cells(data, levels, name)  # each with NaN where a run has no value
@@ -260,7 +261,7 @@ class Map:
 
 
 def robustness_map(
-    data: StudyData, setting: str, better: object, worse: object, outcome: str = PRIMARY
+    data: StudyData, setting: str, better: object, worse: object, outcome: str | None = None
 ) -> Map:
     """Map a contrast over every pair of a study's conditions that differ in one field alone.
 
@@ -269,12 +270,13 @@ def robustness_map(
         setting: a field of the run.
         better: its value that is claimed to do better.
         worse: the other.
-        outcome: one that has a better direction.
+        outcome: one that has a better direction; the study's primary one when left out.
 
     Raises:
         UserError: for one value twice, where no pair of conditions is such a contrast, or for an outcome
             without a direction, or in which the two values do not compare.
     """
+    outcome = outcome or primary(data)
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")

@@ -20,7 +20,7 @@ import numpy as np
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.records import Series
-from pneuma.config import ACTION_NAMES
+from pneuma.config import ACTION_NAMES, is_gymnasium_id
 from pneuma.errors import UserError, nearest_name, unknown_name
 
 NAN = float("nan")
@@ -70,7 +70,18 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
     """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
     names = data.conditions if conditions is None else conditions
     firsts = [own[0].fields for name in names if (own := data.of_condition(name))]
-    return len({str([own.get(key) for key in _OF_RETURNS]) for own in firsts}) <= 1
+    games = {own.get("env") if is_gymnasium_id(own.get("env")) else "" for own in firsts}
+    return max(len({str([own.get(key) for key in _OF_RETURNS]) for own in firsts}), len(games)) <= 1
+
+
+def is_foreign(data: StudyData) -> bool:
+    """Tell whether no run was trained in a world of Pneuma's, so that none kills or has HP."""
+    return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
+
+
+def primary(data: StudyData) -> str:
+    """Return the outcome that a study is about unless another is named."""
+    return "evaluated-return" if is_foreign(data) else PRIMARY
 
 
 def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
@@ -118,12 +129,17 @@ def find_outcome(name: str) -> Outcome:
     """
     if name in OUTCOMES:
         return OUTCOMES[name]
+    sought = re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name)
+    if sought:
+        words = f"steps until an evaluation returns {sought[1]} (inf: never)"
+        reached = partial(_steps_to, least=float(sought[1]), column="return")
+        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", reached)
     threshold = re.fullmatch(r"steps-to:(0?\.\d+|1(\.0+)?)", name)
     if threshold and float(threshold[1]) > 0:
         share = float(threshold[1])
         words = f"steps until {100 * share:g}% of the monsters are killed (inf: never)"
-        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", partial(_steps_to, share=share))
-    known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)"))
+        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", partial(_steps_to, least=share))
+    known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)", "steps-to-return:X"))
     raise UserError(f"unknown outcome {name!r}{nearest_name(name, OUTCOMES)}; known are {known}")
 
 
@@ -219,9 +235,9 @@ def _share_area(seen: RunView) -> float:
     return _mean_height((steps[first:], shares[first:]), seen.until)
 
 
-def _steps_to(seen: RunView, share: float) -> float:
-    steps, values = seen.evaluations("share_killed")
-    reached = steps[values >= share]
+def _steps_to(seen: RunView, least: float, column: str = "share_killed") -> float:
+    steps, values = seen.evaluations(column)
+    reached = steps[values >= least]
     return float(reached[0]) if len(reached) else np.inf if len(values) else NAN
 
 
@@ -276,6 +292,12 @@ OUTCOMES: dict[str, Outcome] = {
         "best score of any evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("score", np.max)),
     "evaluated-return": Outcome(
         "return, last evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("return", _last)),
+    "argmax-return": Outcome(
+        "return of the most probable actions, last evaluation", "", UP, ANYTHING, EVALUATED,
+        _evaluations("argmax_return", _last)),
+    "final-success": Outcome(
+        "evaluation episodes that succeeded, where the environment tells", "share", UP, SHARE, EVALUATED,
+        _evaluations("success", _last)),
     "final-return": Outcome(
         "return at the end of training", "", UP, ANYTHING, "return", _curve("return", _last)),
     "auc-return": Outcome(
@@ -332,6 +354,6 @@ OUTCOMES: dict[str, Outcome] = {
     "q-overestimation": Outcome(
         "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED, _overestimation),
 }  # fmt: skip
-"""By name; `find_outcome` also knows steps-to:X."""
+"""By name; `find_outcome` also knows steps-to:X and steps-to-return:X."""
 
 PRIMARY = "final-share-killed"

@@ -156,6 +156,8 @@ class Records:
         """Return where each sign of collapse holds that can be told of."""
         names = [name for name in ("entropy", "dead_units", *ACTION_QUANTITIES) if name in self.quantities]
         columns = {name: self.series(name) for name in names}
+        if "action_0" in columns and np.isnan(columns["action_0"][1]).all():
+            columns.pop("entropy", None)  # of actions that are numbers it may be of any size
         steps = [step for step, _ in columns.values()]
         return update_signs(steps[0], {name: own for name, (_, own) in columns.items()}) if steps else {}
 

@@ -37,8 +37,10 @@ from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
     have_one_return,
+    is_foreign,
     is_return,
     outcome_values,
+    primary,
     refuse_unlike_returns,
 )
 from pneuma.config import stream_seed
@@ -52,6 +54,10 @@ SUMMARISED = (
     "final-return",
     "auc-return",
 )
+OF_FOREIGN = (
+    "evaluated-return", "final-success", "argmax-return", "final-return", "auc-return", "final-length",
+)  # fmt: skip
+"""In environments that are not Pneuma's."""
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
@@ -61,7 +67,7 @@ COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interva
 Row = tuple[str, str, str, float, Interval, int]
 
 
-def summary_table(data: StudyData, outcomes: Sequence[str] = (*SUMMARISED, *THRESHOLDS)) -> pd.DataFrame:
+def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Summarise every condition of a study in `COLUMNS`, one row for each statistic of an outcome.
 
     Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
@@ -69,13 +75,15 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = (*SUMMARISED, *THRE
 
     Args:
         data: the study.
-        outcomes: names of docs/outcomes.md. How many runs there are, diverged and `collapsed` is told anyway.
+        outcomes: names of docs/outcomes.md; none for the usual ones. How many runs there are, diverged and
+            `collapsed` is told anyway.
 
     Raises:
         UserError: for a name that there is not.
     """
     at_step = common_step(data)
-    asked = (outcomes,) if isinstance(outcomes, str) else outcomes
+    usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
+    asked = (outcomes,) if isinstance(outcomes, str) else outcomes or usual
     names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
     for name in names:
         find_outcome(name)
@@ -93,7 +101,7 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str], at_step: int
     if len(collapsed):
         yield _share(condition, "collapsed", int(collapsed.sum()), len(collapsed))
     for name in outcomes:
-        if name.startswith("steps-to:"):
+        if name.startswith("steps-to"):
             yield from _threshold(data, condition, name, at_step)
             continue
         values = _known(outcome_values(data, condition, name, at_step))
@@ -185,14 +193,15 @@ def _generator(*words: str) -> np.random.Generator:
 
 # --- Two conditions ---------------------------------------------------------------------------------
 
-COMPARED = (PRIMARY, "final-return", "auc-return")
+COMPARED = ("final-return", "auc-return")
+"""Beside the study's primary outcome, unless others are named."""
 COMPARISON_COLUMNS = (
     "outcome", "unit", "a", "b", "mean_a", "mean_b", "difference", "low", "high", "p_better", "seeds_a",
     "seeds_b", "without_value",
 )  # fmt: skip
 
 
-def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = COMPARED) -> pd.DataFrame:
+def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Compare two conditions of a study, one row for each outcome, in `COMPARISON_COLUMNS`.
 
     The interval of the difference of means is Welch's, at 95 %. `p_better` is the probability that a run
@@ -211,6 +220,7 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
+    outcomes = outcomes or (primary(data), *COMPARED)
     for name in outcomes:
         refuse_unlike_returns(data, name, (a, b))
     rows = list(_compared(data, a, b, outcomes))

@@ -159,7 +159,10 @@ Formats = Annotated[
 ]
 FigureFolder = Annotated[Path | None, option("--out", "DIR", "Draw a figure into this folder.")]
 PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
-Outcome = Annotated[str, option("--outcome", "NAME", "What to look at: one of docs/outcomes.md.")]
+Outcome = Annotated[
+    str | None,
+    option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return)."),
+]
 Outcomes = Annotated[
     Several, option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
 ]

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pneuma.analysis.crossed import Effects, Map
     from pneuma.analysis.frames import StudyData
 
-PRIMARY = "final-share-killed"
 COLUMNS = 3
 """Outcomes in the table that is printed unless more is asked for."""
 
@@ -69,7 +68,7 @@ def summary(
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.summaries import summary_table
 
-    table = summary_table(data, outcome) if outcome else summary_table(data)
+    table = summary_table(data, outcome or ())
     if json:
         step = common_step(data)
         left_out = [run.run_id for run in data.runs if run.ends_before(step)]
@@ -168,7 +167,7 @@ def compare(
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
-    table = compare_conditions(data, a, b, outcome) if outcome else compare_conditions(data, a, b)
+    table = compare_conditions(data, a, b, outcome or ())
     if json:
         return print_json({"study": data.study, "comparisons": table})
     say(f"{data.title}: {a} against {b}")
@@ -266,7 +265,7 @@ def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
 def effects(
     name: opt.StudyName,
     chosen: opt.Chosen,
-    outcome: opt.Outcome = PRIMARY,
+    outcome: opt.Outcome = None,
     json: opt.Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
@@ -332,7 +331,7 @@ def robustness(
         ),
     ],
     chosen: opt.Chosen,
-    outcome: opt.Outcome = PRIMARY,
+    outcome: opt.Outcome = None,
     out: opt.FigureFolder = None,
     format: opt.Formats = None,
     json: opt.Json = False,
@@ -343,7 +342,7 @@ def robustness(
     data = open_data(chosen, name)
     from pneuma.analysis.crossed import map_table, robustness_map
     from pneuma.analysis.frames import common_step
-    from pneuma.analysis.outcomes import find_outcome
+    from pneuma.analysis.outcomes import find_outcome, primary
 
     found = robustness_map(data, setting, better, worse, outcome)
     files = []
@@ -351,10 +350,14 @@ def robustness(
         from pneuma.figures.maps import draw_robustness
         from pneuma.figures.panels import stem_of
 
-        parts = [found.setting, *map(shown_value, found.values), *[outcome] * (outcome != PRIMARY)]
+        parts = [
+            found.setting,
+            *map(shown_value, found.values),
+            *[found.outcome] * (found.outcome != primary(data)),
+        ]
         stem = stem_of(data, *parts)
         files = draw_files(store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats))
-    turned = find_outcome(outcome).better == "lower"
+    turned = find_outcome(found.outcome).better == "lower"
     if not json:
         _print_map(found, turned)
         _tell_step(data)

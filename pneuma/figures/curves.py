@@ -22,7 +22,7 @@ from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, W
 from pneuma.analysis.bands import BANDS, is_trusted
 from pneuma.analysis.curves import Curve, LogCurve, curve_names, shared_levels, study_curves
 from pneuma.analysis.frames import StudyData, common_step, step_words
-from pneuma.analysis.outcomes import have_one_return
+from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.config import ACTION_NAMES
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
@@ -30,7 +30,7 @@ from pneuma.figures import panels, style
 _, TRAILING_WINDOW = WINDOWS
 AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
 """How the author's own script drew: the least and the greatest."""
-USUAL_QUANTITIES = ("share_killed", "return")
+USUAL_QUANTITIES = ("share_killed", "success", "return")
 MOST_CURVES = 40
 """Conditions of which curves still fit a page; of more there is shown what they came to."""
 MOST_OTHERS = 24
@@ -126,7 +126,7 @@ def settle(
     names = tuple(dict.fromkeys(quantities))
     if not names:
         known = curve_names(data)
-        wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "length")
+        wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "success", "length")
         names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
         names = names[:1] if len(data.conditions) > style.MOST_IN_A_PANEL else names
     if not set(names) & set(EPISODE_QUANTITIES):
@@ -168,10 +168,12 @@ def _draw_quantities(
         for curve in others.get(name, ()):
             look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1))}
             axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", **look)
-        label = QUANTITIES[name].label
+        label, title = QUANTITIES[name].label, QUANTITIES[name].title
+        if name.startswith("action_") and is_foreign(data):
+            title = f"Share of action {name.removeprefix('action_')}"
         if data.averaged_over:  # in the log
             label = label.replace(" of an episode", f", mean of {data.averaged_over} episodes")
-        axes.set(title=QUANTITIES[name].title, ylabel=label, xlabel="Environment steps")
+        axes.set(title=title, ylabel=label, xlabel="Environment steps")
     for axes in grid[len(curves) :]:
         axes.remove()
     return rows * style.PANEL_INCHES * (1.2 if columns == 1 else 1)
@@ -225,6 +227,7 @@ QUANTITIES = {
     "share_killed": Quantity("Monsters killed in evaluation", "Share killed", percent=True),
     "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
     "score": Quantity("Normalised score in evaluation", "0 random player, 1 hunter"),
+    "success": Quantity("Successes in evaluation", "Share of episodes", percent=True),
     "return": Quantity("Return in training", "Return of an episode"),
     "length": Quantity("Length of episodes in training", "Steps of an episode"),
     "kills": Quantity("Monsters killed in training", "Kills of an episode"),

@@ -19,7 +19,14 @@ from matplotlib.lines import Line2D
 from pneuma.analysis.curves import curve_names, shared_levels
 from pneuma.analysis.estimates import performance_profile
 from pneuma.analysis.frames import StudyData, common_step, step_words
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_return, outcome_values
+from pneuma.analysis.outcomes import (
+    PRIMARY,
+    find_outcome,
+    is_foreign,
+    is_return,
+    outcome_values,
+    primary,
+)
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import panels, style
 from pneuma.figures.panels import FEW_RUNS
@@ -40,6 +47,8 @@ Colours = Mapping[str, str]
 
 def shown_outcome(data: StudyData) -> str:
     """Return the outcome that is drawn."""
+    if is_foreign(data) and "evaluations" in data.tables:
+        return primary(data)
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
 
