@@ -93,7 +93,7 @@ def test_an_environment_that_draws_from_elsewhere_is_never_resumed_with_other_bi
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown": (
         {"env": "Cartpole-v1"},
-        "CartPole.*install its package, or name what registers it as env_module",
+        "CartPole.*install its package, or name the module that registers it",
     ),
     "module": ({"env_module": "no_such_module"}, "module no_such_module cannot be imported"),
     "argument": ({"env_kwargs": {"speed": 2}}, "cannot be made: TypeError: .*speed"),
