@@ -133,6 +133,27 @@ def play(
         print(f"killed {kills} monsters in {steps} steps")
 
 
+@app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
+def serve(
+    name: EnvName,
+    port: Annotated[int, typer.Option("--port", metavar="N", help="Where the trainer listens.")] = 11008,
+    agents: Annotated[
+        int, typer.Option("--agents", metavar="N", min=1, help="How many copies are played side by side.")
+    ] = 1,
+    seed: Seed = 0,
+    set_: EnvSettings = None,
+) -> None:
+    """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
+
+    Takes any environment of Gymnasium's with Discrete or Box actions. Start the trainer first, or within a
+    minute. It ends when the trainer does.
+    """
+    from pneuma.env.godot import serve as serve_trainer
+
+    steps = serve_trainer(name, opt.read_settings_options(set_), agents, port, seed)
+    print(f"played {steps:,} steps")
+
+
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
     """Return one world at the beginning of an episode; vector rewards look like any others."""
     from pneuma.algorithms import MAILMAN

@@ -14,6 +14,9 @@ from pneuma.config import ENVIRONMENTS
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
 """The same worlds with vector rewards."""
 
+GODOT = "pneuma/Godot-v0"
+"""A game made with Godot, over Godot RL Agents' protocol; it needs an `env_path`."""
+
 REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 
 
@@ -36,3 +39,4 @@ def register_environments() -> None:
             **own,
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")
+    gymnasium.register(GODOT, entry_point="pneuma.env.godot:GodotGame", disable_env_checker=True)

@@ -1,0 +1,325 @@
+"""Godot RL Agents' protocol from both ends: an environment as a game, and a game as an environment.
+
+A message is JSON behind its length in four bytes, little-endian, over TCP. The trainer listens and the game
+connects; then the trainer says `handshake` and asks for `env_info`, `reset`, `action` (one step) and `close`.
+A game begins the next episode by itself: what it sends beside `done` is that episode's first observation.
+The package's own client is not used here, because it pins Gymnasium 1.0 and never notices a game that ended.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from pneuma.errors import UserError
+
+PORT = 11008
+START_SECONDS = 60
+"""How long one end waits for the other to start."""
+ANSWER_SECONDS = 10
+"""How long a trainer waits for a game's answer."""
+
+
+def send(connection: socket.socket, message: Mapping[str, Any]) -> None:
+    """Send one message."""
+    data = json.dumps(message).encode()
+    connection.sendall(len(data).to_bytes(4, "little") + data)
+
+
+def receive(connection: socket.socket) -> dict[str, Any]:
+    """Return the next message.
+
+    Raises:
+        EOFError: where the other end is gone.
+        TimeoutError: where it does not answer in the connection's time.
+        ValueError: for what is no message.
+    """
+    message = json.loads(_exactly(connection, int.from_bytes(_exactly(connection, 4), "little")))
+    if not isinstance(message, dict):
+        raise ValueError("a message that is no JSON object")
+    return message
+
+
+def _exactly(connection: socket.socket, size: int) -> bytes:
+    parts = bytearray()
+    while len(parts) < size:
+        part = connection.recv(min(size - len(parts), 1 << 16))
+        if not part:
+            raise EOFError
+        parts += part
+    return bytes(parts)
+
+
+# --- An environment as a game ----------------------------------------------------------------------
+
+
+def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
+    """Play a game for the trainer that listens at a port, until it closes; return the steps played.
+
+    Args:
+        name: an environment's id. Box actions come from -1 to 1 and are scaled to the space's bounds.
+        settings: its keyword arguments.
+        agents: how many copies are played side by side.
+        port: of this machine.
+        seed: of the first copy; the next has the next one.
+
+    Raises:
+        UserError: where no trainer listens, or the environment is not of flat observations and one action.
+    """
+    with ExitStack() as stack:
+        envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]
+        connection = stack.enter_context(_connect(port))
+        seeds: list[int | None] = [seed + i for i in range(agents)]
+        steps = 0
+        while True:
+            try:
+                message = receive(connection)
+            except (EOFError, ConnectionError):
+                return steps
+            kind = message.get("type")
+            if kind == "close":
+                return steps
+            if kind == "env_info":
+                send(connection, _env_info(envs))
+            elif kind == "reset":
+                first = [env.reset(seed=own)[0] for env, own in zip(envs, seeds, strict=True)]
+                seeds = [None] * agents
+                send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first]})
+            elif kind == "action":
+                rows = [_step(env, own["action"]) for env, own in zip(envs, message["action"], strict=True)]
+                send(connection, {"type": "step", **{key: [row[key] for row in rows] for key in rows[0]}})
+                steps += agents
+            elif kind != "handshake":
+                raise UserError(f"port {port}: the trainer asks for {kind!r}, which no game of Pneuma's can")
+
+
+def _playable(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+    try:
+        env: gymnasium.Env[Any, Any] = gymnasium.make(name, **settings)
+    except (gymnasium.error.Error, TypeError, ImportError) as error:
+        raise UserError(f"{name}: cannot be made: {error}") from None
+    if isinstance(env.action_space, spaces.Box):
+        env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
+    elif not isinstance(env.action_space, spaces.Discrete):
+        raise UserError(f"{name}: its actions are {env.action_space}; a game here has Discrete or Box ones")
+    env = gymnasium.wrappers.FlattenObservation(env)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())  # compiled before a trainer waits for answers
+    return env
+
+
+def _connect(port: int) -> socket.socket:
+    for _ in range(START_SECONDS * 10):
+        try:
+            return socket.create_connection(("127.0.0.1", port))
+        except ConnectionRefusedError:
+            time.sleep(0.1)
+    raise UserError(f"port {port}: no trainer listened for {START_SECONDS} s; start one, then this again")
+
+
+def _env_info(envs: list[gymnasium.Env[Any, Any]]) -> dict[str, Any]:
+    actions, seen = envs[0].action_space, envs[0].observation_space
+    if isinstance(actions, spaces.Discrete):
+        action = {"size": int(actions.n), "action_type": "discrete"}
+    else:
+        action = {"size": int(np.prod(actions.shape or ())), "action_type": "continuous"}
+    return {
+        "type": "env_info",
+        "n_agents": len(envs),
+        "action_space": [{"action": action}] * len(envs),
+        "observation_space": [{"obs": {"size": list(seen.shape or ()), "space": "box"}}] * len(envs),
+        "agent_policy_names": ["shared_policy"] * len(envs),
+    }
+
+
+def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
+    """Step one copy, and begin its next episode where one ends."""
+    if isinstance(env.action_space, spaces.Box):
+        action = np.array(action, np.float32).reshape(env.action_space.shape)
+    obs, reward, terminated, truncated, info = env.step(action)
+    told = {key: value for key, value in info.items() if isinstance(value, bool | int | float)}
+    if done := bool(terminated or truncated):
+        told |= {"truncated": bool(truncated and not terminated), "final_observation": _observed(obs)["obs"]}
+        obs, _ = env.reset()
+    return {"obs": _observed(obs), "reward": float(reward), "done": done, "info": told}
+
+
+def _observed(obs: Any) -> dict[str, list[float]]:
+    return {"obs": np.asarray(obs, np.float32).ravel().tolist()}
+
+
+# --- A game as an environment ----------------------------------------------------------------------
+
+
+class GodotGame(gymnasium.Env[np.ndarray, Any]):
+    """A game that speaks Godot RL Agents' protocol, with one agent, one action and flat observations.
+
+    Args:
+        env_path: the exported game. It is started for every seed, with `--port`, `--env_seed` and without a
+            window. Without it a game that already runs, such as the editor's, is waited for.
+        port: where the game connects; by default a free one, or 11008 for a running game.
+        arguments: more arguments for the game, such as `{"speedup": 8}`.
+
+    Raises:
+        UserError: where the game cannot be started, does not answer, or has other spaces.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(
+        self,
+        env_path: str | None = None,
+        port: int | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> None:
+        if env_path is not None and not Path(env_path).is_file():
+            raise UserError(f"env_path {env_path}: no such file; name the exported game")
+        self._path, self._port, self._arguments = env_path, port, dict(arguments or {})
+        self._name = env_path or "the running game"
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: socket.socket | None = None
+        self._begun: dict[str, Any] | None = None
+        self._start(0)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode; with a seed other than the game's, start the game anew."""
+        super().reset(seed=seed)
+        if seed is not None and self._path and (seed != self._seed or self._played):
+            self._stop()
+            self._start(seed)
+        if self._begun is None:
+            self._begun = self._ask({"type": "reset"}, "reset")["obs"][0]
+        begun, self._begun = self._begun, None
+        return self._array(begun["obs"]), {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Play one step; an episode's end counts as truncated where the game says so."""
+        self._played = True
+        plain = np.asarray(action).tolist()
+        answer = self._ask({"type": "action", "action": [{self._action: plain}]}, "step")
+        obs, reward, done = answer["obs"][0], float(answer["reward"][0]), bool(answer["done"][0])
+        info = dict(answer.get("info", [{}])[0])
+        final, truncated = info.pop("final_observation", obs["obs"]), bool(info.pop("truncated", False))
+        if done:
+            self._begun = obs
+        return self._array(final if done else obs["obs"]), reward, done and not truncated, truncated, info
+
+    def close(self) -> None:
+        """End the game."""
+        self._stop()
+
+    def _start(self, seed: int) -> None:
+        self._seed, self._played, self._begun = seed, False, None
+        with socket.socket() as listening:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                listening.bind(("127.0.0.1", self._port or (0 if self._path else PORT)))
+            except OSError as error:
+                raise UserError(f"port {self._port or PORT}: {error.strerror}; name another") from None
+            listening.listen(1)
+            if self._path:
+                own = {"port": listening.getsockname()[1], "env_seed": seed}
+                words = [f"--{key}={value}" for key, value in (own | self._arguments).items()]
+                command = [str(Path(self._path).resolve()), *words, "--disable-render-loop", "--headless"]
+                try:
+                    self._process = subprocess.Popen(
+                        command, stdout=subprocess.DEVNULL, start_new_session=True
+                    )
+                except OSError as error:
+                    raise UserError(f"env_path {self._path}: {error.strerror}") from None
+            self._connection = self._accept(listening)
+        self._connection.settimeout(ANSWER_SECONDS)
+        send(self._connection, {"type": "handshake", "major_version": "0", "minor_version": "7"})
+        self._set_spaces(self._ask({"type": "env_info"}, "env_info"))
+
+    def _accept(self, listening: socket.socket) -> socket.socket:
+        """Wait for the game, as long as it runs."""
+        listening.settimeout(0.1)
+        for _ in range(START_SECONDS * 10):
+            try:
+                return listening.accept()[0]
+            except TimeoutError:
+                if self._process and self._process.poll() is not None:
+                    raise UserError(
+                        f"{self._name}: ended with exit code {self._process.returncode} before it connected"
+                    ) from None
+        self._stop()
+        raise UserError(f"{self._name}: did not connect within {START_SECONDS} s")
+
+    def _stop(self) -> None:
+        if self._connection:
+            with suppress(OSError):
+                send(self._connection, {"type": "close"})
+            self._connection.close()
+        if self._process:
+            self._process.terminate()
+            self._process.wait()
+        self._connection = self._process = None
+
+    def _ask(self, message: Mapping[str, Any], kind: str) -> dict[str, Any]:
+        """Return the game's answer; whatever else comes ends the game."""
+        if self._connection is None:
+            raise UserError(f"{self._name}: was ended")
+        try:
+            send(self._connection, message)
+            answer = receive(self._connection)
+        except TimeoutError:
+            problem = f"did not answer {message['type']!r} within {ANSWER_SECONDS} s"
+        except (EOFError, OSError):
+            problem = f"ended at {message['type']!r}"
+        except ValueError as error:
+            problem = f"sent what is no message: {error}"
+        else:
+            if answer.get("type") == kind:
+                return answer
+            problem = (
+                f"answered {message['type']!r} with {answer.get('type')!r}; is its plugin of version 0.8?"
+            )
+        self._stop()
+        raise UserError(f"{self._name}: {problem}")
+
+    def _set_spaces(self, told: Mapping[str, Any]) -> None:
+        try:
+            agents = int(told["n_agents"])
+            ((action, acts),) = _first(told["action_space"]).items()
+            ((key, seen),) = _first(told["observation_space"]).items()
+            size, shape = int(acts["size"]), tuple(map(int, seen["size"]))
+        except (KeyError, TypeError, ValueError, AttributeError):
+            agents, acts, seen, shape, key = 0, {}, {}, (), ""
+        sound = acts.get("action_type") in ("discrete", "continuous") and seen.get("space") == "box"
+        if agents != 1 or not sound or len(shape) != 1 or key != "obs":
+            self._stop()
+            raise UserError(
+                f"{self._name}: must have one agent with one action and flat observations named 'obs'; "
+                f"it has {json.dumps({name: told.get(name) for name in _SPACES})}"
+            )
+        self._action = action
+        self.observation_space = spaces.Box(-np.inf, np.inf, shape, np.float32)
+        self.action_space = (
+            spaces.Discrete(size)
+            if acts["action_type"] == "discrete"
+            else spaces.Box(-1.0, 1.0, (size,), np.float32)
+        )
+
+    def _array(self, values: Any) -> np.ndarray:
+        return np.array(values, np.float32)
+
+
+_SPACES = ("n_agents", "action_space", "observation_space")
+
+
+def _first(told: Any) -> Any:
+    """Return the first agent's space; games of an older plugin send one for all."""
+    return told[0] if isinstance(told, list) else told

@@ -1,0 +1,173 @@
+"""Godot RL Agents' protocol: its own package trains on Pneuma, and a game is the environment it plays."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import pneuma.env.godot as godot
+from pneuma.env.godot import GodotGame, receive, send
+from pneuma.errors import UserError
+
+ARENA = "pneuma/PneumaArena-v0"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def a_game(folder: Path, name: str) -> str:
+    """Write a game that plays an environment, and return its path."""
+    game = folder / "game.x86_64"
+    serve = f"exec {sys.executable} -m pneuma env serve {name}"
+    game.write_text(f'#!/bin/sh\n{serve} "$1" --seed "${{2#*=}}"\n')
+    game.chmod(0o755)
+    return str(game)
+
+
+@pytest.mark.parametrize("name", [ARENA, "Pendulum-v1"])
+def test_a_game_is_the_environment_that_it_plays_number_for_number(tmp_path: Path, name: str) -> None:
+    with closing(GodotGame(a_game(tmp_path, name))) as game, closing(gymnasium.make(name)) as env:
+        if isinstance(env.action_space, gymnasium.spaces.Box):
+            env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
+        assert game.observation_space.shape == env.observation_space.shape
+        for seed in (3, 4):
+            env.action_space.seed(seed)
+            np.testing.assert_array_equal(game.reset(seed=seed)[0], env.reset(seed=seed)[0])
+            for _ in range(1200):
+                action = env.action_space.sample()
+                seen, *rest = env.step(action)
+                played, *others = game.step(action)
+                np.testing.assert_array_equal(played, seen)
+                assert others[:3] == rest[:3]
+                if rest[1] or rest[2]:
+                    np.testing.assert_array_equal(game.reset()[0], env.reset()[0])
+
+
+def serving(name: str, agents: int) -> tuple[int, subprocess.Popen[bytes]]:
+    port = free_port()
+    command = [sys.executable, "-m", "pneuma", "env", "serve", name, f"--port={port}", f"--agents={agents}"]
+    return port, subprocess.Popen(command)
+
+
+def test_the_package_of_godot_rl_trains_on_pneuma() -> None:
+    wrapper = pytest.importorskip("godot_rl.wrappers.stable_baselines_wrapper")
+    from stable_baselines3 import PPO
+
+    port, game = serving(ARENA, agents=2)
+    env = wrapper.StableBaselinesGodotEnv(port=port)
+    assert env.num_envs == 2
+    PPO("MultiInputPolicy", env, n_steps=64, batch_size=64).learn(256)
+    env.close()
+    assert game.wait(timeout=20) == 0
+
+
+def test_the_package_s_cleanrl_environment_sees_what_gymnasium_s_does() -> None:
+    wrapper = pytest.importorskip("godot_rl.wrappers.clean_rl_wrapper")
+    port, game = serving(ARENA, agents=2)
+    env = wrapper.CleanRLGodotEnv(port=port)
+    copies = [gymnasium.make(ARENA) for _ in range(2)]
+    seen, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(seen, [copy.reset(seed=seed)[0] for seed, copy in enumerate(copies)])
+    for step in range(20):
+        actions = np.array([[step % 8], [(step + 3) % 8]])
+        seen, rewards, *_ = env.step(actions)
+        steps = [copy.step(int(own)) for copy, own in zip(copies, actions[:, 0], strict=True)]
+        np.testing.assert_array_equal(seen, [own[0] for own in steps])
+        assert rewards == [own[1] for own in steps]
+    env.close()
+    assert game.wait(timeout=20) == 0
+
+
+# --- Games that fail -------------------------------------------------------------------------------
+
+INFO = {
+    "type": "env_info",
+    "n_agents": 1,
+    "action_space": {"move": {"size": 2, "action_type": "discrete"}},
+    "observation_space": {"obs": {"size": [3], "space": "box"}},
+}
+
+
+def playing(answers: Callable[[socket.socket], None]) -> int:
+    """Let a hand-made game connect to a port, and return the port."""
+    port = free_port()
+
+    def play() -> None:
+        for _ in range(200):
+            try:
+                connection = socket.create_connection(("127.0.0.1", port))
+            except ConnectionRefusedError:
+                threading.Event().wait(0.02)
+            else:
+                with connection:
+                    answers(connection)
+                return
+
+    threading.Thread(target=play, daemon=True).start()
+    return port
+
+
+def tells(info: dict[str, object]) -> Callable[[socket.socket], None]:
+    def answers(connection: socket.socket) -> None:
+        receive(connection), receive(connection)
+        send(connection, info)
+
+    return answers
+
+
+def test_a_running_game_of_an_older_plugin_is_played_and_its_end_is_told() -> None:
+    game = GodotGame(port=playing(tells(INFO)))
+    assert game.action_space == gymnasium.spaces.Discrete(2)
+    assert game.observation_space.shape == (3,)
+    with pytest.raises(UserError, match="the running game: ended at 'reset'"):
+        game.reset()
+
+
+def test_a_game_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(godot, "ANSWER_SECONDS", 0.2)
+
+    def hangs(connection: socket.socket) -> None:
+        tells(INFO)(connection)
+        threading.Event().wait(2)
+
+    game = GodotGame(port=playing(hangs))
+    with pytest.raises(UserError, match=r"did not answer 'reset' within 0.2 s"):
+        game.reset()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"type": "old_info"}, "answered 'env_info' with 'old_info'"),
+        ({"n_agents": 4}, '"n_agents": 4'),
+        ({"observation_space": {"camera_2d": {"size": [3, 8, 8], "space": "box"}}}, "camera_2d"),
+        ({"action_space": None}, "must have one agent"),
+    ],
+)
+def test_a_game_with_other_spaces_is_refused(changed: dict[str, object], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        GodotGame(port=playing(tells({**INFO, **changed})))
+
+
+def test_a_game_that_does_not_start_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no such file"):
+        GodotGame(str(tmp_path / "none"))
+    broken = tmp_path / "game"
+    broken.write_text("#!/bin/sh\nexit 3\n")
+    with pytest.raises(UserError, match="Permission denied"):
+        GodotGame(str(broken))
+    broken.chmod(0o755)
+    with pytest.raises(UserError, match="ended with exit code 3 before it connected"):
+        GodotGame(str(broken))
