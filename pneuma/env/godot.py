@@ -24,7 +24,7 @@ from gymnasium import spaces
 from pneuma.errors import UserError
 
 PORT = 11008
-START_SECONDS = 60
+START_SECONDS = 120
 """How long one end waits for the other to start."""
 ANSWER_SECONDS = 10
 """How long a trainer waits for a game's answer."""
