@@ -141,7 +141,7 @@ def serve(
         int, typer.Option("--agents", metavar="N", min=1, help="How many copies are played side by side.")
     ] = 1,
     seed: Seed = 0,
-    set_: EnvSettings = None,
+    set_: opt.Settings = None,
 ) -> None:
     """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
 
@@ -150,7 +150,7 @@ def serve(
     """
     from pneuma.env.godot import serve as serve_trainer
 
-    steps = serve_trainer(name, opt.read_settings_options(set_), agents, port, seed)
+    steps = serve_trainer(name, set_ or {}, agents, port, seed)
     print(f"played {steps:,} steps")
 
 
