@@ -185,7 +185,21 @@ trials = 2
 seeds = 1
 steps = 4096
 """
-WRONG = [None, True, -1, 1.5, 1e308, 10**400, "", "\x1b]0;a\x07", "../../x", [], [[]], {}, {"a": []}]
+WRONG: list[Any] = [
+    None,
+    True,
+    -1,
+    1.5,
+    1e308,
+    10**400,
+    "",
+    "\x1b]0;a\x07",
+    "../../x",
+    [],
+    [[]],
+    {},
+    {"a": []},
+]
 
 
 def test_fuzz_a_record_of_a_search_with_any_value_wrong_gives_a_value_or_one_error(tmp_path: Path) -> None:
@@ -196,8 +210,8 @@ def test_fuzz_a_record_of_a_search_with_any_value_wrong_gives_a_value_or_one_err
     store.check_writable()
     params, _ = next(search.space.corners())
     told = [
-        Told(0, params, {}, "complete", (0.5,), ("a" * 16,), {256: 0.4}),
-        Told(1, params, {}, "failed", (), ("b" * 16,), {}, "diverged"),
+        Told(0, params, "complete", (0.5,), ("a" * 16,), {256: 0.4}),
+        Told(1, params, "failed", (), ("b" * 16,), {}, "diverged"),
     ]
     save_record(store, Task(search, Budget(2, (0,), 4096), str(file), {}), told)
     path = tmp_path / "searches" / "small.json"

@@ -150,7 +150,7 @@ def serve(
     """
     from pneuma.env.godot import serve as serve_trainer
 
-    steps = serve_trainer(name, set_ or {}, agents, port, seed)
+    steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
     print(f"played {steps:,} steps")
 
 

@@ -147,7 +147,9 @@ def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
     if isinstance(env.action_space, spaces.Box):
         action = np.array(action, np.float32).reshape(env.action_space.shape)
     obs, reward, terminated, truncated, info = env.step(action)
-    told = {key: value for key, value in info.items() if isinstance(value, bool | int | float)}
+    told: dict[str, Any] = {
+        key: value for key, value in info.items() if isinstance(value, bool | int | float)
+    }
     if done := bool(terminated or truncated):
         told |= {"truncated": bool(truncated and not terminated), "final_observation": _observed(obs)["obs"]}
         obs, _ = env.reset()
