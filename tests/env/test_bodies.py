@@ -7,11 +7,10 @@ point 2 px below its place. So they touch 35.5 px apart on x and 49 px apart on 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from pneuma.env.rules import ATTACK, COAST, DOWN, LEFT, RIGHT, SOLID, UP
+from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 
 from .oracle_stage import act, put, set_up, told
 
@@ -70,21 +69,3 @@ def test_blade_and_circles_reach_as_far_as_in_the_scenes(
         put(pair, facing=facing)
         act(pair, ATTACK)
         assert told(pair, what) == [further == 0]
-
-
-@pytest.mark.parametrize(
-    ("chosen", "players", "monsters"),
-    [
-        ({}, {SOLID, COAST}, {SOLID, COAST}),
-        ({"trees": "pass"}, {COAST}, {COAST}),
-        ({"coast": "deadly"}, {SOLID}, {SOLID, COAST}),
-        ({"terrain_stops": "players"}, {SOLID, COAST}, set()),
-        ({"terrain_stops": "players", "trees": "pass", "coast": "deadly"}, set(), set()),
-    ],
-)
-def test_which_tiles_stop_whom(
-    tmp_path: Path, chosen: dict[str, Any], players: set[int], monsters: set[int]
-) -> None:
-    settings = set_up(tmp_path, (700.0, 512.0), **chosen).worlds.settings[0]
-    assert settings["player_stops"] == sum(1 << code for code in players)
-    assert settings["monster_stops"] == sum(1 << code for code in monsters)

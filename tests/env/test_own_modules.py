@@ -41,14 +41,6 @@ def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -
     assert set(found) == expected and found[1:] == sorted(found[1:])
 
 
-def test_of_a_module_in_a_package_the_packages_own_imports_count(tmp_path: Path) -> None:
-    paths = files(tmp_path, shop__reward="from . import a\n", shop__a="import beside\n", beside="")
-    package = tmp_path / "shop" / "__init__.py"
-    package.write_text("")
-    found = module_files("shop.reward", paths["shop__reward"])
-    assert set(found) == {*paths.values(), package}
-
-
 def test_a_reward_that_the_standard_library_makes_is_named_by_its_own_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

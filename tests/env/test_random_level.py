@@ -10,7 +10,6 @@ import pytest
 from pneuma.env import rules
 from pneuma.env.level import Level, load_level
 from pneuma.env.random_level import random_level
-from pneuma.errors import UserError
 
 CODES = {390: "bamboo", 391: "spirit"}
 MANY = 60
@@ -70,19 +69,3 @@ def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[
             spread[:, :-1] |= reached[:, 1:]
             reached = spread & (level.terrain == rules.OPEN)
         assert all(reached[tile_of(level, x, y)] for x, y in places(level))
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "random:", "random:train", "random:train:", "random:train:-1", "random:train:1.5", "random:train:017",
-        "random:train:1_0", "random:train: 1", "random:train:one", "random:train:1:2", "random:valid:3",
-        "random:Train:3", "random:train:٣", f"random:train:{2**64}", "random:train:1\n",
-    ],
-)  # fmt: skip
-def test_a_name_of_another_form_is_told_the_right_one(name: str) -> None:
-    with pytest.raises(UserError) as caught:
-        load_level(name, CODES)
-    message = str(caught.value)
-    assert message.startswith(f"level {name!r} is not allowed") and "\n" not in message
-    assert "the form is random:train:17, with a whole number from 0 in the last place" in message

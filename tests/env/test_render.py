@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.env import rules, sprites
+from pneuma.env import rules
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
 
@@ -29,11 +29,6 @@ def bare(worlds: Worlds) -> np.ndarray:
     return Renderer(worlds, panel=False).frame()[::3, ::3]
 
 
-def count_colour(frame: np.ndarray, colour: str) -> int:
-    """Return how many pixels have exactly a colour."""
-    return int((frame == sprites.rgb(colour)).all(axis=-1).sum())
-
-
 def test_player_is_drawn_where_the_state_says(arena: str) -> None:
     worlds = stage(arena)
     before = bare(worlds)
@@ -43,23 +38,6 @@ def test_player_is_drawn_where_the_state_says(arena: str) -> None:
     new = (abs(x - MIDDLE - 50) <= BODY) & (abs(y - MIDDLE + 30) <= BODY)
     assert (old | new).all()
     assert old.sum() > 100 and new.sum() > 100  # a body is about 12 x 12 art pixels
-
-
-def test_dead_monster_is_gone(arena: str) -> None:
-    worlds = stage(arena, (-200.0, -200.0), still=True)
-    background = Renderer(worlds).background
-    around = np.s_[110 - 20 : 110 + 20, 110 - 20 : 110 + 20]
-    assert (bare(worlds)[around] != background[around]).any()
-    worlds.monsters["hp"][0, 0] = 0.0
-    np.testing.assert_array_equal(bare(worlds)[around], background[around])
-
-
-@pytest.mark.parametrize(("hp", "length"), [(40, 0), (30, 9), (20, 6), (10, 3), (0.1, 1)])
-def test_bar_over_a_monster_is_as_long_as_its_hp(arena: str, hp: float, length: int) -> None:
-    """12 art pixels stand for 40 HP; whoever is unhurt has no bar, whoever lives has some."""
-    worlds = stage(arena)
-    worlds.monsters["hp"][0, 0] = hp
-    assert count_colour(bare(worlds), sprites.RED) == length
 
 
 def test_ground_is_blue_exactly_where_the_coast_is() -> None:

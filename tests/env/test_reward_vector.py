@@ -12,7 +12,6 @@ from pneuma.config import ENVIRONMENTS
 from pneuma.env import MO_ENVIRONMENTS
 from pneuma.env.reward import PARTS
 from pneuma.env.single import PneumaEnv, PneumaMOEnv
-from pneuma.errors import UserError
 
 from .arena import ATTACK
 
@@ -63,9 +62,3 @@ def test_two_parts_make_a_formula_and_none_leaves_its_space(
             env.reset()
             scalar.reset()
     assert "killed" in endings
-
-
-def test_a_reward_of_another_name_is_refused() -> None:
-    for make_it in (make, lambda name, **settings: gymnasium.make_vec(name, num_envs=2, **settings)):
-        with pytest.raises(UserError, match="reward = 'kills' is not allowed: vector rewards are always"):
-            make_it(MO_ENVIRONMENTS[0], reward="kills")

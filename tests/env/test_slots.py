@@ -16,7 +16,7 @@ from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
 from .arena import ATTACK, RIGHT, UP
-from .test_faces import MODES, N, assert_same, plan, step
+from .test_faces import MODES, N, assert_same, step
 
 IDLE_MASK = [0, 0, 0, 0, 1]
 
@@ -175,18 +175,3 @@ def test_the_episodes_it_notes_are_those_of_vec_monitor(pit: str) -> None:
     assert len(ours) > 20
     for our, their in zip(ours, theirs, strict=True):
         assert our == pytest.approx(their, abs=1e-3)  # VecMonitor adds in float32
-
-
-def test_a_learners_episode_counts_from_its_beginning(pit: str) -> None:
-    env = PneumaVecEnv(2, seed=1, level=pit, episode_steps=30)
-    env.reset()
-    for actions in plan(0, 6, 2):
-        env.step(actions)
-    env.restore(0, env.save(1))
-    endings = 0
-    for actions in plan(1, 100, 1):
-        observations, _, dones, infos = env.step(np.repeat(actions, 2))
-        assert np.array_equal(observations[0], observations[1])  # type: ignore[index]
-        assert infos[0].get("episode") == infos[1].get("episode")
-        endings += int(dones[0])
-    assert endings > 3

@@ -62,12 +62,6 @@ def test_mp4_can_be_read_and_has_even_sides(tmp_path: Path) -> None:
     assert max(difference) < 10  # H.264 is lossy
 
 
-def test_png_is_the_first_frame(tmp_path: Path) -> None:
-    watch.write_video(tmp_path / "first.png", squares(3), 10)
-    with Image.open(tmp_path / "first.png") as image:
-        np.testing.assert_array_equal(np.array(image), next(squares(1)))
-
-
 def test_failure_half_way_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "a.gif"
     path.write_text("older")
