@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims import Claim, Event, load_claims
+from pneuma.analysis.claims import Claim, load_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -38,16 +38,6 @@ def test_seeds_and_steps_may_be_of_each_condition(tmp_path: Path) -> None:
     claim = load_one(tmp_path, text)
     assert claim.seeds == {"high": (0, 1, 2), "low": (5, 7)}
     assert claim.steps == {"high": 512, "low": 1024}
-
-
-def test_an_event_and_a_constant_are_read(tmp_path: Path) -> None:
-    text = changed(
-        ('b = "low"', "value = 0.5"),
-        ('"mean"', '"incidence"\nbelow = 0.05'),
-    )
-    claim = load_one(tmp_path, text)
-    assert (claim.value, claim.pairs) == (0.5, [("high", None)])
-    assert claim.event == Event(above=False, threshold=0.05)
 
 
 MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {

@@ -166,19 +166,6 @@ def test_a_collapse_that_ends_has_recovered_and_relearned_by_its_evaluations(
     assert found.relearned is relearned
 
 
-def test_of_a_fork_it_is_said_that_a_fall_from_what_its_parent_had_cannot_be_seen(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    save_collapse(store, "a0" * 8, healthy(), after(learning(0.1), 1, 0.1))
-    save_collapse(store, "b0" * 8, one_action(51, 70), after(learning(), 11, 0.05, 14))
-    cells = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8}
-    data = open_study(store, collapse_record(cells, {name: {"fork_step": 100} for name in "ab"}))
-    low, recovered = (diagnose(data, run) for run in data.runs)
-    assert (low.collapsed, low.unseen) == (False, (series.FALL,))
-    assert recovered.recovered_step is not None and recovered.relearned is None
-    fell = diagnosed(tmp_path / "whole", healthy(), after(learning(0.1), 1, 0.1))
-    assert fell.unseen == ()
-
-
 # --- Studies --------------------------------------------------------------------------------------
 
 

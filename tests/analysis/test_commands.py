@@ -1,4 +1,4 @@
-"""`pneuma study summary` and `collapse` over records made by hand: people's text, JSON, mistakes."""
+"""`pneuma study collapse`, and exported summaries, over records made by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.study.store import Store
 
-from ..cli.calls import described, printed, refused
+from ..cli.calls import described, printed
 from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
 
 
@@ -36,30 +36,6 @@ def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(results: Path)
     document = described("study", "collapse", "mine", "--json", "--results", results)
     assert [run["onset_update"] for run in document["runs"]] == [None, 61, None, None]
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]
-
-
-def test_a_summary_is_a_table_of_three_means_and_failures(results: Path) -> None:
-    heads, relu = printed("study", "summary", "mine", "--results", results).splitlines()[2:4]
-    names = ["final-share-killed (share)", "auc-share-killed (share)", "argmax-share-killed (share)"]
-    assert re.split(r"  +", heads) == ["condition", "runs", *names, "collapsed", "diverged"]
-    assert re.split(r"  +", relu)[:3] == ["relu", "2", "0.600"]
-    every = [
-        re.split(r"  +", line)
-        for line in printed("study", "summary", "mine", "--all", "--results", results).splitlines()
-    ]
-    assert ["final-share-killed", "monsters killed, last evaluation, share", "relu", "2", "–"] in [
-        row[:5] for row in every
-    ]
-    rows = described("study", "summary", "mine", "--json", "--results", results)["summary"]
-    assert rows[0] == {
-        "condition": "relu", "outcome": "runs", "statistic": "count", "value": 2.0, "low": None, "high": None,
-        "interval": "none", "runs": 2,
-    }  # fmt: skip
-
-
-def test_where_nothing_collapsed_there_is_nothing_to_fork(results: Path) -> None:
-    told = refused("study", "collapse", "mine", "--fork", "--condition", "tanh", "--results", results)
-    assert "none of its 2 runs collapsed, so there is nothing to fork" in told
 
 
 def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:

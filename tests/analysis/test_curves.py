@@ -104,12 +104,6 @@ def test_a_point_is_the_mean_of_what_ended_in_the_last_twentieth(at: float, valu
     assert _one_run({0: EXAMPLE})[at] == pytest.approx(value, nan_ok=True)
 
 
-def test_the_grid_has_200_points_up_to_the_budget() -> None:
-    steps = list(_one_run({0: EXAMPLE}, budget=50_000))
-    assert len(steps) == 200
-    assert (steps[0], steps[1], steps[-1]) == (250, 500, 50_000)
-
-
 def test_both_ends_of_the_window_are_exact_for_the_quick_budget() -> None:
     """50,176 / 200 = 250.88; point 25 is 6,272, and point 35 lies 5 % (2,508.8) after it: 8,780.8."""
     values = list(_one_run({0: [(6272, 1.0), (43_904, 2.0)]}, budget=50_176).values())
@@ -154,17 +148,6 @@ def test_runs_of_different_ends_are_averaged_where_they_are() -> None:
     assert np.isnan(curve.mean[at[50]])
 
 
-def test_a_shorter_budget_is_not_extrapolated() -> None:
-    """Design section 7: no extrapolation. One run was asked for 100 steps, the other for 200."""
-    table = pd.concat([_episodes("a", name, {0: [(50, 2.0), (90, 4.0)]}) for name in ("long", "short")])
-    runs = [("a", "long", 200, 1), ("a", "short", 100, 1)]
-    (curve,) = training_curves(_data(runs, episodes=table), "return", TRAILING)
-    long, short = curve.runs
-    assert long[149] == 3.0  # at 150
-    assert short[99] == 3.0  # at 100, its end
-    assert np.isnan(short[100:]).all()
-
-
 # --- Mean, bands ---------------------------------------------------------------------------------
 
 # Points of three runs, two, none and one.
@@ -176,11 +159,6 @@ CURVE = Curve(
 # means (1 + 3 + 8) / 3 = 4, (2 + 4) / 2 = 3; squares about them 9 + 1 + 16 = 26 over 2, 1 + 1 = 2 over 1
 ROOT_13, ROOT_2 = 3.605551275463989, 1.4142135623730951
 T_2, T_1 = 4.302652729911275, 12.706204736432095  # of a table: 97.5 % of Student's t, 2 and 1 degrees
-
-
-def test_count_and_mean() -> None:
-    np.testing.assert_array_equal(CURVE.count, [3, 2, 0, 1])
-    np.testing.assert_allclose(CURVE.mean, [4, 3, NAN, 4])
 
 
 @pytest.mark.parametrize(

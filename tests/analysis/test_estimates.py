@@ -45,11 +45,6 @@ def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
             estimate([1.0, math.nan, math.inf])
 
 
-def test_no_runs_and_one_run_give_no_made_up_number() -> None:
-    assert math.isnan(estimates.mean([])) and math.isnan(estimates.median([]))
-    assert math.isnan(estimates.interquartile_mean([])) and math.isnan(estimates.deviation([4.0]))
-
-
 def test_equal_runs_have_no_deviation_at_all() -> None:
     """Ten times 0.3 have a mean of 0.29999999999999993, from which NumPy's deviation is 6e-17."""
     assert np.std(np.full(10, 0.3), ddof=1) > 0

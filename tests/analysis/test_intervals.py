@@ -55,11 +55,6 @@ def test_bca_is_close_to_scipys_with_resamples_of_its_own() -> None:
         assert ends(own) == pytest.approx(drawn(lambda x, axis, s=statistic: s(x)), abs=0.03)
 
 
-def test_deviations_scale() -> None:
-    own, tripled = intervals.deviation_interval(RUNS), intervals.deviation_interval(3 * RUNS - 5)
-    assert ends(tripled) == pytest.approx((3 * own.low, 3 * own.high))
-
-
 def test_intervals_of_deviations_cover_of_normal_runs() -> None:
     generator = np.random.default_rng(8)
     alone = [intervals.deviation_interval(runs) for runs in generator.normal(size=(600, 20))]

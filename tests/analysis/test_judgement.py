@@ -56,15 +56,6 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     assert one.run_ids == (ids[:SEEDS] if "number" in case else ids)
 
 
-def test_the_effect_is_that_of_the_runs(store: Store, tmp_path: Path) -> None:
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    told = judge_one(store, tmp_path).decisive
-    assert told is not None
-    assert told.contrast.effect == pytest.approx(np.mean(HIGH) - np.mean(LOW), abs=1e-12)
-    assert told.contrast.seeds == (SEEDS, SEEDS)
-    assert told.p == pytest.approx(2 / 12870)  # 16 over 8 relabelings; the one contrast of the list
-
-
 def test_a_run_that_never_gets_there_counts_among_those_that_were_not_there_in_time(
     store: Store, tmp_path: Path
 ) -> None:

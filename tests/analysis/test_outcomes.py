@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.frames import StudyData, common_step, step_words
-from pneuma.analysis.outcomes import OUTCOMES, PRIMARY, find_outcome, outcome, outcome_values, reason
+from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values, reason
 from pneuma.analysis.run_index import open_study
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
@@ -171,20 +170,6 @@ def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
 # --- What there is not ----------------------------------------------------------------------------
 
 
-def test_a_run_without_a_value_says_why(data: StudyData, tmp_path: Path) -> None:
-    (run,) = data.of_condition("b")
-    assert np.isnan(outcome(data, run, "q-overestimation"))
-    assert reason(data, run, "q-overestimation") == (
-        "the run has no value of its evaluations to take q-overestimation from"
-    )
-    assert reason(data, run, PRIMARY) == ""
-    store = Store(tmp_path / "early")
-    save(store, "a0" * 8, (), end=40)
-    early = open_study(store, record_of(ONE))
-    assert np.isnan(outcome(early, early.runs[0], PRIMARY))
-    assert "the run diverged at step 40 has no value" in reason(early, early.runs[0], PRIMARY)
-
-
 def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(
     tmp_path: Path, write_events: Any
 ) -> None:
@@ -201,12 +186,6 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
     )
     assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
     assert step_words(data).endswith("(left out, as they end before: a 4, a 5)")
-
-
-@pytest.mark.parametrize("name", ["final-share", "steps-to:0", "steps-to:1.5", "steps-to:x", ""])
-def test_an_unknown_outcome_is_told_with_those_there_are(data: StudyData, name: str) -> None:
-    with pytest.raises(UserError, match="unknown outcome .*known are final-share-killed, .*steps-to:X"):
-        outcome(data, data.runs[0], name)
 
 
 # --- Laws -----------------------------------------------------------------------------------------

@@ -55,12 +55,6 @@ def test_fewer_than_a_permutation_test_takes_are_never_asked_for() -> None:
     assert seeds_needed("mean", spaced(100, 1), spaced(0, 1), None, 0.05 / 66) == 7
 
 
-def test_what_cannot_be_planned_is_none() -> None:
-    assert seeds_needed("mean", [1.0], [2.0], 0.5, 0.05) is None
-    assert seeds_needed("mean", [1.0, 1.0], [2.0, 2.0], 0.5, 0.05) is None
-    assert seeds_needed("incidence", [1] * 10, [0] * 10, 0.1, 0.05) is not None
-
-
 def crossed(runs: int, **effects: float) -> tuple[np.ndarray, dict[str, list[str]]]:
     """Return a 2 × 2 design: values, and the levels of x and y."""
     x, y = np.repeat([1, 1, -1, -1], runs), np.tile(np.repeat([1, -1], runs), 2)

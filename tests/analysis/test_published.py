@@ -154,21 +154,6 @@ def test_a_table_that_was_not_rounded_stays_so(store: Store) -> None:
     assert _publish(store).read_bytes() == whole
 
 
-def test_nothing_published_is_lost(store: Store, tmp_path: Path) -> None:
-    path = _publish(store)
-    part = _part(tmp_path, 1, before=store)
-    longer = {**RECORD, "runs": [{**run, "run": {**run["run"]}} for run in RECORD["runs"]]}
-    longer["runs"][-1]["run"]["steps"] = 2000
-    for record, options, words in (
-        ({**RECORD, "runs": RECORD["runs"][2:]}, {}, "has runs that are not of this selection"),
-        (RECORD, {"curves": ("return",)}, "keeps curves of return, length, .*: leave --curves out"),
-        (longer, {}, "ends at step 1,000, and these runs at 2,000: name another by --as"),
-    ):
-        with pytest.raises(UserError, match=words):
-            _publish(part, record, **options)
-    assert published_path(part, "mine").read_bytes() == path.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("seed", "changed"), [(0, {"valued": True}), (1, {"valued": True}), (1, {"played": 50.5})]
 )

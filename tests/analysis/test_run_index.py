@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis import EPISODE_QUANTITIES, RECORD_TABLES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
@@ -114,19 +114,6 @@ def test_every_quantity_has_a_curve_that_ends_with_its_run(data: StudyData) -> N
     assert [int(b.count[list(data.grid).index(step)]) for step in (400, 405, 1000)] == [2, 1, 1]
 
 
-def test_what_there_is_not_is_refused_in_one_line(data: StudyData) -> None:
-    run = data.runs[0]
-    for quantity in ({*EPISODE_QUANTITIES, *UPDATE_QUANTITIES} - set(data.quantities)) | {"glory"}:
-        with pytest.raises(UserError, match=f"{data.study}: .* holds no {quantity}; its curves are: "):
-            data.curve(run, quantity)
-    for window in {*WINDOWS, "trailing-10"} - set(data.windows):
-        with pytest.raises(UserError, match=f"unknown window of study {data.study} '{window}'"):
-            data.curve(run, "return", window)
-    for name in {*RECORD_TABLES, "actions"} - set(data.tables):
-        with pytest.raises(UserError, match=rf"^study {data.study}: .* holds no {name}; there are .*curves$"):
-            data.table(name)
-
-
 def test_a_published_table_is_read_as_what_it_was_made_from(data: StudyData, tmp_path: Path) -> None:
     if data.published:
         return  # what is published anew are runs that are here
@@ -173,17 +160,6 @@ def test_logs_give_what_was_logged(tmp_path: Path, write_events: WriteEvents) ->
     table = data.table("metrics")
     assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "logged/own"]
     np.testing.assert_array_equal(table["return_mean_100"], [0.25, np.nan, *(k / 4 for k in range(3, 11))])
-
-
-def test_episodes_of_cleanrl_are_averaged_over_the_last_hundred(
-    tmp_path: Path, write_events: WriteEvents
-) -> None:
-    store = Store(tmp_path / "results")
-    points = [("charts/episodic_return", k, float(k)) for k in range(1, 151)]
-    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(store, store.selection("logs") or {})
-    assert data.table("metrics")["return_mean_100"].iloc[[0, 1, 149]].tolist() == [1, 1.5, 100.5]
 
 
 # --- Runs here, and runs that were published ------------------------------------------------------

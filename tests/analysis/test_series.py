@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.analysis.series import episode_curve, held_curve, make_grid, update_curve
+from pneuma.analysis.series import held_curve, make_grid, update_curve
 
 NAN = float("nan")
 GRID = make_grid(200)  # 1, 2, … 200; a twentieth is 10
@@ -40,14 +40,6 @@ def test_a_huge_value_is_forgotten_with_its_window(huge: float) -> None:
     curve = update_curve(step, values, GRID, 200)
     assert curve[20:].tolist() == [0.5] * 180
     assert abs(curve[5]) > 1e15
-
-
-def test_a_return_that_is_not_finite_blanks_its_own_window_alone() -> None:
-    step = np.arange(1.0, 201.0)
-    values = np.where(step == 3, np.nan, 0.5)
-    curve = episode_curve(step, values, GRID, trailing=False, from_step=0, end=200)
-    assert np.flatnonzero(np.isnan(curve)).tolist() == [*range(2, 12)]
-    assert set(curve[12:]) == {0.5}
 
 
 def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:

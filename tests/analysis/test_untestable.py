@@ -18,13 +18,6 @@ def _untestable(store: Store, folder: Path, *changes: tuple[str, str]) -> str:
     return one.reason
 
 
-def test_no_runs(store: Store, tmp_path: Path) -> None:
-    assert _untestable(store, tmp_path) == (
-        "no runs: high, 8 seeds of 1,024 steps; no runs: low, 8 seeds of 1,024 steps; "
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
-    )
-
-
 NAN = float("nan")
 CASES: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = {
     # name: (runs, changes of the claim, the reason)

@@ -1,4 +1,4 @@
-"""`pneuma study verify`: the table, the JSON document and the mistakes of the command."""
+"""`pneuma study verify`: the JSON document, from runs and from what was published."""
 
 from __future__ import annotations
 
@@ -72,36 +72,3 @@ def test_what_claims_fix_can_be_published_whatever_was_run_last(
     told = json.dumps(before)
     assert told.count('--preset claims"') == 2  # of the claim, and of its contrast
     assert after == json.loads(told.replace('--preset claims"', '--preset claims --unpublished"'))
-
-
-def test_people_get_a_table(command: list[str], capsys: Captured) -> None:
-    assert main(command) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split()[:3] == ["better", "6", "supported"]
-    assert any("not run yet" in line for line in lines)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("bettr",), "unknown claim 'bettr' (did you mean better?)"),
-        (("--claims", "nowhere.toml"), "nowhere.toml: cannot be read"),
-    ],
-)
-def test_a_mistake_is_told_in_one_line(
-    arguments: tuple[str, ...], words: str, command: list[str], capsys: Captured
-) -> None:
-    assert main([*command, *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert len(error.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_the_shipped_claims_are_judged_without_any_run(tmp_path: Path, capsys: Captured) -> None:
-    document = _document(capsys, "study", "verify", "--results", str(tmp_path / "nothing"))
-    verdicts = {(one["world"], one["verdict"]) for one in document["claims"]}
-    assert verdicts == {
-        ("text", "untestable"), ("godot", "untestable"), ("arena", "untestable"),
-    }  # fmt: skip
-    assert not (tmp_path / "nothing").exists()

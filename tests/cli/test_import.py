@@ -7,10 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
 
-from .calls import call, refused
+from .calls import call
 
 WriteEvents = Callable[[Path, Any], Path]
 FILE = "events.out.tfevents.1700000000.host"
@@ -43,31 +42,3 @@ def test_an_import_is_drawn_and_published_and_drawn_again(logs: Path, results: P
     assert call("study", "plot", "--results", clone)[0] == 0
     for name in ("old.png", "old.svg"):
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
-
-
-def test_its_tables_are_exported_without_times(results: Path, tmp_path: Path) -> None:
-    picks = ("--condition", "tanh", "--seeds", "2,")
-    for table, marked in (("metrics", "return_mean_100"), ("curves", "averaged_over")):
-        how = ("--table", table, *picks, "--out", tmp_path / "x.csv", "--results", results)
-        assert call("study", "export", "old", *how)[0] == 0
-        frame = pd.read_csv(tmp_path / "x.csv")
-        assert marked in frame
-        assert set(frame["condition"]) == {"tanh"}
-        assert not [name for name in frame if "fps" in str(name)]
-    line = refused("study", "export", "old", "--table", "episodes", "--out", "-", "--results", results)
-    assert line.startswith(
-        "study old: a study of imported TensorBoard logs holds no episodes; there are metrics"
-    )
-
-
-@pytest.mark.parametrize(
-    ("option", "words"),
-    [
-        (("--window", "budget-5%"), "unknown window of study old 'budget-5%'"),
-        (("--seeds", "7,"), "--seeds: study old has none of these; it has [1, 2]"),
-        (("--steps", "500"), "--steps: study old is not planned here"),
-    ],
-)
-def test_what_it_cannot_be_asked_for_is_refused(option: tuple[str, str], words: str, results: Path) -> None:
-    assert refused("study", "plot", "old", *option, "--results", results).startswith(words)
-    assert not (results / "figures").exists()

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Store
 
 from ..figures.hand_made import HandMade
 from .calls import call
@@ -83,39 +83,6 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
         assert code == 2 and "is no index of figures" in said
         assert [path.name for path in out.iterdir()] == ["index.json"]
         assert (out / "index.json").read_text(encoding="utf-8") == there
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (("--band", "min-max"), "--band min-max: unknown value 'min-max' (did you mean minmax?)"),
-        (("--figure", "summary", "--band", "ci"), "are of --figure curves"),
-        (("nosuch",), "unknown study 'nosuch'"),
-    ],
-)
-def test_what_cannot_be_drawn_is_told_and_nothing_written(
-    results: Path, options: tuple[str, ...], told: str
-) -> None:
-    code, _, said = call("study", "plot", "mine", *options, "--results", results)
-    assert code == 2 and told in said and said.count("\n") == 1
-    assert not (results / "figures").exists()
-
-
-def test_of_all_studies_those_are_drawn_that_can_be(results: Path) -> None:
-    """One without what is asked for hinders no other, unless it is named, or none is left."""
-    store = Store(results)
-    mine = store.selection("mine") or {}
-    files = ("episodes.parquet", "evaluations.parquet")
-    records = {name: store.read_file(IDS["tanh"][0], name) for name in files}
-    store.save_run("c" * 16, Status("done", 1000), records)
-    run = {**mine["runs"][0], "run_id": "c" * 16}
-    store.save_selection("bare", {**mine, "study": "bare", "figure": "fig-bare", "runs": [run]})
-    code, out, said = _plot(results, "--quantity", "entropy")
-    assert code == 0 and "fig-mine" in out and "fig-bare" not in out
-    assert said.startswith("Note: ") and "c" * 16 in said and said.count("\n") == 1
-    assert _plot(results, "bare", "--quantity", "entropy")[0] == 2
-    store.selection_path("mine").unlink()
-    assert _plot(results, "--quantity", "entropy")[0] == 2
 
 
 def _owners(results: Path) -> dict[str, str]:

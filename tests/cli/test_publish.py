@@ -22,18 +22,6 @@ def _publish(results: Path, *options: str, of: str = "activation") -> Called:
     return call("study", "publish", of, *options, "--results", results)
 
 
-def test_publishing_says_where_and_how_much_and_what_is_gone_here_stays(results: Path) -> None:
-    """As on a second machine that has the table and trains another part of the study."""
-    files = sorted((results / "published").iterdir())
-    before = [path.read_bytes() for path in files]
-    told = {"schema": 1, "study": "activation", "file": str(files[0]), "bytes": len(before[0])}
-    assert _publish(results, "--json").document == {**told, "runs": 4, "staying": 0}
-    for folder in sorted((results / "runs").iterdir())[:3]:
-        shutil.rmtree(folder)
-    assert "1 runs from here, 3 as they were published before;" in _publish(results).out
-    assert [path.read_bytes() for path in files] == before
-
-
 def test_nothing_published_leaves_the_table(results: Path) -> None:
     """Neither runs, nor what a table that cannot be read may have held."""
     path = results / "published" / "activation.parquet"
@@ -46,16 +34,6 @@ def test_nothing_published_leaves_the_table(results: Path) -> None:
     assert path.read_bytes() == whole[:-9]
     path.unlink()
     assert _publish(results).code == 0 and path.read_bytes() == whole
-
-
-def test_a_second_budget_has_a_table_of_its_own(results: Path) -> None:
-    words = ("study", "publish", "activation", "--condition", "relu", "--results", results, "--as")
-    assert "activation-short.parquet: 2 runs from here" in printed(*words, "activation-short")
-    shutil.rmtree(results / "runs")
-    told = printed("study", "status", "activation-short", "--results", results)
-    assert told.splitlines()[0] == "activation-short: 2 done as published"
-    for name in ("optimizer", "../x"):
-        assert f"--as {name}: must be" in refused(*words, name)
 
 
 def test_runs_that_another_study_has_published_are_found_in_its_table(results: Path) -> None:
@@ -107,27 +85,3 @@ def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> 
     assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
     table.write_bytes(table.read_bytes()[:-9])
     assert "activation.parquet: damaged" in call("study", "run", *rest).err
-
-
-# --- A fresh clone ----------------------------------------------------------------------------------
-
-
-def test_what_a_clone_cannot_do_is_one_line(results: Path) -> None:
-    for folder in ("runs", "studies"):
-        shutil.rmtree(results / folder)
-    export = ("export", "activation", "--out", "-", "--table")
-    for words, told in (
-        ((*export, "metrics"), "no run of this selection of study activation has finished"),
-        ((*export, "curves", "--json"), "name a file by --out"),
-        (("plot", "activation", "--steps", "9_000"), "no run of this selection of study activation has"),
-        (("publish", "activation"), "its runs are not in"),
-    ):
-        assert told in refused("study", *words, "--results", results)
-    (results / "studies").mkdir()
-    (results / "studies" / "activation.json").write_text("{")
-    called = call("study", "status", "activation", "--results", results)
-    assert called.code == 0 and "activation.json is damaged; what is published" in called.err
-    path = results / "published" / "activation.parquet"
-    path.write_bytes(path.read_bytes()[:-9])
-    told = call("study", "plot", "activation", "--results", results).err
-    assert told.splitlines()[-1].startswith(f"pneuma: {path}: damaged")

@@ -6,7 +6,6 @@ import base64
 import json
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from pneuma.config import as_fields, make_run
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.verdicts import MEANINGS
 from pneuma.study import spec
-from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 from pneuma.worlds import WORLDS
@@ -123,37 +121,3 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
-
-
-def test_what_is_missing_is_counted_and_trained_by_the_selection_that_lacks_it(
-    store: Store, make: Callable[..., Any]
-) -> None:
-    chosen = asdict(Selection("paper", (0, 1), conditions=("tanh", "relu"), settings={"betas": [0.9, 0.9]}))
-    for name in ("activation-godot", "mine", "mine-forks-ab12"):
-        record = _record(store, name, TWO, selection=chosen)
-        path = "elsewhere/mine.toml" if name == "mine" else None
-        world = "godot" if name.endswith("godot") else "text"
-        store.save_selection(name, {**record, "path": path, "world": world})
-        (store.run_folder(record["runs"][0]["run_id"]) / "status.json").unlink()
-        _store_run(store, record["runs"][1]["run_id"], "diverged")
-    options = "--preset paper --seeds 2 --condition tanh --condition relu --set 'betas=[0.9, 0.9]'"
-    words = _words(make("activation", "mine", "mine-forks-ab12"))
-    assert f"To train what is missing: pneuma study run activation --world godot {options}" in words
-    assert f"To train what is missing: pneuma study run mine.toml {options}" in words
-    assert "pneuma study run mine-forks" not in words  # there is no such file
-    assert "1 of 4 runs are not here, not finished or damaged, and left out below." in words
-    assert "1 of 4 runs diverged; they count in every number below." in words
-
-
-def test_what_is_damaged_is_said_and_the_rest_is_shown(store: Store, make: Callable[..., Any]) -> None:
-    _record(store, "activation", TWO)
-    _record(store, "own", TWO)
-    path = store.root / "studies" / "own.json"
-    path.write_text(path.read_text().replace("tanh", "tank"))
-    store.write(store.root / "published" / "optimizer.parquet", b"PAR1")  # which claims are judged by
-    page = make("activation", "own")
-    words = _words(page)
-    for damaged in ("own.json: damaged", "No claim could be judged: "):
-        assert damaged in words
-    assert len(page.all("img")) == 1
-    assert str(store.root) not in words

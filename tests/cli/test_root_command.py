@@ -1,4 +1,4 @@
-"""`pneuma` itself: help, version, what it ships, and how it ends."""
+"""`pneuma` itself: its help, and how it ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typer.main import get_command
 from pneuma.cli import app
 from pneuma.cli.output import say
 
-from .calls import described, printed
+from .calls import printed
 
 CLI = Path(__file__).parents[2] / "cli.py"
 
@@ -38,25 +38,6 @@ def test_every_command_has_help_and_no_list_of_commands_is_cut(monkeypatch: pyte
         assert " ".join([*path, "[OPTIONS]"]) in usage
         assert rest[0].strip(), "says nothing of what it does"
         assert [line for line in rest if line.endswith("...") and "[" not in line] == []
-
-
-def test_the_shipped_studies_are_listed_and_shown() -> None:
-    names = [study["study"] for study in described("study", "list", "--json")["studies"]]
-    assert "activation" in names
-    assert [line.split()[0] for line in printed("study", "list").splitlines()[1:]] == names
-    text = printed("study", "show", "activation")
-    assert "activation: tanh (tanh); relu (relu); leaky-relu (leaky-relu)" in text
-    assert "Compared with: relu" in text and "gradient_limit = 0.5" in text
-    document = described("study", "show", "activation", "--json")
-    assert list(document["conditions"]) == ["tanh", "relu", "leaky-relu"]
-    assert document["presets"]["paper"]["steps"] == 1_000_000
-
-
-def test_the_shim_says_what_it_needs_where_that_is_not_installed() -> None:
-    done = subprocess.run([sys.executable, "-S", str(CLI), "--help"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert line.endswith("is not installed: pip install -c constraints.txt .")
 
 
 def test_a_reader_who_has_gone_is_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -130,22 +129,6 @@ def test_nonsense_in_place_of_provenance_is_shown_and_drives_no_terminal(about: 
     assert ALONE in shown and "\x1b" not in shown
 
 
-# --- Which run is meant ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("00aa", f"give more digits; .* holds {ALONE}, {ALIKE}"),
-        ("../../results", "no run .*pneuma run list"),
-        ("", "no run ''"),
-    ],
-)
-def test_a_run_that_is_not_there_is_one_line(name: str, words: str, store: Store) -> None:
-    assert re.search(words, refused("run", "show", name))
-    assert f"run {ALONE}:" in printed("run", "show", "00AA0")
-
-
 # --- export ----------------------------------------------------------------------------------------
 
 
@@ -155,28 +138,3 @@ def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_p
     assert "were not opened" in printed("run", "export", ALONE, "--out", out)
     assert "/nowhere/level" in refused("run", "export", ALONE, "--out", out, "--trust")
     assert "stranger" not in sys.modules
-
-
-@pytest.mark.parametrize(
-    ("status", "files", "words"),
-    [
-        ("diverged", {}, "left no policy"),
-        ("crashed", {"error.txt": b"Traceback"}, "is crashed"),
-        ("done", {"policy.safetensors": b"\x80\x04cposix\nsystem\n"}, "no policy of Pneuma's"),
-        ("done", {"run.json": {}}, "no configuration"),
-    ],
-)
-def test_what_has_no_sound_policy_is_not_exported(
-    status: str, files: dict[str, Any], words: str, store: Store, tmp_path: Path
-) -> None:
-    name, run = "00bb000000000000", make_run({})
-    contents = {"run.json": run_document(run, name), **files}
-    if status == "done":
-        contents = {"policy.safetensors": policy_of(run.activation).to_bytes(), **contents}
-    if isinstance(own := contents["run.json"], dict):
-        contents["run.json"] = to_json({"schema": 1, "run_id": name, "run": own})
-    store.save_run(name, Status(status, 256), contents)
-    assert name in printed("run", "show", name)
-    out = tmp_path / "policy.zip"
-    line = refused("run", "export", name, "--out", out)
-    assert name in line and words in line and not out.exists()

@@ -131,39 +131,3 @@ def test_no_code_that_a_record_or_its_file_names_is_run(tmp_path: Path) -> None:
     told = refused("search", "promote", "evil", "--results", results, "--out", out)
     assert "would run the reward mine:pay" in told
     printed("search", "promote", path, "--results", results, "--out", out)
-
-
-def test_a_figure_that_cannot_be_drawn_says_why_and_others_follow_no_link(
-    searched: tuple[Path, Path], tmp_path: Path
-) -> None:
-    mine, figures = tmp_path / "mine.svg", searched[1] / "figures"
-    mine.write_text("mine")
-    figures.mkdir(exist_ok=True)
-    (figures / "search-small-history.svg").symlink_to(mine)
-    plot = ("search", "plot", "small", "--results", searched[1], "--format", "svg")
-    done = call(*plot)
-    assert done.code == 0 and "importances is not drawn; it needs 10 complete trials" in done.err
-    assert "front is not drawn; it needs two objectives" in done.err and "search-small-history" in done.out
-    assert mine.read_text() == "mine" and not (figures / "search-small-history.svg").is_symlink()
-
-
-def test_a_world_that_cannot_be_made_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(f'{SEARCH}\n[space.level]\nchoices = ["thesis", "/nowhere"]\n')
-    assert "/nowhere" in refused("search", "run", tmp_path / "own.toml", "--results", tmp_path / "results")
-    assert not (tmp_path / "results").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["run", "pop"], "unknown search 'pop' (did you mean ppo?)"),
-        (["run", "ppo", "--set", "learning_rate=1"], "learning_rate is searched by [space.learning_rate]"),
-        (["run", "return-and-spread", "--seeds", "5,"], "a deviation needs --seeds 2 at least"),
-        (["status", "ppo", "--world", "godot"], "search ppo-godot was not run"),
-    ],
-)
-def test_mistakes_are_told_in_one_line_and_train_nothing(
-    arguments: list[str], told: str, tmp_path: Path
-) -> None:
-    assert told in refused("search", *arguments, "--results", tmp_path / "results")
-    assert not (tmp_path / "results" / "runs").exists()

@@ -1,4 +1,4 @@
-"""Studies whose runs end in no success, and what a plan tells of those, by the commands that people type."""
+"""Studies whose runs end in no success, by the commands that people type."""
 
 from __future__ import annotations
 
@@ -50,16 +50,3 @@ def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch:
     called = call("study", "run", "activation", "--quiet", "--results", tmp_path)
     assert (called.code, called.out) == (130, "")
     assert len(called.err.splitlines()) == 1
-
-
-def test_a_plan_has_a_line_for_each_condition_and_tells_runs_that_failed_apart(tmp_path: Path) -> None:
-    plan = ("study", "plan", "activation", "--condition", "tanh", "--seeds", "2")
-    crashed, _ = call(*plan, "--json", "--results", tmp_path).document["runs"]
-    Store(tmp_path).save_run(crashed["run_id"], Status("crashed", 64), {})
-    document = call(*plan, "--json", "--results", tmp_path).document
-    assert [run["state"] for run in document["runs"]] == ["failed", "to-train"]
-    assert [run["expected_seconds"] is None for run in document["runs"]] == [True, False]
-    *_, condition, total, cost = call(*plan, "--results", tmp_path).out.splitlines()
-    assert condition.split()[:4] == ["tanh", "2", "x", "50,176"]
-    assert "1 failed, 1 to-train" in condition and total == "1 failed, 1 to-train."
-    assert "(a rough estimate)" in cost and "MB of disk" in cost

@@ -9,7 +9,7 @@ import pytest
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
-from .calls import printed, refused
+from .calls import printed
 
 
 def test_a_copy_of_any_shipped_study_plans_the_same_runs(
@@ -22,12 +22,3 @@ def test_a_copy_of_any_shipped_study_plans_the_same_runs(
         plans = [make_plan(study, Selection("quick")).cells for study in (own, shipped)]
         assert [cell.run_id for cell in plans[0]] == [cell.run_id for cell in plans[1]]
         assert (own.title, own.section, own.about) == (f"my-{name}", "", "")
-
-
-def test_names_that_cannot_be_taken_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.toml").write_text("")
-    assert "exists already" in refused("study", "new", "mine")
-    assert "a shipped study is called activation" in refused("study", "new", "activation")
-    assert "letters, digits" in refused("study", "new", "../mine")
-    assert "unknown shipped study" in refused("study", "new", "other", "--from", "mine")

@@ -9,9 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from pneuma.study.checkpoints import file_name
-
-from .calls import TINY, Called, call, described, printed, refused
+from .calls import TINY, Called, call, described, printed
 
 # Design section 2, word for word.
 EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
@@ -62,29 +60,6 @@ def test_status_is_of_the_latest_selection_or_of_one_that_is_named(
     assert [(run["seed"], run["status"]) for run in runs] == [
         (1, "done"), (1, "done"), (2, "planned"), (2, "planned"),
     ]  # fmt: skip
-
-
-def test_a_damaged_record_stands_in_no_other_studys_way(results: Path) -> None:
-    (results / "studies" / "clip-range.json").write_text("{", encoding="utf-8")
-    told = "clip-range.json: damaged; `pneuma study run clip-range` writes it anew.\n"
-    for command, shown in (("status", "activation: 4 done"), ("plot", "fig-6-5")):
-        called = call("study", command, "--results", results)
-        assert called.code == 0 and shown in called.out
-        assert called.err.startswith("Note: ") and called.err.endswith(told)
-        assert call("study", command, "clip-range", "--results", results).code == 2
-
-
-def test_status_tells_how_far_a_run_is_that_was_killed(results: Path) -> None:
-    killed, nothing = sorted((results / "runs").iterdir())[:2]
-    for folder in (killed, nothing):
-        shutil.rmtree(folder)
-        (folder / "checkpoints").mkdir(parents=True)
-    (killed / "checkpoints" / file_name(1024, b"")).touch()
-    lines = printed("study", "status", "--results", results).splitlines()
-    ends = dict(line.split(maxsplit=3)[3].split("  ", 1) for line in lines[1:])
-    assert ends.pop(killed.name) == "partial at step 1,024"
-    assert ends.pop(nothing.name) == "planned"
-    assert list(ends.values()) == ["done", "done"]
 
 
 # --- export --------------------------------------------------------------------------------------
@@ -139,17 +114,3 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
         means = [own[own["run_id"] == name]["return"][-100:].mean() for name in own["run_id"].unique()]
         found = returns[returns["condition"] == condition][["low", "mean", "high"]].to_numpy(float)[0]
         assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
-
-
-def test_a_summary_tells_of_what_is_asked_for_or_why_there_is_none(trained: Path) -> None:
-    summary = ("study", "summary", "activation", "--results", trained)
-    asked = ("final-died", "steps-to:0.125", "q-overestimation", "collapse-step", "wall-seconds")
-    told = printed(*summary, *(part for name in asked for part in ("--outcome", name)))
-    assert "q-overestimation, tanh: the run has no value of its evaluations" in told
-    assert "collapse-step, relu: the run never collapsed" in told
-    means = printed(*summary).splitlines()
-    assert [line.split()[:2] for line in means[3:5]] == [["tanh", "2"], ["relu", "2"]]
-    document = described(*summary, "--outcome", "final-died", "--json")
-    outcomes = {row["outcome"] for row in document["summary"]}
-    assert outcomes == {"runs", "diverged", "collapsed", "final-died"}
-    assert "did you mean final-died?" in refused(*summary, "--outcome", "final-dead")

@@ -12,7 +12,7 @@ from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
-from .calls import call, described, refused
+from .calls import described
 
 
 @pytest.fixture
@@ -49,23 +49,3 @@ def test_a_selection_in_another_world_is_of_other_runs_and_picks_from_its_own_re
     assert [len(own) for own in ids] == [9, 9] and not ids[0] & ids[1]
     runs = described("study", "status", *command, "--world", "godot", "--seeds", "1..9")["runs"]
     assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 1)]
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("plan activation --world gdot", "--world gdot: unknown value 'gdot' (did you mean godot?)"),
-        ("status activation --world godot", "run `pneuma study run activation --world godot` first"),
-    ],
-)
-def test_a_world_that_is_not_there_is_told_with_what_to_do(words: str, told: str, tmp_path: Path) -> None:
-    assert told in refused("study", *words.split(), "--results", tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_study_that_was_run_in_another_world_alone_is_found_there_and_that_is_said(recorded: Path) -> None:
-    for other in ("activation", "activation-godot"):
-        (recorded / "studies" / f"{other}.json").unlink()
-    _, out, err = call("study", "status", "activation", "--results", recorded)
-    assert out.startswith("activation-arena:")
-    assert err == "Note: activation has no runs in its usual world; shown is arena.\n"

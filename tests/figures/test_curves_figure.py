@@ -26,10 +26,6 @@ from .hand_made import BUDGET, HandMade, legend, words
 NAN = float("nan")
 
 
-def _values(figure: Figure, panel: int, line: int = 0) -> np.ndarray:
-    return np.asarray(figure.axes[panel].get_lines()[line].get_ydata(), float)
-
-
 def _lines_of_runs(figure: Figure, panel: int) -> int:
     return sum(line.get_linewidth() < 0.6 for line in figure.axes[panel].get_lines())
 

@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.claimed import claims_preset
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Preset, Study, load_study
 
 STUDY = """\
@@ -61,13 +61,6 @@ def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
     (folder / "mine.toml").write_text(STUDY, encoding="utf-8")
     (folder / "claims.toml").write_text(claims, encoding="utf-8")
     return load_study(str(folder / "mine.toml"), world)
-
-
-def _seeds(plan: Plan) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for cell in plan.cells:
-        found.setdefault(cell.condition, []).append(cell.seed)
-    return found
 
 
 def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
