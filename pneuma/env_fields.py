@@ -25,9 +25,10 @@ SPELL_NAMES = ("flame", "heal")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
 """Agent steps that an episode may last."""
-PERCEIVE = "all, nearest:K for the K nearest, or kind:NAME,… for monsters of some kinds"
+PERCEIVE = "all, nearest:K for the K nearest, kind:NAME,… for monsters of some kinds, or rays:N, 1 to 64"
 
 
+_PERCEIVE = r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*|rays:([1-9]|[1-5]\d|6[0-4])"
 _REWARD = rf"{'|'.join(REWARDS)}|[\w.]+:\w+"
 _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 
@@ -59,7 +60,7 @@ class EnvConfig:
     """A formula, or a list of one a player."""
     observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
     """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
-    perceive: Annotated[str, matching(r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*", PERCEIVE)] = ""
+    perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
     order: Annotated[str, OneOf(("", *ORDERS))] = ""
     scale: Annotated[str, OneOf(("", *SCALES))] = ""
     """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""

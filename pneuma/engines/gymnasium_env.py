@@ -17,6 +17,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -258,6 +259,8 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
     try:
+        if run.env not in gymnasium.registry:
+            _register_installed(run.env.partition("/")[0])
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except gymnasium.error.UnregisteredEnv as error:
@@ -274,6 +277,13 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
         except Exception as error:
             raise UserError(f"wrappers = {name}: {told(error)}") from None
     return env
+
+
+def _register_installed(namespace: str) -> None:
+    """Let an installed package register its environments by the entry point that Gymnasium once called."""
+    for entry in entry_points(group="gymnasium.envs"):
+        if entry.name in (namespace, "__root__"):
+            entry.load()()
 
 
 def _load(name: str) -> Any:

@@ -9,11 +9,16 @@ Three layouts, each a few numbers about the player, then a row for each monster 
 
 With `observe_facing` four numbers follow on those about the player: 1 for the way faced, else 0.
 
+With `perceive = "rays:N"` there is a row for each of N rays instead of one for each monster: how far off
+the first thing is that it meets, then 1 for what that is, else 0: terrain, another player, or a monster
+of one of the level's kinds, by name. Rays begin at the player's place, the first to the right, the others
+clockwise. They end at living bodies, and at terrain that stops or drowns players.
+
 `perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
 rest zeros; or fixed, a dead one's row zeros), `scale` the units:
 
     unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
-            monster's notice radii, so that what matters is of order one
+            monster's notice radii, along rays in the largest one: what matters is of order one
     map     x, y and distances over the map's size, the rest as shares
     raw     pixels and points
 
@@ -66,6 +71,8 @@ def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool],
     """
     kinds = [kind for kind, _, _ in levels[0].monsters]
     what, _, which = config.perceive.partition(":")
+    if what == "rays":
+        return [True] * len(kinds), 0
     if what == "kind":
         wanted = which.split(",")
         for name in wanted:
@@ -102,11 +109,26 @@ def fill_scales(
         monsters["distance_scale"] = 1 / max(right - left, bottom - top)
     else:
         settings["scale_x"] = settings["scale_y"] = monsters["distance_scale"] = 1.0
+    _fill_rays(settings, monsters, config, levels)
     settings["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].sum(axis=-1).max(initial=0.0), 1.0)
     players["hp_scale"] = 1.0 if raw else 1 / players["hp"]
     players["energy_scale"] = 1.0 if raw else 1 / np.maximum(players["energy"], 1.0)
     monsters["hp_scale"] = 1.0 if raw else 1 / monsters["hp"]
     monsters["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].max(initial=0.0), 1.0)
+
+
+def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]) -> None:
+    """Write how many rays there are, where they point, and which kinds of monsters they tell apart."""
+    what, _, count = config.perceive.partition(":")
+    settings["rays"] = rays = int(count) if what == "rays" else 0
+    sights = sorted({kind for level in levels for kind, _, _ in level.monsters})
+    settings["sights"] = len(sights)
+    for own, level in zip(monsters, levels, strict=True):
+        own["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
+    settings["ray_scale"] = monsters["distance_scale"].min(initial=1.0)
+    angles = 2 * np.pi * np.arange(rays) / max(rays, 1)
+    settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounded, they are the same on any machine
+    settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
 
 
 def observation_space(
@@ -141,7 +163,12 @@ def observation_space(
         seen["x"] = _scaled(settings, "x", edges[0], edges[2])
         seen["y"] = _scaled(settings, "y", edges[1], edges[3])
     row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
-    limits = np.array([bounds[name] for name in player_features(config)] + row * int(settings["perceived"]))
+    ray = [(0.0, diagonal * settings["ray_scale"])] + [(0.0, 1.0)] * (2 + int(settings["sights"]))
+    limits = np.array(
+        [bounds[name] for name in player_features(config)]
+        + row * int(settings["perceived"])
+        + ray * int(settings["rays"])
+    )
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

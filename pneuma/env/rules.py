@@ -764,6 +764,8 @@ def _observe(s: State, w: int, p: int, tell: bool) -> None:
     at = _write_player(s, w, p, out)
     for i in range(count):
         at = _write_monster(s, w, p, i, out, at)
+    if s.settings[0].rays > 0:
+        at = _write_rays(s, w, p, out, at)
     for rest in range(at, len(out)):
         out[rest] = 0.0
     _mask_actions(s, w, p)
@@ -889,6 +891,86 @@ def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int
         return at + 4
     out[at + 4] = kind.xp * kind.xp_scale if alive else 0.0
     return at + 5
+
+
+@kernel
+def _write_rays(s: State, w: int, p: int, out: Array, at: int) -> int:
+    """Write what each ray of a player meets first, from place `at` on; return where the last one ends.
+
+    Of what is met at one distance the first counts: monsters by index, then players, then terrain.
+    """
+    settings = s.settings[0]
+    player = s.players[w, p]
+    monsters = s.monsters.shape[1]
+    for ray in range(settings.rays):
+        dx, dy = settings.ray_x[ray], settings.ray_y[ray]
+        distance = math.inf
+        met = 0
+        for body in range(monsters + s.players.shape[1]):
+            if body != monsters + p and _is_alive(s, w, body):
+                near = _distance_to_body(s, w, body, player.x, player.y, dx, dy)
+                if near < distance:
+                    distance = near
+                    met = 2 + s.monster_stats[s.worlds[w].level, body].sight if body < monsters else 1
+        near = _distance_to_terrain(s, w, player.x, player.y, dx, dy)
+        if near < distance:
+            distance = near
+            met = 0
+        out[at] = distance * settings.ray_scale
+        for thing in range(2 + settings.sights):
+            out[at + 1 + thing] = thing == met
+        at += 3 + settings.sights
+    return at
+
+
+@part
+def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float, dy: float) -> float:
+    """Return how far a ray goes until it enters a body; who is only touched is passed by."""
+    middle_x, middle_y, half_width, half_height = _box(s, w, body)
+    enters_x, leaves_x = _between(middle_x - half_width - x, middle_x + half_width - x, dx)
+    enters_y, leaves_y = _between(middle_y - half_height - y, middle_y + half_height - y, dy)
+    enters = max(enters_x, enters_y, 0.0)
+    return enters if enters < min(leaves_x, leaves_y) else math.inf
+
+
+@part
+def _between(low: float, high: float, way: float) -> tuple[float, float]:
+    """Return when who starts at 0 and goes `way` enters the space between two lines, and leaves it."""
+    if way > 0.0:
+        return low / way, high / way
+    if way < 0.0:
+        return high / way, low / way
+    return (-math.inf, math.inf) if low < 0.0 < high else (math.inf, -math.inf)
+
+
+@part
+def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
+    """Return how far a ray goes, tile by tile, until it meets what stops or drowns players.
+
+    Through a corner it passes only between two open tiles.
+    """
+    settings = s.settings[0]
+    level = s.worlds[w].level
+    stops = settings.player_stops | 1 << COAST
+    column = math.floor((x - settings.left) / settings.tile)
+    row = math.floor((y - settings.top) / settings.tile)
+    step_x = 1 if dx > 0.0 else -1
+    step_y = 1 if dy > 0.0 else -1
+    distance = 0.0
+    while not _blocked(s.terrain, level, column, row, stops):
+        line_x = settings.left + (column + (dx > 0.0)) * settings.tile
+        line_y = settings.top + (row + (dy > 0.0)) * settings.tile
+        to_x = (line_x - x) / dx if dx != 0.0 else math.inf
+        to_y = (line_y - y) / dy if dy != 0.0 else math.inf
+        distance = max(min(to_x, to_y), 0.0)
+        if to_x == to_y and (
+            _blocked(s.terrain, level, column + step_x, row, stops)
+            or _blocked(s.terrain, level, column, row + step_y, stops)
+        ):
+            break
+        column += step_x * (to_x <= to_y)
+        row += step_y * (to_y <= to_x)
+    return distance + 0.0  # never -0.0
 
 
 @part

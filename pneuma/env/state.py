@@ -14,6 +14,7 @@ import numpy as np
 from pneuma.env.compiled import DIGEST
 
 MAX_PLAYERS = 8
+MAX_RAYS = 64
 
 Array = Any
 """A NumPy array, or a row of one, inside a kernel."""
@@ -123,6 +124,7 @@ MONSTER_STATS = _record(
     ("heal", "f8"),
     ("reach_squared", "f8"),  # beyond this distance nothing can happen to it within one step
     ("perceived", "i4"),  # whether it is part of observations
+    ("sight", "i4"),  # number of its kind, among those that rays tell apart
     ("hp_scale", "f8"),  # of an observation
     ("distance_scale", "f8"),
     ("xp_scale", "f8"),
@@ -154,6 +156,11 @@ SETTINGS = _record(
     ("scale_x", "f8"),
     ("scale_y", "f8"),
     ("xp_scale", "f8"),
+    ("rays", "i4"),  # that a player sees by
+    ("sights", "i4"),  # kinds of monsters that they tell apart
+    ("ray_scale", "f8"),  # of distances along them
+    ("ray_x", "f8", (MAX_RAYS,)),  # their directions, of length 1
+    ("ray_y", "f8", (MAX_RAYS,)),
 )
 
 # --- What the rules write -------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from pneuma.errors import UserError
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
 _SEEN_OR_PAID = {
-    "reward", "perceived", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
+    "reward", "perceived", "sight", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
 }  # fmt: skip
 """Stats that no state depends on."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,7 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from pneuma.config import Run, as_fields, make_run
+from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import environment_of, slot_seeds
 from pneuma.engines.gymnasium_env import Evaluation, Slots
 from pneuma.engines.policy import Policy, read_sound_policy
@@ -112,6 +114,13 @@ def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(UserError, match=told) as refused:
         environment_of(run).check(run)
     assert "\n" not in str(refused.value)
+
+
+def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("Mine", "tests.engines.own_envs:register_more", "gymnasium.envs")
+    monkeypatch.setattr(gymnasium_env, "entry_points", lambda group: [entry] * (group == entry.group))
+    run = make_run({**SMALL, "env": "Mine/Corridor-v0"})
+    environment_of(run).check(run)
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
