@@ -2,6 +2,7 @@
 
     run_study(study)      as `pneuma study run` does
     open_data(study)      a study's runs as `pneuma.analysis` takes them
+    compare(study, a, b)  two of its conditions: differences, intervals, who is better
     load_policy(run_id)   a stored run's policy, and what environment it plays in
     evaluate(agent)       how well any agent plays, on the scale on which runs are judged
 
@@ -21,12 +22,15 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Supervision
 from pneuma.study.identity import own_things
+from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
 from pneuma.worlds import TEXT, check_world, in_world
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pneuma.analysis.frames import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
@@ -45,7 +49,8 @@ def run_study(
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
     workers: int | None = None,
-    on_progress: Callable[[execute.CellProgress], None] = lambda progress: None,
+    on_progress: Callable[[execute.CellProgress], None] | None = None,
+    quiet: bool = False,
 ) -> StudyData:
     """Train what a study lacks, and open it. Runs that are stored are not trained again.
 
@@ -59,7 +64,8 @@ def run_study(
         settings: fields of the run that every condition gets.
         world: of `pneuma.worlds.WORLDS`; the study's usual one when left out.
         workers: how many runs train at once, each in a process of one thread; a core each when left out.
-        on_progress: told of each run's steps.
+        on_progress: told of each run's steps, instead of showing them.
+        quiet: whether to show no progress.
 
     Raises:
         UserError: for a study, selection or world that there is not, or when a run crashed or was killed.
@@ -81,7 +87,8 @@ def run_study(
         keep_checkpoints=planned.study.keep_checkpoints,
     )
     todo = execute.prepare(planned, store)
-    outcomes = execute.execute(planned, todo.runs, store, how, on_progress)
+    with ProgressDisplay(planned, todo.runs, quiet or on_progress is not None, todo.kept) as display:
+        outcomes = execute.execute(planned, todo.runs, store, how, on_progress or display.update)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
         raise UserError(
@@ -121,6 +128,31 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
         known = sorted({*store.studies(), *published_studies(store)})
         raise unknown_name(f"study in {store.root}", name, known)
     return open_study(index, record)
+
+
+def compare(
+    study: StudyData | Where, a: str, b: str, outcomes: Sequence[str] = (), results: Where | None = None
+) -> pd.DataFrame:
+    """Compare two conditions of a study, as `pneuma study compare` does.
+
+    Args:
+        study: opened data, or what `open_data` takes.
+        a: a condition.
+        b: the one that it is held against.
+        outcomes: names of docs/outcomes.md; the usual three when left out.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+
+    Returns:
+        A row for each outcome: means, their difference with its interval, `p_better`, and counts of runs.
+
+    Raises:
+        UserError: for what there is not, or cannot be compared.
+    """
+    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.summaries import compare_conditions
+
+    data = study if isinstance(study, StudyData) else open_data(study, results)
+    return compare_conditions(data, a, b, outcomes)
 
 
 def load_policy(

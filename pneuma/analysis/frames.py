@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from pneuma.analysis import RECORD_TABLES, WINDOWS
 from pneuma.analysis.published import PublishedRecords
 from pneuma.analysis.records import Records, Series
 from pneuma.analysis.series import make_grid
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.spec import list_studies, run_command
 from pneuma.worlds import in_world, split_world
 
@@ -120,6 +121,25 @@ class StudyData:
                 f"no run of this selection of study {self.study} has finished in {where}: "
                 f"{self.how_to_train} first"
             )
+
+    def __repr__(self) -> str:
+        conditions = ", ".join(f"{name} ({len(self.of_condition(name))})" for name in self.conditions)
+        missing = f", {self.left_out} not finished" if self.left_out else ""
+        return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}{missing}"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a row for each condition."""
+        rows = [
+            {
+                "condition": name,
+                "runs": len(own),
+                "diverged": sum(run.status == "diverged" for run in own),
+                "steps": f"{max((run.budget for run in own), default=0):,}",
+            }
+            for name in self.conditions
+            for own in [self.of_condition(name)]
+        ]
+        return f"<b>{escape(self.title)}</b>{pd.DataFrame(rows).to_html(index=False)}"
 
     @property
     def how_to_train(self) -> str:

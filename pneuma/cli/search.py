@@ -23,12 +23,12 @@ from pneuma.cli.output import (
     tell_written,
     write_file,
 )
-from pneuma.cli.progress import ProgressDisplay
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
+from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, split_world, world_option
 

@@ -11,11 +11,11 @@ import typer
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
-from pneuma.cli.progress import ProgressDisplay, duration
 from pneuma.errors import UserError
 from pneuma.reading import read_whole
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
+from pneuma.study.progress import ProgressDisplay, duration
 from pneuma.study.store import Status, Store
 
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")

@@ -56,6 +56,10 @@ class CellProgress:
     note: str = ""
     passing: bool = False
 
+    def __repr__(self) -> str:
+        told = self.note or self.status or f"{self.step:,} of {self.cell.run.steps:,} steps"
+        return f"{self.cell.condition} seed {self.cell.seed}: {told}"
+
 
 @dataclass(frozen=True)
 class Todo:

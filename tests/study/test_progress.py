@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from pneuma.cli.output import say
-from pneuma.cli.progress import ProgressDisplay
 from pneuma.study.execute import CellProgress
 from pneuma.study.plan import Selection, make_plan
+from pneuma.study.progress import ProgressDisplay
 from pneuma.study.spec import load_study
 
 
