@@ -10,18 +10,18 @@ is a pair of conditions that differ in the contrast's field alone.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from math import prod
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
+from scipy import linalg
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
-from pneuma.analysis.factorial import Effect, factorial
+from pneuma.analysis.estimates import finite
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.outcomes import (
     find_outcome,
@@ -36,19 +36,33 @@ from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value
 
+DRAWS = 5_000
+"""Permutations by which an effect is tested."""
 LEVEL = 0.05
 """Error rate over all cells of a map."""
-
-ROBUST, PARTIAL, CONDITIONAL = "robust", "partial", "conditional"
-REVERSED, UNDECIDED = "reversed", "undecided"
-HOLDS, OPEN = "holds", "open"
-
-Levels = tuple[tuple[str, Any], ...]
-Settings = dict[str, dict[str, Any]]
-"""Of each condition its fields, but for those in which no two conditions are compared."""
+HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
 
 
 # --- Effects ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One main effect or interaction.
+
+    Attributes:
+        factors: the factors that it joins; one is a main effect.
+        degrees: of freedom: its own, and those that the model leaves to the errors.
+        statistic: its F; inf where the model leaves no errors.
+        p_value: by permutation; NaN where the design cannot tell it from others.
+        share: of the variance that the model leaves without it, what it takes away (partial R²).
+    """
+
+    factors: tuple[str, ...]
+    degrees: tuple[int, int]
+    statistic: float
+    p_value: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -62,18 +76,33 @@ class Effects:
         runs: how many have a value.
         without: how many finished runs have none, and are left out.
         effects: each with its p-value as it is.
-        corrected: their p-values, Holm-corrected over all of them.
     """
 
-    study: str
-    title: str
     outcome: str
     means: Mapping[str, Mapping[str, float]]
     cells: int
     runs: int
     without: int
-    effects: tuple[Effect, ...]
-    corrected: tuple[float, ...]
+    effects: Sequence[Effect]
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each effect; its p-value also as Holm corrects it over all of them."""
+        corrected = holm([effect.p_value for effect in self.effects])
+        return pd.DataFrame(
+            {
+                "effect": " × ".join(effect.factors),
+                "levels": " × ".join(str(len(self.means[factor])) for factor in effect.factors),
+                "outcome": self.outcome,
+                "df": effect.degrees[0],
+                "df_error": effect.degrees[1],
+                "f": effect.statistic,
+                "partial_r2": effect.share,
+                "p": effect.p_value,
+                "p_holm": p,
+                "runs": self.runs,
+            }
+            for effect, p in zip(self.effects, corrected, strict=True)
+        )
 
 
 def study_effects(data: StudyData, name: str | None = None) -> Effects:
@@ -84,54 +113,39 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
         name: an outcome; the study's primary one when left out.
 
     Raises:
-        UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed,
-            mixed engines, a cell without a run that has the outcome, an endless value, or no more runs than
-            the effects take up.
+        UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed, a
+            cell without a run that has the outcome, an endless value, or no more runs than the effects take
+            up.
     """
     name = name or primary(data)
     refuse_unlike_returns(data, name)
     factors, levels = find_crossing(data)
-    cells = _cells(data, levels, name)  # each with NaN where a run has no value
-    known = {cell: own[~np.isnan(own)] for cell, own in cells.items()}
-    values = np.concatenate(list(known.values()))  # (runs,)
-    whose = [cell for cell, own in known.items() for _ in own]
-    columns = {factor: [cell[i] for cell in whose] for i, factor in enumerate(factors)}
-    effects = factorial(values, columns, np.random.default_rng(stream_seed("effects", name)))
+    found: dict[tuple[str, ...], dict[str, float]] = {}
+    for condition, cell in levels.items():  # a run that two conditions share counts once
+        ids = [run.run_id for run in data.of_condition(condition)]
+        values = _values(data, condition, name)
+        found.setdefault(cell, {}).update(zip(ids, values, strict=True))
+        if np.isnan(values).all():
+            raise UserError(
+                f"outcome {name}: no finished run of {condition} has it, and every cell needs one: "
+                f"{'compare another outcome' if ids else data.how_to_train}"
+            )
+    every = [(cell, value) for cell, own in found.items() for value in own.values()]
+    known = [(cell, value) for cell, value in every if not np.isnan(value)]
+    columns = {factor: [cell[i] for cell, _ in known] for i, factor in enumerate(factors)}
+    generator = np.random.default_rng(stream_seed("effects", name))
+    effects = factorial([value for _, value in known], columns, generator)
     if any(effect.degrees[1] < 1 for effect in effects):
         raise UserError(
-            f"study {data.study}: {len(values)} runs in {len(known)} cells leave nothing to tell an effect "
+            f"study {data.study}: {len(known)} runs in {len(found)} cells leave nothing to tell an effect "
             "from chance; run it with more --seeds"
         )
+    cells = {cell: float(np.nanmean([*own.values()])) for cell, own in found.items()}
     means = {
-        factor: {
-            level: float(np.mean([runs.mean() for cell, runs in known.items() if cell[i] == level]))
-            for level in own
-        }
+        factor: {level: float(np.mean([cells[cell] for cell in cells if cell[i] == level])) for level in own}
         for i, (factor, own) in enumerate(factors.items())
     }
-    corrected = tuple(map(float, holm([effect.p_value for effect in effects])))
-    without = sum(map(len, cells.values())) - len(values)
-    counts = len(known), len(values), without
-    return Effects(data.study, data.title, name, means, *counts, tuple(effects), corrected)
-
-
-def effects_table(found: Effects) -> pd.DataFrame:
-    """Return effects as a tidy table, a row for each."""
-    return pd.DataFrame(
-        {
-            "effect": " × ".join(effect.factors),
-            "levels": " × ".join(str(len(found.means[factor])) for factor in effect.factors),
-            "outcome": found.outcome,
-            "df": effect.degrees[0],
-            "df_error": effect.degrees[1],
-            "f": effect.statistic,
-            "partial_r2": effect.share,
-            "p": effect.p_value,
-            "p_holm": corrected,
-            "runs": found.runs,
-        }
-        for effect, corrected in zip(found.effects, found.corrected, strict=True)
-    )
+    return Effects(name, means, len(cells), len(known), len(every) - len(known), effects)
 
 
 def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
@@ -140,76 +154,94 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     Conditions without a finished run are included.
 
     Raises:
-        UserError: where engines are mixed, fewer than two factors are crossed, or a combination is missing.
+        UserError: where fewer than two factors are crossed, or a combination is missing.
     """
-    engines = {str(run.fields.get("engine")): run.condition for run in reversed(data.runs)}
-    if len(engines) > 1:
-        told = ", ".join(f"{condition} by {engine}" for engine, condition in reversed(engines.items()))
-        raise UserError(f"engines are mixed: {told}; choose the runs of one with --engine {[*engines][-1]}")
-    shown = {
-        condition: {key: shown_value(value) for key, value in own.items() if key != "engine"}
-        for condition, own in _settings(data).items()
-    }
-    groups = _factor_groups(list(shown.values()))
+    settings = [{key: shown_value(value) for key, value in own.items()} for own in _settings(data).values()]
+    groups: list[tuple[str, ...]] = [(key,) for key in _differing(settings)]
+
+    def seen(*keys: str) -> list[tuple[str, ...]]:
+        return list(dict.fromkeys(tuple(own.get(key, "none") for key in keys) for own in settings))
+
+    def is_crossed(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+        return len(seen(*one, *other)) == len(seen(*one)) * len(seen(*other))
+
+    while pair := next((pair for pair in combinations(groups, 2) if not is_crossed(*pair)), None):
+        groups[groups.index(pair[0])] = pair[0] + pair[1]
+        groups.remove(pair[1])
     names = [" + ".join(group) for group in groups]
-    levels = {condition: tuple(_level(own, group) for group in groups) for condition, own in shown.items()}
     if len(groups) < 2:
         told = f"its conditions differ in {names[0]} alone" if names else "its conditions do not differ"
         raise UserError(
             f"study {data.study} is not crossed: {told}; take one whose conditions are every "
             "combination of two factors' values ([factors] in its file), and all of them"
         )
-    factors = {name: tuple(dict.fromkeys(own[i] for own in levels.values())) for i, name in enumerate(names)}
-    missing = next((cell for cell in product(*factors.values()) if cell not in levels.values()), None)
+    factors = {name: tuple(map(" + ".join, seen(*group))) for name, group in zip(names, groups, strict=True)}
+    cells = [tuple(" + ".join(own.get(key, "none") for key in group) for group in groups) for own in settings]
+    missing = next((cell for cell in product(*factors.values()) if cell not in cells), None)
     if missing:
         told = ", ".join(f"{name} {level}" for name, level in zip(factors, missing, strict=True))
         raise UserError(f"study {data.study} is not fully crossed: no condition has {told}; add it")
-    return factors, levels
+    return factors, dict(zip(_settings(data), cells, strict=True))
 
 
-def _factor_groups(settings: Sequence[Mapping[str, str]]) -> list[tuple[str, ...]]:
-    """Return the factors: groups of differing fields, each two of which are crossed."""
-    keys = dict.fromkeys(key for own in settings for key in own)
-    groups: list[tuple[str, ...]] = [(key,) for key in keys if len({own.get(key) for own in settings}) > 1]
+def factorial(
+    values: ArrayLike, factors: Mapping[str, Sequence[str]], generator: np.random.Generator
+) -> list[Effect]:
+    """Return every main effect and two-way interaction.
 
-    def count(*some: tuple[str, ...]) -> int:
-        return len({tuple(_level(own, group) for group in some) for own in settings})
+    Each is tested with the others in the model, by Freedman and Lane's permutation of the residuals of the
+    model without it (Freedman and Lane 1983): exact where nothing else acts, close where it does. Levels are
+    coded as deviations from their mean, so that a main effect is the average over the other factors' levels,
+    each counted alike, however many runs each cell has.
 
-    def is_crossed(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
-        return count(one, other) == prod(map(count, (one, other)))
+    Args:
+        values: (runs,) finite.
+        factors: name to the (runs,) levels that each run had; balanced or not.
+        generator: draws the permutations.
+    """
+    runs = finite(values)
+    coded: dict[tuple[str, ...], np.ndarray] = {
+        (name,): _deviations(levels) for name, levels in factors.items()
+    }
+    for one, other in combinations(factors, 2):
+        both = coded[one,][:, :, None] * coded[other,][:, None, :]
+        coded[one, other] = both.reshape(runs.size, -1)
+    shuffles = np.argsort(generator.random((DRAWS, runs.size)), axis=1)
+    constant = np.ones((runs.size, 1))
+    found = []
+    for names, own in coded.items():
+        others = np.hstack([constant, *(each for term, each in coded.items() if term != names)])
+        found.append(Effect(names, *_test(runs, others, own, shuffles)))
+    return found
 
-    while pair := next((pair for pair in combinations(groups, 2) if not is_crossed(*pair)), None):
-        groups[groups.index(pair[0])] = pair[0] + pair[1]
-        groups.remove(pair[1])
-    return groups
+
+def _deviations(levels: Sequence[str]) -> np.ndarray:
+    """Return the sum-to-zero coding of a factor, (runs, levels - 1)."""
+    names, index = np.unique(np.asarray(levels), return_inverse=True)
+    return np.vstack([np.eye(names.size - 1), -np.ones(names.size - 1)])[index]
 
 
-def _level(own: Mapping[str, str], group: Sequence[str]) -> str:
-    return " + ".join(own.get(key, "none") for key in group)
-
-
-def _cells(
-    data: StudyData, levels: Mapping[str, tuple[str, ...]], name: str
-) -> dict[tuple[str, ...], np.ndarray]:
-    """Return the values of every cell, (runs,); a run that two conditions share counts once."""
-    at_step = common_step(data)
-    found: dict[tuple[str, ...], dict[str, float]] = {}
-    for condition, cell in levels.items():
-        runs = data.of_condition(condition)
-        own = {run.run_id: outcome(data, run, name, at_step) for run in runs}
-        if not runs:
-            raise UserError(
-                f"study {data.study}: no run of {condition} has finished, and every cell needs one: "
-                f"{data.how_to_train}"
-            )
-        if all(map(np.isnan, own.values())):
-            raise UserError(
-                f"outcome {name}: no run of {condition} has it, and every cell needs one: "
-                f"{reason(data, runs[0], name, at_step)}; compare another outcome"
-            )
-        _refuse_endless(list(own.values()), name, condition)
-        found.setdefault(cell, {}).update(own)
-    return {cell: np.array(list(own.values())) for cell, own in found.items()}
+def _test(
+    runs: np.ndarray, others: np.ndarray, own: np.ndarray, shuffles: np.ndarray
+) -> tuple[tuple[int, int], float, float, float]:
+    """Return degrees of freedom, F, p-value and partial R² of an effect's columns beside those of others."""
+    reduced, full = (linalg.orth(each, rcond=1e-9) for each in (others, np.hstack([others, own])))
+    gained, left = full.shape[1] - reduced.shape[1], runs.size - full.shape[1]
+    degrees = own.shape[1], left
+    if gained < own.shape[1] or left < 1:
+        return degrees, np.nan, np.nan, np.nan
+    residuals = runs - reduced @ (reduced.T @ runs)
+    if np.abs(residuals).max() <= 1e-12 * max(1.0, np.abs(runs).max()):
+        return degrees, np.nan, 1.0, np.nan
+    # What is fitted lies in both models, and so takes no part in what either leaves.
+    samples = np.vstack([residuals, residuals[shuffles]])  # (1 + draws, runs)
+    tiny = 1e-12 * (residuals**2).sum()
+    before = (samples**2).sum(axis=1) - ((samples @ reduced) ** 2).sum(axis=1)
+    after = np.maximum((samples**2).sum(axis=1) - ((samples @ full) ** 2).sum(axis=1), tiny)
+    taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is no effect
+    statistic = taken / gained / (after / left)
+    p_value = float((statistic >= statistic[0] * (1 - 1e-9)).mean())
+    return degrees, float(statistic[0]) if after[0] > tiny else np.inf, p_value, float(taken[0] / before[0])
 
 
 # --- The robustness map ----------------------------------------------------------------------------
@@ -220,19 +252,24 @@ class Cell:
     """One combination of the factors' levels.
 
     Attributes:
-        levels: factor and level, in the factors' order.
+        levels: of every field in which the cells differ.
         better, worse: conditions: the one that is claimed to do better, and the other.
         contrast: of the two, the first less the second, turned so that above 0 is as claimed.
         p: Holm-corrected over the map, two-sided.
-        label: holds, reversed or open.
     """
 
-    levels: Levels
+    levels: Mapping[str, Any]
     better: str
     worse: str
     contrast: Contrast
     p: float
-    label: str
+
+    @property
+    def label(self) -> str:
+        """Holds, reversed or open."""
+        if self.p > LEVEL or not np.isfinite(self.contrast.effect):
+            return OPEN
+        return HOLDS if self.contrast.effect > 0 else REVERSED
 
 
 @dataclass(frozen=True)
@@ -243,21 +280,46 @@ class Map:
         setting: what the two conditions of a cell differ in.
         values: of the claimed better, and of the other.
         outcome: by what they are judged.
-        factors: what the cells differ in, with their levels.
         cells: in the study's order.
-        label: robust where every cell holds; conditional where some hold and some are reversed; partial where
-            some hold and the others are open, for few seeds show no condition; reversed where some are
-            reversed and none holds; else undecided.
     """
 
-    study: str
-    title: str
     setting: str
     values: tuple[Any, Any]
     outcome: str
-    factors: Mapping[str, tuple[Any, ...]]
-    cells: tuple[Cell, ...]
-    label: str
+    cells: Sequence[Cell]
+
+    @property
+    def label(self) -> str:
+        """What the cells come to.
+
+        Robust where every cell holds; conditional where some hold and some are reversed; partial where some
+        hold and the others are open, for few seeds show no condition; reversed where some are reversed and
+        none holds; else undecided.
+        """
+        labels = {cell.label for cell in self.cells}
+        if HOLDS in labels:
+            return "robust" if labels == {HOLDS} else "conditional" if REVERSED in labels else "partial"
+        return "reversed" if REVERSED in labels else "undecided"
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each cell."""
+        return pd.DataFrame(
+            {
+                **{key: shown_value(level) for key, level in cell.levels.items()},
+                "better": cell.better,
+                "worse": cell.worse,
+                "outcome": self.outcome,
+                "value": cell.contrast.effect,
+                "low": cell.contrast.interval.low,
+                "high": cell.contrast.interval.high,
+                "interval": cell.contrast.interval.method,
+                "p": cell.p,
+                "runs": f"{cell.contrast.seeds[0]} and {cell.contrast.seeds[1]}",
+                "label": cell.label,
+                "reason": cell.contrast.reason,
+            }
+            for cell in self.cells
+        )
 
 
 def robustness_map(
@@ -273,84 +335,56 @@ def robustness_map(
         outcome: one that has a better direction; the study's primary one when left out.
 
     Raises:
-        UserError: for one value twice, where no pair of conditions is such a contrast, or for an outcome
-            without a direction, or in which the two values do not compare.
+        UserError: where no pair of conditions is such a contrast, or for an outcome without a direction, or
+            in which the two values do not compare.
     """
     outcome = outcome or primary(data)
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)
     if direction is None:
         raise UserError(f"outcome {outcome}: is neither better high nor better low")
     values = as_tuple(read_field(Run, setting, better)), as_tuple(read_field(Run, setting, worse))
-    pairs = _pairs(data, setting, *values)
-    for one, other, _ in pairs:
-        refuse_unlike_returns(data, outcome, (one, other))
-    factors = _differing([settings for _, _, settings in pairs])
-    contrasts = [_contrast(data, one, other, outcome, direction) for one, other, _ in pairs]
-    corrected = holm([contrast.p_different for contrast in contrasts])
-    cells = []
-    for (one, other, settings), contrast, p in zip(pairs, contrasts, map(float, corrected), strict=True):
-        levels = tuple((key, settings.get(key)) for key in factors)
-        cells.append(Cell(levels, one, other, contrast, p, _cell_label(contrast, p)))
-    return Map(data.study, data.title, setting, values, outcome, factors, tuple(cells), _label(cells))
-
-
-def map_table(found: Map) -> pd.DataFrame:
-    """Return a map as a tidy table, a row for each cell."""
-    return pd.DataFrame(
-        {
-            **{key: shown_value(level) for key, level in cell.levels},
-            "better": cell.better,
-            "worse": cell.worse,
-            "outcome": found.outcome,
-            "value": cell.contrast.effect,
-            "low": cell.contrast.interval.low,
-            "high": cell.contrast.interval.high,
-            "interval": cell.contrast.interval.method,
-            "p": cell.p,
-            "runs": f"{cell.contrast.seeds[0]} and {cell.contrast.seeds[1]}",
-            "label": cell.label,
-            "reason": cell.contrast.reason,
-        }
-        for cell in found.cells
-    )
-
-
-def _pairs(
-    data: StudyData, setting: str, better: object, worse: object
-) -> list[tuple[str, str, dict[str, Any]]]:
-    """Return the conditions of every cell, and the fields that both have.
-
-    Raises:
-        UserError: for one value twice, or where there is no such pair.
-    """
-    told = shown_value(better), shown_value(worse)
-    if better == worse:
-        raise UserError(f"{setting}: {told[0]} against itself is no contrast; name two values")
     settings = _settings(data)
-    differing = _differing([dict(own) for own in settings.values()])
-    arms: dict[object, dict[str, list[str]]] = {better: {}, worse: {}}
-    for name, own in settings.items():
-        value = own.pop(setting, None)
-        if value in arms:
-            arms[value].setdefault(json.dumps(own, sort_keys=True, default=str), []).append(name)
     pairs = [
-        (one, other, settings[one])
-        for cell, names in arms[better].items()
-        for one in names
-        for other in arms[worse].get(cell, ())
+        (one, other)
+        for one, other in product(settings, settings)
+        if values[0] != values[1]
+        and settings[one].get(setting) == values[0]
+        and settings[other] == {**settings[one], setting: values[1]}
     ]
     if not pairs:
+        differing = _differing([*settings.values()])
         known = ", ".join(f"{key} ({', '.join(map(shown_level, own))})" for key, own in differing.items())
         raise UserError(
-            f"study {data.study}: no two conditions differ in {setting} alone, {told[0]} in one and "
-            f"{told[1]} in the other{f'; they differ in {known}' if known else ''}"
+            f"study {data.study}: no two conditions differ in {setting} alone, {shown_value(values[0])} in "
+            f"one and {shown_value(values[1])} in the other{f'; they differ in {known}' if known else ''}"
         )
-    return pairs
+    for pair in pairs:
+        refuse_unlike_returns(data, outcome, pair)
+    factors = _differing([settings[one] for one, _ in pairs])
+    contrasts = [_contrast(data, *pair, outcome, direction) for pair in pairs]
+    corrected = map(float, holm([contrast.p_different for contrast in contrasts]))
+    cells = [
+        Cell({key: settings[pair[0]].get(key) for key in factors}, *pair, contrast, p)
+        for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)
+    ]
+    return Map(setting, values, outcome, cells)
 
 
-def _settings(data: StudyData) -> Settings:
+def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction: float) -> Contrast:
+    """Compare two conditions; a run without a value leaves them open, as the others may look too good."""
+    a, b = (direction * _values(data, name, outcome) for name in (better, worse))
+    blank = int(np.isnan(a).sum() + np.isnan(b).sum())
+    if blank:
+        return undecided("mean", f"{counted(blank, 'run')} without a value", (a.size, b.size))
+    return compare("mean", a, b, None, np.random.default_rng(stream_seed("robustness", better)))
+
+
+# --- Both ------------------------------------------------------------------------------------------
+
+
+def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the fields of every condition, of those without a finished run too; lists as tuples."""
-    found: Settings = {}
+    found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
         if run["condition"] not in found:
             own = {key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")}
@@ -359,37 +393,15 @@ def _settings(data: StudyData) -> Settings:
 
 
 def _differing(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Return every field of the first in which some differ, with its values in the study's order."""
-    levels = {key: tuple(dict.fromkeys(own.get(key) for own in settings)) for key in settings[0]}
+    """Return every field in which some differ, with its values in the study's order."""
+    keys = dict.fromkeys(key for own in settings for key in own)
+    levels = {key: tuple(dict.fromkeys(own.get(key) for own in settings)) for key in keys}
     return {key: values for key, values in levels.items() if len(values) > 1}
 
 
-def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction: float) -> Contrast:
-    """Compare two conditions; a run without a value leaves them open, as the others may look too good."""
-    at_step = common_step(data)
-    a, b = (direction * outcome_values(data, name, outcome, at_step) for name in (better, worse))
-    _refuse_endless(a, outcome, better)
-    _refuse_endless(b, outcome, worse)
-    blank = int(np.isnan(a).sum() + np.isnan(b).sum())
-    if blank:
-        return undecided("mean", f"{counted(blank, 'run')} without a value", (a.size, b.size))
-    return compare("mean", a, b, None, np.random.default_rng(stream_seed("robustness", better)))
-
-
-def _refuse_endless(values: Sequence[float] | np.ndarray, name: str, condition: str) -> None:
-    """Refuse values of which some are endless: without them the others would look too good."""
+def _values(data: StudyData, condition: str, name: str) -> np.ndarray:
+    """Return an outcome of every finished run, (runs,); none endless, without which others look too good."""
+    values = outcome_values(data, condition, name, common_step(data))
     if np.isinf(values).any():
         raise UserError(f"outcome {name}: some runs of {condition} never get there; compare another outcome")
-
-
-def _cell_label(contrast: Contrast, p: float) -> str:
-    if p > LEVEL or not np.isfinite(contrast.effect):
-        return OPEN
-    return HOLDS if contrast.effect > 0 else REVERSED
-
-
-def _label(cells: Sequence[Cell]) -> str:
-    labels = {cell.label for cell in cells}
-    if HOLDS in labels:
-        return ROBUST if labels == {HOLDS} else CONDITIONAL if REVERSED in labels else PARTIAL
-    return REVERSED if REVERSED in labels else UNDECIDED
+    return values

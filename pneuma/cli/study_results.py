@@ -270,27 +270,27 @@ def effects(
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
     data = open_data(chosen, name)
-    from pneuma.analysis.crossed import effects_table, study_effects
+    from pneuma.analysis.crossed import study_effects
     from pneuma.analysis.frames import common_step
 
     found = study_effects(data, outcome)
-    table = effects_table(found)
+    table = found.table()
     if not json:
-        _print_effects(found, table)
+        _print_effects(data.title, found, table)
         return _tell_step(data)
-    document = {key: getattr(found, key) for key in ("study", "outcome", "cells", "runs", "means")}
+    document = {key: getattr(found, key) for key in ("outcome", "cells", "runs", "means")}
     without = {"runs_without_outcome": found.without, "at_step": common_step(data)}
-    return print_json({**document, **without, "effects": table})
+    return print_json({"study": data.study, **document, **without, "effects": table})
 
 
-def _print_effects(found: Effects, table: pd.DataFrame) -> None:
+def _print_effects(title: str, found: Effects, table: pd.DataFrame) -> None:
     from pneuma.analysis.intervals import decimals, shown
     from pneuma.analysis.outcomes import find_outcome
 
     outcome = find_outcome(found.outcome)
     unit = f" ({outcome.unit})" if outcome.unit else ""
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{found.title}: {outcome.words}{unit}, {found.runs} runs in {found.cells} cells{without}")
+    say(f"{title}: {outcome.words}{unit}, {found.runs} runs in {found.cells} cells{without}")
     print()
     rows = []
     for row in table.to_dict("records"):
@@ -340,7 +340,7 @@ def robustness(
     formats, store = read_formats(format, out), chosen.store
     setting, better, worse = contrast
     data = open_data(chosen, name)
-    from pneuma.analysis.crossed import map_table, robustness_map
+    from pneuma.analysis.crossed import robustness_map
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import find_outcome, primary
 
@@ -359,16 +359,16 @@ def robustness(
         files = draw_files(store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats))
     turned = find_outcome(found.outcome).better == "lower"
     if not json:
-        _print_map(found, turned)
+        _print_map(data.title, found, turned)
         _tell_step(data)
         return tell_written(files)
     values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
     document = {"study": found.study, "contrast": values, "outcome": found.outcome, "label": found.label}
-    told = {"turned": turned, "at_step": common_step(data), "cells": map_table(found)}
+    told = {"turned": turned, "at_step": common_step(data), "cells": found.table()}
     return print_json({**document, **told, "figures": files})
 
 
-def _print_map(found: Map, turned: bool) -> None:
+def _print_map(title: str, found: Map, turned: bool) -> None:
     from pneuma.analysis.intervals import shown_with_interval
 
     better, worse = map(shown_value, found.values)
@@ -376,7 +376,7 @@ def _print_map(found: Map, turned: bool) -> None:
     say(f"{found.title}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
     rows = []
     for cell in found.cells:
-        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels) or cell.better
+        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels.items()) or cell.better
         interval = cell.contrast.interval
         effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
         rows.append((levels, effect, f"{cell.p:.3f}", cell.label))

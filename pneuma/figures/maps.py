@@ -93,9 +93,9 @@ def _draw_map(axes: Axes, found: Map) -> None:
         if np.isfinite([interval.low, interval.high]).all():
             axes.plot([interval.low, interval.high], [place, place], color=look["color"], linewidth=1.3)
         axes.plot([cell.contrast.effect], [place], linestyle="", markersize=4.5, **look)
-    labels = [", ".join(shown_level(level) for _, level in cell.levels) for cell in found.cells]
+    labels = [", ".join(shown_level(level) for level in cell.levels.values()) for cell in found.cells]
     label_rows(axes, labels, ROW_INCHES)
-    factors = ", ".join(key for key, _ in found.cells[0].levels)
+    factors = ", ".join(found.cells[0].levels)
     axes.text(
         -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
     )

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
+from pneuma.analysis.crossed import factorial
 from pneuma.analysis.design import seeds_needed
-from pneuma.analysis.factorial import factorial
 from pneuma.analysis.pvalues import relabel
 
 
@@ -93,7 +93,7 @@ def test_unequal_cells_do_not_lend_one_factors_effect_to_another() -> None:
 
 def test_a_factor_that_another_hides_has_no_p_value() -> None:
     levels = ["a", "a", "b", "b"] * 3
-    found = factorial(np.arange(12.0), {"x": levels, "z": levels}, np.random.default_rng(8), order=1)
+    found = factorial(np.arange(12.0), {"x": levels, "z": levels}, np.random.default_rng(8))
     assert all(math.isnan(effect.p_value) for effect in found)
     constant = factorial(np.ones(12), {"x": levels}, np.random.default_rng(8))
     assert constant[0].p_value == 1.0
