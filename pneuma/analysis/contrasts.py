@@ -7,8 +7,9 @@ it, within the margin on both sides, and beyond it, above and below. What they m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,17 +89,53 @@ def compare(
         ValueError: for values that are not finite, or an incidence of others than 0 and 1.
     """
     first, second = finite(a), finite(b)
-    seeds, effect = (first.size, second.size), _effect(first, second)
-    fewest = 1 if kind == "incidence" else 2
-    if min(seeds) < fewest:
-        return undecided(kind, _too_few(min(seeds), fewest), seeds, effect)
-    if kind == "incidence":
-        return _incidence(first, second, margin, level)
-    labels = pvalues.relabel(first.size, second.size, generator)
-    found = pvalues.mean_p_values(first[None], second[None], margin, labels)
-    make = intervals.difference_interval
-    both = make(first, second), make(first, second, level)
-    return _contrast(kind, effect, both, found, seeds, 1 / len(labels))
+    seeds = n, m = first.size, second.size
+    effect = float(first.mean() - second.mean()) if n and m else float("nan")
+    if too_few := _too_few(kind, min(seeds)):
+        return undecided(kind, too_few, seeds, effect)
+    if kind == "mean":
+        labels = pvalues.relabel(n, m, generator)
+        found = pvalues.mean_p_values(first[None], second[None], margin, labels)
+        make = partial(intervals.difference_interval, first, second)
+        return _contrast(kind, effect, make, level, found, seeds, (1 / len(labels),) * 2)
+    count, other = _count(first), _count(second)
+    found = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
+    extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
+    make = partial(intervals.incidence_difference_interval, count, n, other, m)
+    return _contrast(kind, effect, make, level, found, seeds, (extremes.greater[0], extremes.less[1]))
+
+
+def compare_with(
+    kind: str,
+    a: ArrayLike,
+    value: float,
+    margin: float | None,
+    generator: np.random.Generator,
+    level: float = intervals.LEVEL,
+) -> Contrast:
+    """Compare one arm with a constant, in its unit: is its mean, or its share of runs, above or below it?
+
+    Otherwise as `compare`; the generator draws turns of signs.
+    """
+    runs = finite(a)
+    seeds = (runs.size, 0)
+    if too_few := _too_few(kind, runs.size):
+        return undecided(kind, too_few, seeds, float((runs - value).mean()) if runs.size else float("nan"))
+    if kind == "mean":
+        flips = pvalues.sign_flips(runs.size, generator)
+        found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
+        effect, make = float((runs - value).mean()), partial(intervals.mean_interval, runs - value)
+        return _contrast(kind, effect, make, level, found, seeds, (1 / len(flips),) * 2)
+    count = _count(runs)
+    found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
+    extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
+
+    def shifted(own: float = intervals.LEVEL) -> Interval:
+        made = intervals.incidence_interval(count, runs.size, own)
+        return replace(made, low=made.low - value, high=made.high - value)
+
+    effect, smallest = float(runs.mean() - value), (extremes.greater[0], extremes.less[1])
+    return _contrast(kind, effect, shifted, level, found, seeds, smallest)
 
 
 def compare_effects(
@@ -115,8 +152,8 @@ def compare_effects(
     """
     values = [finite(arm) for arm in arms]
     seeds = min(own.size for own in values[:2]), min(own.size for own in values[2:])
-    if min(seeds) < 2:
-        return undecided("mean", _too_few(min(seeds), 2), seeds)
+    if too_few := _too_few("mean", min(seeds)):
+        return undecided("mean", too_few, seeds)
     means = [own.mean() for own in values]
     effect = float(means[0] - means[1] - means[2] + means[3])
     parts = np.array([own.var(ddof=1) / own.size for own in values])
@@ -124,90 +161,10 @@ def compare_effects(
     if error == 0:
         return undecided("mean", "all runs of every arm are equal", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
-    both = [
-        intervals.around(effect, error, freedom, own, "Welch t, four arms")
-        for own in (intervals.LEVEL, level)
-    ]
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
     tails = pvalues.student_tails(shifted, np.full(shifted.shape, error), freedom)
-    return _contrast("mean", effect, (both[0], both[1]), pvalues.by_shift(*tails, 1), seeds, 0.0)
-
-
-def compare_with(
-    kind: str,
-    a: ArrayLike,
-    value: float,
-    margin: float | None,
-    generator: np.random.Generator,
-    level: float = intervals.LEVEL,
-) -> Contrast:
-    """Compare one arm with a constant: is its mean, or its share of runs, above or below it?
-
-    Args:
-        kind: as for `compare`.
-        a: (runs,) finite values.
-        value: the constant, in their unit.
-        margin: as for `compare`.
-        generator: draws turns of signs where there are too many to count.
-        level: of the simultaneous interval.
-
-    Raises:
-        ValueError: as for `compare`.
-    """
-    runs = finite(a)
-    seeds = (runs.size, 0)
-    effect = float((runs - value).mean()) if runs.size else float("nan")
-    fewest = 1 if kind == "incidence" else 2
-    if runs.size < fewest:
-        return undecided(kind, _too_few(runs.size, fewest), seeds, effect)
-    if kind == "incidence":
-        return _incidence_with(runs, value, margin, level)
-    flips = pvalues.sign_flips(runs.size, generator)
-    found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
-    both = intervals.mean_interval(runs - value), intervals.mean_interval(runs - value, level)
-    return _contrast(kind, effect, both, found, seeds, 1 / len(flips))
-
-
-def _incidence(a: np.ndarray, b: np.ndarray, margin: float | None, level: float) -> Contrast:
-    (count_a, n), (count_b, m) = (_count(a), a.size), (_count(b), b.size)
-    found = pvalues.incidence_p_values(np.array([count_a]), n, np.array([count_b]), m, margin)
-    counts = count_a, n, count_b, m
-    make = intervals.incidence_difference_interval
-    both = make(*counts), make(*counts, level)
-    extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
-    smallest = float(extremes.greater[0]), float(extremes.less[1])
-    return _contrast("incidence", _effect(a, b), both, found, (n, m), *smallest)
-
-
-def _incidence_with(runs: np.ndarray, value: float, margin: float | None, level: float) -> Contrast:
-    count, seeds = _count(runs), (runs.size, 0)
-    made = [intervals.incidence_interval(count, runs.size, own) for own in (intervals.LEVEL, level)]
-    first, second = (Interval(own.low - value, own.high - value, own.level, own.method) for own in made)
-    found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
-    extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
-    smallest = float(extremes.greater[0]), float(extremes.less[1])
-    return _contrast("incidence", float(runs.mean() - value), (first, second), found, seeds, *smallest)
-
-
-def _contrast(
-    kind: str,
-    effect: float,
-    both: tuple[Interval, Interval],
-    found: PValues,
-    seeds: tuple[int, int],
-    smallest_greater: float,
-    smallest_less: float | None = None,
-) -> Contrast:
-    """Return the contrast of one sample; both directions have the same smallest p unless it is given."""
-    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
-    smallest = (smallest_greater, smallest_greater if smallest_less is None else smallest_less)
-    least = 2 * min(smallest)
-    reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
-    first, simultaneous = both
-    return Contrast(
-        kind, effect, first, greater, less, equivalent, seeds, reason, *smallest, far_greater, far_less,
-        simultaneous,
-    )  # fmt: skip
+    make = partial(intervals.around, effect, error, freedom, method="Welch t, four arms")
+    return _contrast("mean", effect, make, level, pvalues.by_shift(*tails, 1), seeds, (0.0, 0.0))
 
 
 def undecided(
@@ -217,17 +174,34 @@ def undecided(
     return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
 
 
-def _too_few(seeds: int, fewest: int) -> str:
+def _contrast(
+    kind: str,
+    effect: float,
+    interval: Callable[[float], Interval],
+    level: float,
+    found: PValues,
+    seeds: tuple[int, int],
+    smallest: tuple[float, float],
+) -> Contrast:
+    """Return the contrast of one sample, whose interval can be made at any level."""
+    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
+    least = 2 * min(smallest)
+    reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
+    return Contrast(
+        kind, effect, interval(intervals.LEVEL), greater, less, equivalent, seeds, reason,
+        float(smallest[0]), float(smallest[1]), far_greater, far_less, interval(level),
+    )  # fmt: skip
+
+
+def _too_few(kind: str, seeds: int) -> str:
+    """Say that so many runs of an arm are too few; empty where they are not."""
+    fewest = 1 if kind == "incidence" else 2
     if seeds == 0:
         return "an arm has no runs"
-    return f"an arm has {seeds} run{'s' * (seeds > 1)}; it takes {fewest} to see how runs differ"
+    return "" if seeds >= fewest else f"an arm has 1 run; it takes {fewest} to see how runs differ"
 
 
 def _count(runs: np.ndarray) -> int:
     if not np.isin(runs, (0, 1)).all():
         raise ValueError("an incidence is of values 0 or 1")
     return int(runs.sum())
-
-
-def _effect(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a.mean() - b.mean()) if a.size and b.size else float("nan")

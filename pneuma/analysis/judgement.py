@@ -10,15 +10,17 @@ list's alpha.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, measure_of
-from pneuma.analysis.claims import Claim, ClaimList
+from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, find_runs
+from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
 from pneuma.analysis.design import not_admitted, seeds_needed
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.verdicts import (
     INCONCLUSIVE,
     MIXED,
@@ -133,35 +135,36 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     Raises:
         UserError: for a damaged published table.
     """
-    runs, refused = ClaimRuns(store, claims), not_admitted(claims)
+    refused = not_admitted(claims)
     return [
-        _judge_one(claim.in_world(place), place, runs, claims, refused.get((claim.name, place), ""))
-        for claim in claims.claims.values()
-        for place in claim.worlds
+        _judge_one(runs, claims, refused.get((runs.claim.name, runs.world), ""))
+        for runs in find_runs(store, claims)
     ]
 
 
-def _judge_one(claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
+def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
+    claim = runs.claim
     if refused:
-        return Verdict(claim, place, UNTESTABLE, f"not admitted: {refused}")
-    level = 1 - claims.head.alpha / claims.factor(claim, place)  # of intervals that hold all at once
-    made = [
-        _compared(claim, place, runs, name, *pair, level) for name in claim.outcome for pair in claim.pairs
-    ]
-    decided = [_decided(own, claim, place, runs, claims) for own in made]
-    by_outcome = [
-        together([own.verdict for own in decided if own.outcome == name], claim.need)
-        for name in dict.fromkeys(own.outcome for own in decided)
-    ]
-    untestable = UNTESTABLE in [own.verdict for own in decided]
-    verdict = of_outcomes(by_outcome) or (UNTESTABLE if untestable else INCONCLUSIVE)
-    if verdict == UNTESTABLE:
-        reason = _joined(own.contrast.reason for own in decided)
-    else:
-        refuted = [own.contrast for own in decided if own.verdict == REFUTED]
-        small = verdict == REFUTED and all(_is_as_claimed_but_small(own, claim.direction) for own in refuted)
+        return Verdict(claim, runs.world, UNTESTABLE, f"not admitted: {refused}")
+    arm = cache(runs.arm)
+    made = tuple(
+        _judge_contrast(runs, arm, outcome, *pair, claims)
+        for outcome in claim.outcome
+        for pair in claim.pairs
+    )
+    each = [[own.verdict for own in made if own.outcome == outcome] for outcome in claim.outcome]
+    untestable = any(own.verdict == UNTESTABLE for own in made)
+    verdict = of_outcomes([together(own, claim.need) for own in each])
+    verdict = verdict or (UNTESTABLE if untestable else INCONCLUSIVE)
+    reason = ""
+    if verdict == UNTESTABLE:  # each part of the reasons once, the command that mends them last
+        parts = dict.fromkeys(part for own in made for part in own.contrast.reason.split("; ") if part)
+        reason = "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
+    elif verdict == REFUTED:
+        refuted = [own.contrast for own in made if own.verdict == REFUTED]
+        small = all(_is_as_claimed_but_small(own, claim.direction) for own in refuted)
         reason = AS_CLAIMED_BUT_SMALL if small else ""
-    return Verdict(claim, place, verdict, reason, tuple(decided))
+    return Verdict(claim, runs.world, verdict, reason, made)
 
 
 def decisive_of(verdict: Verdict) -> list[Comparison]:
@@ -180,105 +183,6 @@ def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Com
     return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
 
 
-# --- Contrasts -----------------------------------------------------------------------------------
-
-
-def _compared(
-    claim: Claim, world: str, runs: ClaimRuns, outcome: str, a: str, b: str | None, level: float
-) -> Comparison:
-    """Return a claim's contrast on one of its outcomes: of two arms, of one with a number, of two effects."""
-    names = [name for name in (a, b, *claim.c, *claim.d) if name is not None]
-    told = f"{claim.value:g}" if b is None else b
-    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", f"{a}/{told}"))
-    if claim.c:
-        a, told = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
-    reason = runs.hindrance(claim, world, outcome, names)
-    if reason:
-        return Comparison(
-            a, told, outcome, undecided(claim.kind, reason), runs.known_ids(claim, world, names)
-        )
-    arms = {name: runs.arm(claim, world, outcome, name) for name in names}
-    values = [arm.values for arm in arms.values()]
-    run_ids = tuple(run_id for arm in arms.values() for run_id in arm.run_ids)
-    reason = next((arm.reason for arm in arms.values() if arm.reason), "") or _gate(claim, outcome, arms)
-    margin = claim.of("margin", outcome)
-    if reason:
-        seeds = values[0].size, values[1].size if len(values) > 1 else 0
-        contrast = undecided(claim.kind, reason, seeds)
-    elif claim.c:
-        contrast = compare_effects(values, margin, level)
-    elif b is None:
-        contrast = compare_with(claim.kind, values[0], claim.value or 0.0, margin, generator, level)
-    else:
-        contrast = compare(claim.kind, values[0], values[1], margin, generator, level)
-    return Comparison(a, told, outcome, contrast, run_ids)
-
-
-def _gate(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
-    """Say why arms cannot be compared by what they play like; empty where they can.
-
-    An arm is at the floor if it is not shown to play better than the random player, whatever the number of
-    its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
-    arm plays, and any claim of no difference, needs one.
-    """
-    measure = measure_of(outcome)
-    idle = [name for name, arm in arms.items() if arm.learned is False]
-    if idle and measure.supposes_rise:
-        return f"arm at floor: {idle[0]} is not shown to play better than the random player"
-    of_play = measure.of_play and claim.event is None
-    if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
-        return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
-    return _at_an_end(claim, outcome, list(arms.values()))
-
-
-def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
-    """Say so where every run of both arms lies at the outcome's least or greatest value.
-
-    As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
-    the least value are the gate's.
-    """
-    if len(arms) < 2 or claim.event is not None:
-        return ""
-    measure = measure_of(outcome)
-    near = claim.of("margin", outcome) or measure.near
-    known = measure.of_play and all(arm.learned is not None for arm in arms)
-    values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), measure.bounds, strict=True):
-        if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
-            return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
-    return ""
-
-
-# --- Verdicts ------------------------------------------------------------------------------------
-
-
-def _decided(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, claims: ClaimList) -> Comparison:
-    """Return a contrast with its verdict: untestable for a reason, or where so few runs cannot support it."""
-    factor, alpha = claims.factor(claim, place), claims.head.alpha
-    verdict, p = decide(own.contrast, claim.direction, factor, alpha)
-    own = replace(own, verdict=verdict, p=p)
-    if verdict != INCONCLUSIVE:
-        return own  # equivalence may be shown by fewer runs than a difference takes
-    reason, smallest = own.contrast.reason, smallest_p(own.contrast, claim.direction)
-    if not reason and smallest * factor > alpha:
-        reason = (
-            f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}, "
-            f"and the list has {counted(claims.contrasts, 'contrast')}"
-        )
-    if reason:
-        return replace(own, verdict=UNTESTABLE, contrast=replace(own.contrast, reason=reason))
-    return replace(own, seeds_needed=_seeds_needed(own, claim, place, runs, alpha / factor))
-
-
-def _seeds_needed(own: Comparison, claim: Claim, place: str, runs: ClaimRuns, alpha: float) -> int | None:
-    """Return how many seeds an open contrast needs, where that can be told."""
-    if claim.value is not None or claim.only or claim.c:
-        return None  # nobody knows beforehand how many runs will count
-    a, b = (runs.arm(claim, place, own.outcome, name).values for name in (own.a, own.b))
-    count = seeds_needed(claim.kind, a, b, claim.of("margin", own.outcome), alpha, claim.direction)
-    return count if count is not None and count > min(a.size, b.size) else None  # as many decided nothing
-
-
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
     low, high = contrast.interval.low, contrast.interval.high
@@ -286,7 +190,89 @@ def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     return found(contrast) == "equal" and as_claimed
 
 
-def _joined(reasons: Iterable[str]) -> str:
-    """Return the parts of several reasons, each once, the command that mends them last."""
-    parts = dict.fromkeys(part for reason in reasons if reason for part in reason.split("; "))
-    return "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
+# --- Contrasts -----------------------------------------------------------------------------------
+
+
+def _judge_contrast(
+    runs: ClaimRuns, arm: Callable[[str, str], Arm], outcome: str, a: str, b: str | None, claims: ClaimList
+) -> Comparison:
+    """Judge one of a claim's contrasts: of two arms, of one with a number, or of two effects.
+
+    It is untestable for a reason, or where so few runs cannot support it.
+    """
+    claim, names = runs.claim, [name for name in (a, b, *runs.claim.c, *runs.claim.d) if name is not None]
+    factor, alpha = claims.factor(claim, runs.world), claims.head.alpha
+    other = f"{claim.value:g}" if b is None else b
+    reason = runs.hindrance(outcome, names)
+    arms = {} if reason else {name: arm(outcome, name) for name in names}
+    reason = reason or next((own.reason for own in arms.values() if own.reason), "")
+    reason = reason or _at_floor(claim, outcome, arms) or _at_an_end(claim, outcome, [*arms.values()])
+    values, margin = [own.values for own in arms.values()], claim.of("margin", outcome)
+    generator = np.random.default_rng(stream_seed(f"{claim.name}/{runs.world}", f"{a}/{other}"))
+    level = 1 - alpha / factor  # of intervals that hold all at once
+    if reason:
+        sizes = [own.size for own in values] + [0, 0]
+        contrast = undecided(claim.kind, reason, (sizes[0], sizes[1]))
+    elif claim.c:
+        contrast = compare_effects(values, margin, level)
+    elif b is None:
+        contrast = compare_with(claim.kind, values[0], claim.value or 0.0, margin, generator, level)
+    else:
+        contrast = compare(claim.kind, values[0], values[1], margin, generator, level)
+    verdict, p = decide(contrast, claim.direction, factor, alpha)
+    smallest, needed = smallest_p(contrast, claim.direction), None
+    if verdict == INCONCLUSIVE:  # equivalence may be shown by fewer runs than a difference takes
+        if not contrast.reason and smallest * factor > alpha:
+            few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"
+            told = f"{few}, and the list has {counted(claims.contrasts, 'contrast')}"
+            contrast = replace(contrast, reason=told)
+        if contrast.reason:
+            verdict = UNTESTABLE
+        elif b is not None and not (claim.only or claim.c):  # else nobody knows how many runs will count
+            count = seeds_needed(claim.kind, values[0], values[1], margin, alpha / factor, claim.direction)
+            needed = count if count is not None and count > min(map(len, values)) else None
+    if claim.c:
+        a, other = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
+    counted_ids = tuple(run_id for own in arms.values() for run_id in own.run_ids)
+    run_ids = counted_ids if arms else runs.known_ids(names)
+    return Comparison(a, other, outcome, contrast, run_ids, verdict, p, needed)
+
+
+def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
+    """Say why arms cannot be compared by what they play like; empty where they can.
+
+    An arm is at the floor if it is not shown to play better than the random player, whatever the number of
+    its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
+    arm plays, and any claim of no difference, needs one.
+    """
+    idle = [name for name, arm in arms.items() if arm.learned is False]
+    if idle and any(find_outcome(part).supposes_rise for part in outcome.split(MINUS)):
+        return f"arm at floor: {idle[0]} is not shown to play better than the random player"
+    of_play = _is_of_play(outcome) and claim.event is None
+    if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
+        return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
+    return ""
+
+
+def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
+    """Say so where every run of both arms lies at the outcome's least or greatest value.
+
+    As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
+    the least value are at the floor or not by what they play like.
+    """
+    if len(arms) < 2 or claim.event is not None or MINUS in outcome:
+        return ""
+    own = find_outcome(outcome)
+    near = claim.of("margin", outcome) or own.alike
+    known = _is_of_play(outcome) and all(arm.learned is not None for arm in arms)
+    values = np.concatenate([arm.values for arm in arms])
+    for end, bound in zip(("floor", "ceiling"), own.bounds, strict=True):
+        if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
+            return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
+    return ""
+
+
+def _is_of_play(outcome: str) -> bool:
+    """Tell whether more of an outcome is better play."""
+    parts = [find_outcome(part) for part in outcome.split(MINUS)]
+    return all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
