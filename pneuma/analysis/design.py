@@ -98,52 +98,32 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
     alpha = claims.head.alpha / claims.factor(claim, world)
     spreads = claims.pilot.spreads.get(world, {}) if claims.pilot else {}
     spread = spreads.get(f"{outcome} {claim.event.words}" if claim.event else outcome)
-    if claim.event and spread is None:
-        spread = UNKNOWN_SHARE
-    plausible = claim.of("plausible", outcome)
-    detectable, provable = _limits(claim, seeds, alpha, spread)
-    reason = _reason(claim, outcome, sum(seeds), detectable, provable, plausible)
+    detectable = provable = None
+    if claim.event:
+        spread = UNKNOWN_SHARE if spread is None else spread
+        detectable = _least_share(claim, seeds, alpha, spread if claim.value is None else claim.value)
+    elif spread is not None:
+        error, freedom = spread * math.sqrt(sum(1 / own for own in seeds)), max(sum(seeds) - len(seeds), 1)
+        detectable = float(error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER)))
+        provable = float(error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2)))
+    margin, plausible = claim.of("margin", outcome), claim.of("plausible", outcome)
+    least, most, words = (
+        detectable,
+        plausible,
+        "the least difference found is {:.3g}, and {:.3g} is plausible",
+    )
+    if claim.direction == "equal":
+        least, most = provable, margin
+        words = "arms alike are shown to lie within {:.3g}, and the margin is {:.3g}"
+    reason = ""
+    if least is None:
+        reason = f"no pilot has a spread of {outcome}"
+    elif most is None:
+        reason = f"no largest plausible effect on {outcome} is stated"
+    elif least > most:
+        reason = f"cannot be decided with so many seeds ({sum(seeds)} runs): {words.format(least, most)}"
     told = f"{claim.value:g}" if b is None else b
     return Plan(claim, world, outcome, a, told, seeds, alpha, spread, detectable, provable, plausible, reason)
-
-
-def _reason(
-    claim: Claim,
-    outcome: str,
-    runs: int,
-    detectable: float | None,
-    provable: float | None,
-    plausible: float | None,
-) -> str:
-    """Say why a contrast cannot be decided; empty where it can."""
-    few = f"cannot be decided with so many seeds ({runs} runs)"
-    if claim.direction == "equal":
-        margin = claim.of("margin", outcome)
-        if provable is None:
-            return f"no pilot has a spread of {outcome}"
-        within = f"arms alike are shown to lie within {provable:.3g}, and the margin is {margin:.3g}"
-        return "" if margin is not None and provable <= margin else f"{few}: {within}"
-    if detectable is None:
-        return f"no pilot has a spread of {outcome}"
-    if plausible is None:
-        return f"no largest plausible effect on {outcome} is stated"
-    least = f"the least difference found is {detectable:.3g}, and {plausible:.3g} is plausible"
-    return "" if detectable <= plausible else f"{few}: {least}"
-
-
-def _limits(
-    claim: Claim, seeds: tuple[int, ...], alpha: float, spread: float | None
-) -> tuple[float | None, float | None]:
-    """Return the least difference that is found, and the least margin that is shown, with 80 % power."""
-    if claim.kind == "incidence":
-        base = claim.value if claim.value is not None else spread
-        return _least_share(claim, seeds, alpha, UNKNOWN_SHARE if base is None else base), None
-    if spread is None:
-        return None, None
-    error, freedom = spread * math.sqrt(sum(1 / own for own in seeds)), max(sum(seeds) - len(seeds), 1)
-    found = error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER))
-    shown = error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2))
-    return float(found), float(shown)
 
 
 def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
@@ -152,26 +132,19 @@ def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float
     Of two arms the base is arm b's share of runs, of one the constant. Infinite where no share is found.
     """
     if len(seeds) == 2:
-        table = share_table(*seeds), share_table(seeds[1], seeds[0]).T
         weights = count_chances(seeds[1], np.array([base]))[0]
-        power = [_power_of(SHARES, seeds[0], (2 * own <= alpha) @ weights) for own in table]
+        tables = share_table(*seeds), share_table(*seeds[::-1]).T
+        above, below = ((2 * own <= alpha) @ weights for own in tables)  # by each count of runs of a
     else:
         p = one_share_p_values(np.arange(seeds[0] + 1), seeds[0], base, None)
-        power = [_power_of(SHARES, seeds[0], 2 * own <= alpha) for own in (p.greater, p.less)]
-    differences = []
-    if claim.direction != "less":
-        differences += [share - base for share in SHARES[(power[0] >= POWER) & (base < SHARES)]]
-    if claim.direction != "greater":
-        differences += [base - share for share in SHARES[(power[1] >= POWER) & (base > SHARES)]]
-    return float(min(differences, default=math.inf))
-
-
-def _power_of(shares: np.ndarray, runs: int, decided: np.ndarray) -> np.ndarray:
-    """Return the chance of a decision at each true share, given that of each count of runs with the event."""
-    return count_chances(runs, shares) @ decided
-
-
-# --- Seeds still needed ------------------------------------------------------------------------------
+        above, below = 2 * p.greater <= alpha, 2 * p.less <= alpha
+    chances = count_chances(seeds[0], SHARES)
+    least = math.inf
+    for opposite, decided, beyond in (("less", above, SHARES - base), ("greater", below, base - SHARES)):
+        if claim.direction != opposite:
+            found = beyond[(chances @ decided >= POWER) & (beyond > 0)]
+            least = min(least, float(found.min(initial=math.inf)))
+    return least
 
 
 def seeds_needed(
@@ -185,47 +158,34 @@ def seeds_needed(
         b: the same of the other arm.
         margin: as for `compare`; decided is also what is shown to lie within it.
         alpha: the error rate that the two-sided test must reach, after any correction.
-        direction: what is claimed, of `pneuma.analysis.verdicts.DIRECTIONS`: a claim of no difference is
-            not decided by any difference, but by one beyond the margin.
+        direction: what is claimed: a claim of no difference, "equal", is not decided by any difference, but
+            by one beyond the margin.
 
     Returns:
         The least number of runs per arm, counting those there are, and not below what a permutation test of
         that alpha takes; None where that is above `MOST_SEEDS`, and where what was seen has no spread to
         plan with.
     """
-    first, second = finite(a), finite(b)
-    if min(first.size, second.size) < (1 if kind == "incidence" else 2):
+    arms = finite(a), finite(b)
+    if min(own.size for own in arms) < (1 if kind == "incidence" else 2):
         return None
-    error = _error(kind, first, second)
+    if kind == "mean":
+        error = math.sqrt(sum(own.var(ddof=1) for own in arms))  # of the difference, with one seed an arm
+    else:
+        shares = [(own.sum() + 0.5) / (own.size + 1) for own in arms]
+        error = math.sqrt(sum(share * (1 - share) for share in shares))
     if error <= 0:
         return None
+    effect, within = float(arms[0].mean() - arms[1].mean()), margin or 0.0
     counts = np.arange(2, MOST_SEEDS + 1)
-    effect = float(first.mean() - second.mean())
-    enough = _power(effect, error / np.sqrt(counts), margin or 0.0, alpha, 2.0 * (counts - 1), direction)
-    decided = counts[(enough >= POWER) & (counts >= _fewest(alpha))]
+    errors, degrees = error / np.sqrt(counts), 2.0 * (counts - 1)
+    deciding = abs(effect) - (within if direction == "equal" else 0.0)
+    different = special.ndtr(deciding / errors - special.stdtrit(degrees, 1 - alpha / 2))
+    above, below = (
+        special.ndtr((within + own) / errors - special.stdtrit(degrees, 1 - alpha))
+        for own in (effect, -effect)
+    )
+    enough = np.maximum(different, above + below - 1) >= POWER
+    fewest = next((n for n in counts if 2 / math.comb(2 * n, n) <= alpha), MOST_SEEDS)
+    decided = counts[enough & (counts >= fewest)]
     return int(decided[0]) if decided.size else None
-
-
-def _error(kind: str, a: np.ndarray, b: np.ndarray) -> float:
-    """Return the standard error of the difference with one seed an arm."""
-    if kind == "mean":
-        return float(np.sqrt(a.var(ddof=1) + b.var(ddof=1)))
-    share_a, share_b = ((arm.sum() + 0.5) / (arm.size + 1) for arm in (a, b))
-    return float(np.sqrt(share_a * (1 - share_a) + share_b * (1 - share_b)))
-
-
-def _power(
-    effect: float, error: np.ndarray, margin: float, alpha: float, degrees: np.ndarray, direction: str
-) -> np.ndarray:
-    """Return the chance that the difference, or else equivalence, is shown with each error."""
-    cut = special.stdtrit(degrees, 1 - alpha / 2)
-    deciding = np.abs(effect) - (margin if direction == "equal" else 0.0)
-    different = special.ndtr(deciding / error - cut)
-    cut = special.stdtrit(degrees, 1 - alpha)
-    inside = special.ndtr((margin - effect) / error - cut) + special.ndtr((margin + effect) / error - cut) - 1
-    return np.maximum(different, inside)
-
-
-def _fewest(alpha: float) -> int:
-    """Return the least number of runs per arm whose smallest two-sided p-value is at most alpha."""
-    return next((n for n in range(2, MOST_SEEDS) if 2 / math.comb(2 * n, n) <= alpha), MOST_SEEDS)

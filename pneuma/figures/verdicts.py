@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.claims import MINUS, Claim, load_claims
-from pneuma.analysis.intervals import decimals
+from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of, judge
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.published import PUBLISHED
@@ -42,21 +43,22 @@ MEANINGS = {
 
 PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
 """Where a claim is judged, each for itself."""
-_CLAIMED = {
-    "greater": "greater than",
-    "less": "less than",
-    "different": "unlike",
-    "equal": "the same as",
-}
+_CLAIMED = {"greater": "greater than", "less": "less than", "different": "unlike", "equal": "the same as"}
 
 STEM = "verdicts"
 MOST = 40.0
 """Margins beyond which an effect or an end of its interval is drawn at the edge, as an arrow."""
 ROW_INCHES = 0.165
 GREY = "#777777"
-FILLED = {SUPPORTED: COLOURS[0], REFUTED: COLOURS[1], MIXED: COLOURS[3], INCONCLUSIVE: "none"}
-MARKS = {SUPPORTED: "o", REFUTED: "s", MIXED: "D", INCONCLUSIVE: "o"}
+LOOKS: dict[str, dict[str, Any]] = {
+    SUPPORTED: {"marker": "o", "color": COLOURS[0]},
+    REFUTED: {"marker": "s", "color": COLOURS[1]},
+    MIXED: {"marker": "D", "color": COLOURS[3]},
+    INCONCLUSIVE: {"marker": "o", "color": GREY, "markerfacecolor": "white"},
+}
 """Verdicts differ in shape too, so that they can be told apart in grey."""
+HALF = {"fillstyle": "left", "markerfacecoloralt": "white"}
+"""Of what is decided by the letter alone."""
 
 _WORDS = {
     "not admitted": "not admitted",
@@ -69,11 +71,8 @@ _WORDS = {
     "both arms are at the floor": "floor",
     "both arms are at the ceiling": "ceiling",
     "timed": "unlike machines",
-    "confounded": "confounded",
-    "no published runs": "no pairs",
 }
 """Why a cell is empty, by how the reason begins."""
-
 
 Verdicts = dict[str, dict[str, Verdict]]
 """The verdicts on each claim by its name, and by the place where it is judged."""
@@ -114,7 +113,7 @@ def published_claims(results: Path) -> Verdicts:
 def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
     """Write the verdicts on all claims as a picture, and as a page of tables; return both files."""
     page = folder / f"{STEM}.md"
-    write_whole(page, "\n".join(["# Verdicts", "", *_counts(claims), "", *_table(claims), ""]).encode())
+    write_whole(page, _tables(claims).encode())
     return [*draw_verdicts(claims, folder), page]
 
 
@@ -131,9 +130,7 @@ def compared(claim: Claim) -> str:
     """Say what is compared, as 'monsters killed, last evaluation'."""
     told = (", less ".join(find_outcome(part).words for part in own.split(MINUS)) for own in claim.outcome)
     words = " and ".join(told)
-    if claim.event:
-        return f"share of runs, {words} {claim.event.words}"
-    return words
+    return f"share of runs, {words} {claim.event.words}" if claim.event else words
 
 
 def tested(claim: Claim) -> str:
@@ -153,14 +150,17 @@ def decisive(verdict: Verdict) -> Comparison | None:
 
 def effect(own: Comparison) -> str:
     """Return the number with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
-    contrast = own.contrast
-    if not math.isfinite(contrast.effect):
+    value, interval = own.contrast.effect, own.contrast.simultaneous
+    if not math.isfinite(value):
         return "no number"
-    interval = contrast.simultaneous
-    places = decimals(contrast.effect, interval.low, interval.high)
-    value, low, high = (_number(each, places) for each in (contrast.effect, interval.low, interval.high))
-    between = f" [{low}, {high}]" if interval.exists else ""
-    return f"{value}{between}"
+    places = decimals(value, interval.low, interval.high)
+
+    def signed(number: float) -> str:
+        rounded = round(number, places)
+        sign = "−" if rounded < 0 else "+" if rounded > 0 else ""
+        return sign + shown(abs(number), places)
+
+    return signed(value) + (f" [{signed(interval.low)}, {signed(interval.high)}]" if interval.exists else "")
 
 
 def arms(own: Comparison) -> str:
@@ -170,50 +170,36 @@ def arms(own: Comparison) -> str:
     return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
 
 
-def _number(value: float, places: int) -> str:
-    if not math.isfinite(value):
-        return "–" if math.isnan(value) else "∞" if value > 0 else "−∞"
-    rounded = round(value, places)
-    sign = "−" if rounded < 0 else "+" if rounded > 0 else ""
-    return f"{sign}{abs(rounded):,.{max(places, 0)}f}"
-
-
 # --- Tables ---------------------------------------------------------------------------------------
 
 
-def _counts(claims: Verdicts) -> list[str]:
-    """Return what the verdicts come to, place by place."""
-    rows = [["Judged in", *STANDINGS]]
-    for place, label in places_of(claims).items():
-        counted = Counter(own[place].standing for own in claims.values() if place in own)
-        rows.append([label, *(str(counted[word]) for word in STANDINGS)])
-    return _markdown(rows)
-
-
-def _table(claims: Verdicts) -> list[str]:
-    """Return a row for each claim, place beside place."""
+def _tables(claims: Verdicts) -> str:
+    """Return a page: what the verdicts come to place by place, and a row for each claim, place by place."""
     places = places_of(claims)
-    rows = [["Claim", "Thesis", *places.values()]]
+    counts = []
+    for place, label in places.items():
+        standings = Counter(own[place].standing for own in claims.values() if place in own)
+        counts.append([label, *(str(standings[word]) for word in STANDINGS)])
+    rows = []
     for own in claims.values():
         claim = claim_of(own)
         said = f"{tested(claim)}: {compared(claim)}"
         cells = [_told(own.get(place)) for place in places]
         rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
-    return _markdown(rows)
+    tables = [["Judged in", *STANDINGS], *counts], [["Claim", "Thesis", *places.values()], *rows]
+    return "\n\n".join(["# Verdicts", *map(_markdown, tables)]) + "\n"
 
 
 def _told(verdict: Verdict | None) -> str:
-    if verdict is None:
-        return "–"
-    if verdict.standing == NOT_RUN:
-        return NOT_RUN
+    if verdict is None or verdict.standing == NOT_RUN:
+        return NOT_RUN if verdict else "–"
     own = None if verdict.verdict == UNTESTABLE else decisive(verdict)
     return f"**{verdict.verdict}** {effect(own) if own else ''}".strip()
 
 
-def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+def _markdown(rows: Sequence[Sequence[str]]) -> str:
     ruled = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
-    return [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in ruled]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in ruled)
 
 
 # --- The picture ----------------------------------------------------------------------------------
@@ -221,9 +207,10 @@ def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("png",)) -> list[Path]:
     """Draw the verdicts on all claims; return the files written."""
-    rows: list[tuple[str, dict[str, Verdict]]] = []
-    for section, own in groupby(sorted(claims.values(), key=_section), key=_section):
-        rows += [(f"Section {section}", {}), *((claim_of(verdicts).name, verdicts) for verdicts in own)]
+    rows: list[tuple[str, Mapping[str, Verdict]]] = []
+    by_section = sorted(claims.values(), key=lambda own: claim_of(own).section)
+    for section, group in groupby(by_section, key=lambda own: claim_of(own).section):
+        rows += [(f"Section {section}", {}), *((claim_of(own).name, own) for own in group)]
     places = places_of(claims)
     with house_style(6.5):
         figure, panels = plt.subplots(
@@ -231,60 +218,52 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
             figsize=(7.4, 1.1 + ROW_INCHES * len(rows)),
         )  # fmt: skip
         for axes, (place, title) in zip(panels[0], places.items(), strict=True):
-            _draw_place(axes, place, title, rows)
+            axes.set_title(title, loc="center")
+            axes.set_xscale("symlog", linthresh=1, linscale=0.8)
+            axes.set(xlim=(-MOST * 1.4, MOST * 1.4), ylim=(len(rows) - 0.4, -0.6))
+            axes.set_xticks([-10, -1, 0, 1, 10], ["−10", "−1", "0", "1", "10"])
+            axes.grid(visible=False)
+            axes.tick_params(axis="y", length=0)
+            axes.axvspan(-1, 1, color="#EDEDED", zorder=0)
+            axes.axvline(0, color="#BBBBBB", linewidth=0.6, zorder=0)
+            for row, (_, verdicts) in enumerate(rows):
+                if not verdicts:
+                    axes.axhline(row - 0.5, color="#CCCCCC", linewidth=0.5)
+                if place in verdicts:
+                    _draw_cell(axes, row, verdicts[place])
         panels[0][0].set_yticks(range(len(rows)), [name for name, _ in rows])
         for label, (_, verdicts) in zip(panels[0][0].get_yticklabels(), rows, strict=True):
-            if not verdicts:
-                label.set_fontweight("bold")
-        figure.legend(handles=_legend(), loc="outside upper center", ncols=5, handletextpad=0.4)
+            label.set_fontweight("normal" if verdicts else "bold")
+        entries = {**LOOKS, "by the letter": LOOKS[SUPPORTED] | HALF}
+        entries["open"] = entries.pop(INCONCLUSIVE)
+        handles = [
+            Line2D([], [], linestyle="none", label=label, markersize=4, **look)
+            for label, look in entries.items()
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=5, handletextpad=0.4)
         figure.supxlabel("effect in margins: right is what the thesis says, the band counts as no difference")
         paths = save_figure(figure, folder, STEM, formats)
         plt.close(figure)
     return paths
 
 
-def _section(verdicts: Mapping[str, Verdict]) -> str:
-    return claim_of(verdicts).section
-
-
-def _draw_place(axes: Axes, place: str, title: str, rows: Sequence[tuple[str, dict[str, Verdict]]]) -> None:
-    axes.set_title(title, loc="center")
-    axes.set_xscale("symlog", linthresh=1, linscale=0.8)
-    axes.set_xlim(-MOST * 1.4, MOST * 1.4)
-    axes.set_xticks([-10, -1, 0, 1, 10], ["−10", "−1", "0", "1", "10"])
-    axes.grid(visible=False)
-    axes.tick_params(axis="y", length=0)
-    axes.axvspan(-1, 1, color="#EDEDED", zorder=0)
-    axes.axvline(0, color="#BBBBBB", linewidth=0.6, zorder=0)
-    for row, (_, verdicts) in enumerate(rows):
-        if not verdicts:
-            axes.axhline(row - 0.5, color="#CCCCCC", linewidth=0.5)
-        if place in verdicts:
-            _draw_cell(axes, row, verdicts[place])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-
-
 def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
     """Draw the contrast that decides on each outcome, or say why there is none."""
-    shown = [own for own in decisive_of(verdict) if not own.contrast.reason]
-    placed = [(own, *where) for own in shown if (where := in_margins(verdict.claim, own))]
-    word = empty_word(verdict) if not shown else "" if placed else "no margin"
-    if word:
-        colour = FILLED[shown[0].verdict] if shown and shown[0].verdict in (SUPPORTED, REFUTED) else GREY
+    decided = [own for own in decisive_of(verdict) if not own.contrast.reason]
+    placed = [(own, where) for own in decided if (where := in_margins(verdict.claim, own))]
+    if not placed:
+        word = "no margin" if decided else empty_word(verdict)
+        colour = LOOKS[decided[0].verdict]["color"] if decided else GREY
         axes.text(0, row, word, color=colour, ha="center", va="center", fontsize=5.2)
-    for i, (own, effect, low, high) in enumerate(placed):
+    for i, (own, where) in enumerate(placed):
         at = row + (0.36 * (i / (len(placed) - 1) - 0.5) if len(placed) > 1 else 0.0)
-        colour = FILLED[own.verdict] if own.verdict != INCONCLUSIVE else GREY
-        if math.isfinite(low + high):
-            axes.plot([_clipped(low), _clipped(high)], [at, at], color=colour, linewidth=0.9, zorder=2)
-        half = verdict.standing == BY_LETTER
-        look = {"marker": MARKS[own.verdict], "markersize": 3.6, "color": colour, "markeredgewidth": 0.7}
-        if abs(effect) > MOST:
-            look["marker"] = ">" if effect > 0 else "<"
-        fill = "none" if own.verdict == INCONCLUSIVE else "left" if half else "full"
-        white = {"markerfacecolor": "white"} if fill == "none" else {"markerfacecoloralt": "white"}
-        style = "full" if fill == "none" else fill
-        axes.plot([_clipped(effect)], [at], fillstyle=style, zorder=3, **look, **white)  # type: ignore[arg-type]
+        half = verdict.standing == BY_LETTER and own.verdict != INCONCLUSIVE
+        look = LOOKS[own.verdict] | (HALF if half else {})
+        if abs(where[0]) > MOST:
+            look["marker"] = ">" if where[0] > 0 else "<"
+        effect, low, high = np.clip(where, -MOST, MOST)  # what is NaN is not drawn
+        axes.plot([low, high], [at, at], color=look["color"], linewidth=0.9, zorder=2)
+        axes.plot([effect], [at], markersize=3.6, markeredgewidth=0.7, zorder=3, **look)
 
 
 def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
@@ -292,14 +271,11 @@ def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | No
 
     None without a margin, or without a number.
     """
-    margin = claim.of("margin", own.outcome)
-    if margin is None:
+    margin, contrast = claim.of("margin", own.outcome), own.contrast
+    if margin is None or not math.isfinite(contrast.effect):
         return None
-    contrast = own.contrast
-    numbers = contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high
-    effect, low, high = (number / margin for number in numbers)
-    if not math.isfinite(effect):
-        return None
+    interval = contrast.simultaneous
+    effect, low, high = (number / margin for number in (contrast.effect, interval.low, interval.high))
     turned = claim.direction == "less" or (claim.direction == "different" and effect < 0)
     return (-effect, -high, -low) if turned else (effect, low, high)
 
@@ -308,22 +284,3 @@ def empty_word(verdict: Verdict) -> str:
     """Return why a cell has no effect, in a word or two."""
     found = (word for start, word in _WORDS.items() if verdict.reason.startswith(start))
     return next(found, "not run" if verdict.standing == NOT_RUN else "no value")
-
-
-def _clipped(value: float) -> float:
-    return max(-MOST, min(MOST, value))
-
-
-def _legend() -> list[Line2D]:
-    def mark(verdict: str, label: str, **more: Any) -> Line2D:
-        look: dict[str, Any] = {"color": FILLED[verdict], "marker": MARKS[verdict], "markersize": 4, **more}
-        return Line2D([], [], linestyle="none", label=label, **look)
-
-    hollow = {"color": GREY, "markerfacecolor": "white"}
-    return [
-        mark(SUPPORTED, "supported"),
-        mark(REFUTED, "refuted"),
-        mark(MIXED, "mixed"),
-        mark(SUPPORTED, "by the letter", fillstyle="left", markerfacecoloralt="white"),
-        mark(INCONCLUSIVE, "open", **hollow),
-    ]
