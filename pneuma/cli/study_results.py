@@ -363,7 +363,7 @@ def robustness(
         _tell_step(data)
         return tell_written(files)
     values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
-    document = {"study": found.study, "contrast": values, "outcome": found.outcome, "label": found.label}
+    document = {"study": data.study, "contrast": values, "outcome": found.outcome, "label": found.label}
     told = {"turned": turned, "at_step": common_step(data), "cells": found.table()}
     return print_json({**document, **told, "figures": files})
 
@@ -373,7 +373,7 @@ def _print_map(title: str, found: Map, turned: bool) -> None:
 
     better, worse = map(shown_value, found.values)
     outcome = found.outcome + (" (turned, as less is better)" if turned else "")
-    say(f"{found.title}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
+    say(f"{title}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
     rows = []
     for cell in found.cells:
         levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels.items()) or cell.better
