@@ -50,7 +50,7 @@ def verify(
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     alpha = known.head.alpha
     if json:
-        head = {"schema": 1, "claims_hash": known.digest, "alpha": alpha, "contrasts": known.contrasts}
+        head = {"claims_hash": known.digest, "alpha": alpha, "contrasts": known.contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
@@ -70,46 +70,32 @@ def verify(
 
 def _document(one: Verdict) -> dict[str, Any]:
     claim = one.claim
-    nothing: dict[str, Any] = {"effect": None, "interval": None, "seeds": [], "p": None, "simultaneous": None}
-    decisive = _contrast(one.decisive) if one.decisive else nothing
+    decisive: dict[str, Any] = _contrast(one.decisive) if one.decisive else {"seeds": []}
+    of_claim = ("section", "quote", "context", "study", "kind", "direction", "need")
     return {
         "claim": claim.name,
-        "section": claim.section,
         "world": one.place,
-        "verdict": one.verdict,
-        **{key: decisive[key] for key in ("effect", "interval", "seeds")},
-        "seeds_needed": one.seeds_needed,
-        "reason": one.reason,
-        "p": decisive["p"],
-        **{key: getattr(claim, key) for key in ("quote", "study")},
+        **{key: getattr(one, key) for key in ("verdict", "standing", "reason", "seeds_needed", "run_ids")},
+        **{key: decisive.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
+        **{key: getattr(claim, key) for key in of_claim},
         "outcome": claim.outcome[0],
-        **{key: getattr(claim, key) for key in ("kind", "direction")},
-        "margin": claim.of("margin", claim.outcome[0]),
-        "need": claim.need,
-        "standing": one.standing,
         "outcomes": list(claim.outcome),
-        "simultaneous": decisive["simultaneous"],
-        "context": claim.context,
+        "margin": claim.of("margin", claim.outcome[0]),
         "contrasts": [_contrast(own) for own in one.comparisons],
-        "run_ids": one.run_ids,
     }
 
 
 def _contrast(own: Comparison) -> dict[str, Any]:
+    def ends(interval: Interval) -> list[float] | None:
+        return [interval.low, interval.high] if interval.exists else None
+
     return {
-        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict")},
-        "effect": own.contrast.effect,
-        "interval": _ends(own.contrast.interval),
-        "simultaneous": _ends(own.contrast.simultaneous),
-        "p": own.p,
+        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict", "p", "seeds_needed")},
+        **{key: getattr(own.contrast, key) for key in ("effect", "reason")},
         "seeds": list(own.contrast.seeds),
-        "seeds_needed": own.seeds_needed,
-        "reason": own.contrast.reason,
+        "interval": ends(own.contrast.interval),
+        "simultaneous": ends(own.contrast.simultaneous),
     }
-
-
-def _ends(interval: Interval) -> list[float] | None:
-    return [interval.low, interval.high] if interval.exists else None
 
 
 # --- The design check --------------------------------------------------------------------------------
@@ -126,19 +112,19 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
         if (not claims or own.claim.name in claims) and world in (None, own.world)
     ]
     if json:
+        limits = ("alpha", "spread", "detectable", "provable", "plausible", "reason")
+        keys = ("world", "outcome", "a", "b", "seeds", *limits)
         documents = [
             {
                 "claim": own.claim.name,
-                "world": own.world,
-                **{key: getattr(own, key) for key in _PLANNED},
-                "seeds": list(own.seeds),
+                **{key: getattr(own, key) for key in keys},
                 "margin": own.claim.of("margin", own.outcome),
                 "admitted": (own.claim.name, own.world) not in refused,
             }
             for own in plans
         ]
-        head = {"schema": 1, "claims_hash": known.digest, "alpha": known.head.alpha}
-        return print_json({**head, "pilot": known.pilot is not None, "design": documents})
+        head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
+        return print_json({**head, "design": documents})
     rows = []
     for own in plans:
         numbers = (own.detectable, own.plausible, own.provable, own.claim.of("margin", own.outcome))
@@ -156,9 +142,6 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
     return None
 
 
-_PLANNED = ("outcome", "a", "b", "alpha", "spread", "detectable", "provable", "plausible", "reason")
-
-
 # --- For people ----------------------------------------------------------------------------------
 
 
@@ -167,12 +150,11 @@ def _print_table(shown: Sequence[Verdict]) -> None:
     from pneuma.analysis.judgement import STANDINGS
 
     by_claim: dict[str, dict[str, Verdict]] = {}
-    for one in shown:
-        by_claim.setdefault(one.claim.name, {})[one.place] = one
-    print_table(_HEAD, [_row(places) for places in by_claim.values()])
     counts: dict[str, Counter[str]] = {}
     for one in shown:
+        by_claim.setdefault(one.claim.name, {})[one.place] = one
         counts.setdefault(one.place, Counter())[one.standing] += 1
+    print_table(_HEAD, [_row(places) for places in by_claim.values()])
     print()
     print_table(("", *STANDINGS), [(at, *(own[word] for word in STANDINGS)) for at, own in counts.items()])
 
