@@ -25,10 +25,8 @@ from pneuma.analysis.estimates import finite
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.outcomes import (
     find_outcome,
-    outcome,
     outcome_values,
     primary,
-    reason,
     refuse_unlike_returns,
 )
 from pneuma.analysis.pvalues import holm
