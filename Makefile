@@ -97,7 +97,7 @@ reproduction-slow: install  ## Train chapter 6's mid and big networks
 	$(call each,generalisation architecture)
 
 reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
-	$(call each,tabular policy-gradient sigmoid magic classes perception algorithms published-logs)
+	$(call each,tabular policy-gradient sigmoid magic classes perception vision algorithms published-logs)
 
 reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
 	$(call each,collapse robustness)

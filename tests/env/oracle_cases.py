@@ -114,7 +114,10 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
     kinds = sorted({kind for kind, _, _ in level.monsters})
     some = st.lists(st.sampled_from(kinds), min_size=1, unique=True).map(lambda names: ",".join(names))
     perceive = st.one_of(
-        st.sampled_from(["", "all"]), st.integers(1, 4).map("nearest:{}".format), some.map("kind:{}".format)
+        st.sampled_from(["", "all"]),
+        st.integers(1, 4).map("nearest:{}".format),
+        some.map("kind:{}".format),
+        st.integers(1, 9).map("rays:{}".format),
     )
     return {
         "players": players,

@@ -23,6 +23,7 @@ from pneuma.env.rules import (
 
 from .oracle import Oracle
 from .oracle_parts import WAYS, Monster, Player
+from .oracle_rays import look_around
 
 ROW = {LAYOUT_THESIS: 4, LAYOUT_PYGAME: 5, LAYOUT_GODOT: 5}
 """Numbers a monster, by layout."""
@@ -37,6 +38,8 @@ def observe(world: Oracle, player: Player) -> list[float]:
     size = len(about) + settings.perceived * ROW[settings.layout]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
+    if settings.rays:
+        return about + look_around(world, player)
     for monster in _perceived(world, player):
         about += _about_monster(world, player, monster)
     return about + [0.0] * (size - len(about))

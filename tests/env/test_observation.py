@@ -123,3 +123,54 @@ def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: s
             assert (here >= space.low).all() and (here <= space.high).all()
         worlds.reset(worlds.worlds["ending"] != 0)
     assert endings > 5
+
+
+def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
+    # A bamboo 100 px to the right: its body begins 12 px before. A raccoon behind it is not seen. A dead
+    # squid below is nothing; down there the coast begins at 576. A player at (-200, 200), down and left, has
+    # a body from -225 to -178 and from 178 to 226, so the diagonal enters it at (-178, 178).
+    places = (100.0, 0.0), (0.0, -500.0), (250.0, 0.0), (0.0, 200.0)  # bamboo, spirit, raccoon, squid
+    worlds = look(zoo, *places, players=((0.0, 0.0), (-200.0, 200.0)), perceive="rays:8", scale="raw")
+    worlds.monsters["hp"][0, 3] = 0
+    worlds.observe()
+    assert worlds.space.shape == (4 + 8 * (1 + 6),)
+    rays = seen(worlds)[4:].reshape(8, 7)
+    terrain, player, bamboo, spirit = 0, 1, 2, 4  # kinds by name: bamboo, raccoon, spirit, squid
+    assert rays[:, 1:].argmax(axis=1).tolist() == [
+        bamboo, terrain, terrain, player, terrain, terrain, spirit, terrain,
+    ]  # fmt: skip
+    assert rays[:, 1:].sum(axis=1).tolist() == [1] * 8
+    spirit_ends = worlds.monster_stats[0, 1]["body_y"] + worlds.monster_stats[0, 1]["half_height"]
+    corner = 576 * np.sqrt(2)
+    assert rays[:, 0] == pytest.approx(
+        [88, corner, 576, 178 * np.sqrt(2), 576, corner, 500 - spirit_ends, corner]
+    )
+
+
+@pytest.mark.parametrize(("scale", "unit"), [("unit", 300), ("map", 1280), ("raw", 1)])
+def test_rays_end_at_trees_and_at_a_sea_that_drowns(arena: str, scale: str, unit: float) -> None:
+    # The obstacle is from 256 to 320 and from 0 to 64; of 4 rays the first goes right, the second down.
+    worlds = look(
+        arena, players=((100.0, 30.0),), perceive="rays:4", scale=scale, coast="deadly", observe_facing=True
+    )
+    rays = seen(worlds)[8:].reshape(4, 4)  # one kind of monster
+    assert rays[:, 1].tolist() == [1, 1, 1, 1]
+    assert rays[:, 0] * unit == pytest.approx([156, 546, 676, 606], rel=1e-6)
+    passed = look(arena, players=((100.0, 30.0),), perceive="rays:4", scale=scale, trees="pass")
+    assert seen(passed)[4] * unit == pytest.approx(476)
+
+
+def test_no_ray_ever_leaves_its_space() -> None:
+    other: dict[str, Any] = {"coast": "deadly", "trees": "pass", "bodies": "pass", "scale": "raw"}
+    chosen: dict[str, Any]
+    for chosen in ({}, other):
+        worlds = begin(6, perceive="rays:16", players=2, episode_steps=150, **chosen)
+        generator = np.random.default_rng(3)
+        for step in range(300):
+            if step % 8 == 0:
+                actions = generator.integers(5, size=(6, 2))
+            worlds.step(actions)
+            assert (worlds.observations >= worlds.space.low).all()
+            assert (worlds.observations <= worlds.space.high).all()
+            assert (worlds.observations[..., 4:].reshape(-1, 16, 4)[..., 1:].sum(axis=-1) == 1).all()
+            worlds.reset(worlds.worlds["ending"] != 0)
