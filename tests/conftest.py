@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.study.store import Store
+
 Points = Sequence[tuple[str, int, float]]
 WriteEvents = Callable[[Path, Points], Path]
 
@@ -19,6 +21,12 @@ def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("learners")))
         yield
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """An empty results folder."""
+    return Store(tmp_path / "results")
 
 
 @pytest.fixture(scope="session")

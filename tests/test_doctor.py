@@ -36,15 +36,6 @@ def test_missing_and_old_packages_and_an_unknown_python_are_broken_and_named(
     assert _find("python", tmp_path).state == BROKEN
 
 
-def test_what_does_not_run_is_broken_with_its_last_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(doctor, "TRIAL", "raise ImportError('no such library')")
-    assert _find("a trial", tmp_path).told == "ImportError: no such library"
-    monkeypatch.setattr(doctor, "TRIAL", "import os; os.abort()")
-    assert _find("a trial", tmp_path).state == BROKEN  # and this process lives
-
-
 def test_the_command_ends_with_1_only_where_something_needed_is_broken(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -7,8 +7,6 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pneuma"
 MODULES = {
@@ -102,23 +100,6 @@ def test_modules_import_only_what_their_layer_may() -> None:
     ]
     assert breaches == []
     assert [module for module in MODULES if _layer(module) == "pneuma"] == ["pneuma"]
-
-
-@pytest.mark.parametrize(
-    ("module", "imported", "allowed"),
-    [
-        ("pneuma.config", "pneuma.errors", True),
-        ("pneuma.config", "pneuma.env", False),
-        ("pneuma.env_fields", "pneuma.config", False),
-        ("pneuma.engines.sb3", "pneuma.env.sb3", True),
-        ("pneuma.env.rules", "pneuma.engines.base", False),
-        ("pneuma.study.worker", "pneuma.engines.base", True),
-        ("pneuma.study.execute", "pneuma.engines.base", False),
-        ("pneuma.analysis.curves", "pneuma.study.execute", False),
-    ],
-)
-def test_the_check_itself_knows_right_from_wrong(module: str, imported: str, allowed: bool) -> None:
-    assert _allowed(module, imported) is allowed
 
 
 def test_the_package_list_is_every_folder_with_code() -> None:

@@ -53,20 +53,6 @@ def test_commands_of_a_page_are_there_with_their_options(page: Path) -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [
-        ("pneuma study plto activation", "'plto' is no command of study"),
-        ("pneuma study plot activation --bnad se  # a band", "plot has no --bnad"),
-        ("pneuma study plot activation --band se", ""),
-        ("pneuma study export activation --table curves", "export needs --out"),
-        ("pneuma study export", ""),  # by its name alone
-    ],
-)
-def test_a_mistake_in_a_page_is_seen(line: str, told: str) -> None:
-    assert _mistake(line) == told
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_what_a_page_links_to_is_there(page: Path) -> None:
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))

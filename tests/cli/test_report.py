@@ -56,11 +56,6 @@ def _store_run(store: Store, run_id: str, status: str = "done") -> None:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "kept")
-
-
-@pytest.fixture
 def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
     """A function that makes the report of some studies and takes it apart."""
 

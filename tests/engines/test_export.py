@@ -18,7 +18,6 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, PPO
 
 import pneuma.engines.export as exports
-from pneuma.algorithms import MAILMAN
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
 from pneuma.engines.policy import Policy, read_sound_policy
@@ -191,12 +190,6 @@ def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
 
 
-def test_without_the_extra_onnx_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(UserError, match=r"pip install '.\[onnx\]'"):
-        to_onnx(random_policy(make_run({}), FEATURES), {})
-
-
 # --- What is refused -------------------------------------------------------------------------------
 
 
@@ -220,14 +213,3 @@ def test_what_is_no_policy_is_refused() -> None:
     ):
         with pytest.raises(UserError, match="no policy of Pneuma's"):
             read_sound_policy(data)
-
-
-def test_a_policy_that_does_not_fit_its_run_is_refused() -> None:
-    run = make_run({})
-    with pytest.raises(UserError, match=f"12 features, its environment has {FEATURES}"):
-        observation_space(random_policy(run, 12), run)
-    with pytest.raises(UserError, match="not of the shape"):
-        to_sb3(random_policy(make_run({"actor": [64]}), FEATURES), run, own_space(FEATURES))
-    table = make_run({"algorithm": "q-learning", "env": MAILMAN})
-    with pytest.raises(UserError, match="of ppo and a2c, and not of q-learning: choose .onnx"):
-        observation_space(random_policy(run, 3), table)

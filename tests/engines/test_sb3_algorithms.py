@@ -132,23 +132,6 @@ def test_an_update_that_leaves_such_weights_diverged(monkeypatch: pytest.MonkeyP
     assert np.isfinite(records.metrics[-1]["policy_loss"])
 
 
-@pytest.mark.parametrize("method", ["collect_rollouts", "train"])
-def test_any_other_mistake_of_a_learner_is_told(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even where logits are no numbers, if it is because what is observed is none."""
-    run = run_of("ppo")
-    model = sb3_learners.make_model(run, sb3.make_env(run))
-
-    def fail(*_: object) -> None:
-        model._last_obs[:] = np.nan
-        raise ValueError("something else")
-
-    with sb3.GradientNorms(model, run) as norms:
-        trainer = sb3.Sb3Trainer(model, run, norms)
-        monkeypatch.setattr(model, method, fail)
-        with pytest.raises(ValueError, match="something else"):
-            trainer.update(0, run.steps_per_update, Records())
-
-
 # --- Double DQN --------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ import pytest
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, CheckpointError
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import (
     estimated_values,
     evaluate_tables,
@@ -123,12 +123,6 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(algorithm: str) -> N
     for checkpoint in (taken[0], taken[6], taken[-1]):
         resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
         assert bits(resumed) == bits(whole)
-
-
-def test_a_checkpoint_of_another_algorithm_is_refused() -> None:
-    _, taken = train(run_of("q-learning"))
-    with pytest.raises(CheckpointError, match="another number of tables"):
-        train(run_of("double-q-learning"), taken[0])
 
 
 def test_records_have_the_columns_of_the_contract() -> None:

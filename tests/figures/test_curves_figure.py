@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -13,17 +11,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pneuma.analysis.run_index import open_study
-from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.figures.curves import draw_study, settle
 from pneuma.figures.panels import FEW_RUNS
-from pneuma.study.imported import import_tensorboard
-from pneuma.study.store import Store
 
-from ..hand_made import make_id
 from .hand_made import BUDGET, HandMade, legend, words
-
-NAN = float("nan")
 
 
 def _lines_of_runs(figure: Figure, panel: int) -> int:
@@ -138,54 +129,3 @@ def test_random_player_and_hunter_are_told_with_their_levels_and_flatten_nothing
     study.add("elsewhere", 0, hunter=0.9)  # of another world than the others'
     study.draw(tmp_path)
     assert "scripted hunter" not in words(drawn[2])
-
-
-def test_many_conditions_have_a_panel_each_on_the_same_axes(tmp_path: Path, drawn: list[Figure]) -> None:
-    study = HandMade(tmp_path)
-    for rate in range(12):
-        study.add(f"rate={rate}, scale=unit, tanh", 0)
-    study.draw(tmp_path)
-    titles = [axes.get_title(loc="left") for axes in drawn[0].axes]
-    assert [" ".join(title.split()) for title in titles] == [
-        f"{rate}, unit, tanh (n=1)" for rate in range(12)
-    ]
-    assert len({axes.get_ylim() for axes in drawn[0].axes}) == 1
-    assert "all others" in legend(drawn[0])
-    assert "Panels: rate, scale, condition." in words(drawn[0])
-
-
-# --- Words -------------------------------------------------------------------------------------------
-
-
-def test_what_is_missing_is_told(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
-    study.add("never", 0, status="crashed")
-    study.add("tanh", 2, returns=NAN)
-    study.add("big", 0, steps=BUDGET // 2, episodes=10, evaluations=(0.1, 0.2))
-    study.record["same"] = [["tanh", "again"]]
-    study.add("again", 0, run_id=make_id("tanh", 0))
-    study.draw(tmp_path)
-    for said in (
-        "Without a finished run: never.",
-        "1 of 3 runs of tanh have no return, and count in no mean of it.",
-        "Upright line: 500 steps",
-        "A/A: tanh = again are one configuration",
-    ):
-        assert said in words(drawn[0])
-
-
-def test_imported_logs_say_what_was_averaged_and_where_they_end(
-    tmp_path: Path, write_events: Callable[[Path, Any], Path], drawn: list[Figure]
-) -> None:
-    """Of two runs of 'small' the second was stopped at half of its steps."""
-    for name, end in (("small_1", 1000), ("small_2", 500)):
-        points = [("rollout/ep_rew_mean", step, step / 100) for step in range(100, end + 1, 100)]
-        write_events(tmp_path / "logs" / name / "events.out.tfevents.1.host", points)
-    store = Store(tmp_path / "results")
-    import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(store, store.selection("logs") or {})
-    draw_study(data, tmp_path / "figures", formats=("svg",))
-    (axes,) = drawn[0].axes
-    assert axes.get_ylabel() == "Return, mean of 100 episodes"
-    assert legend(drawn[0]) == ["small (n = 2, 1 at the end)"]
-    with pytest.raises(UserError, match="unknown window of study logs"):
-        settle(data, window="budget-5%")

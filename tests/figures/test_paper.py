@@ -63,12 +63,3 @@ def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> No
     (tmp_path / "paper" / "index.json").write_text(json.dumps({"figures": entries}))
     paper.draw_all(tmp_path / "paper", tmp_path / "results")
     assert (drawn.exists(), mine.exists(), other.exists()) == (False, True, True)
-
-
-def test_the_tables_of_hyperparameters_are_those_of_the_thesis() -> None:
-    rows = {row[0]: row[1:] for row in paper.settings_table().itertuples(index=False, name=None)}
-    assert rows["horizon"] == ("2048", "256", "yes")
-    assert rows["gradient_limit"] == ("none", "0.5", "yes")
-    left_to_the_text = ["betas", "activation", "gradient_limit"]
-    changed = ["clip_range", "horizon", "epochs", "value_coefficient", *left_to_the_text]
-    assert [name for name, values in rows.items() if values[2] == "yes"] == changed

@@ -46,16 +46,3 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
         [1, 0.8, 0.2]
     )
     assert "scripted hunter (50 %)" in legend(drawn[0]) and "The baseline is relu" in words(drawn[0])
-
-
-def test_few_runs_have_no_interval(tmp_path: Path, drawn: list[Figure]) -> None:
-    study = HandMade(tmp_path)
-    for seed in range(4):
-        study.add("tanh", seed, evaluations=(0.0, 0.1 * seed))
-        study.add("relu", seed)
-    draw_summary(study.data, tmp_path, ("svg",))
-    runs, profile = drawn[0].axes  # none is better than another
-    assert profile.get_ylabel() == "Share of runs" and _points(runs, "s") == []
-    intervals = [line for line in runs.get_lines() if line.get_marker() in ("", "None")]
-    assert len(intervals) == 2  # the levels of players alone
-    assert "Of fewer than 5 runs there is no interval." in words(drawn[0])

@@ -93,27 +93,6 @@ def test_winners_stand_beside_what_each_was_tuned_from(
         assert found.luck == pytest.approx(own.trial.values[0] - 0.5)
 
 
-def test_searches_that_were_not_tuned_alike_share_no_study(alike: list[Searched]) -> None:
-    first, second = alike
-    task = second.task
-    space, (objective,) = task.search.space, task.search.objectives
-    changes = {
-        "steps": replace(task, budget=replace(task.budget, steps=4096)),
-        "objectives": replace(
-            task, search=replace(task.search, objectives=(replace(objective, over_seeds="median"),))
-        ),
-        "engine": replace(
-            task,
-            search=replace(task.search, space=replace(space, fixed={**space.fixed, "engine": "sb3"})),
-        ),
-    }
-    for told, changed in changes.items():
-        with pytest.raises(UserError, match=f"tune-adam and tune-sgd are not tuned alike: .*{told}"):
-            find_winners([first, replace(second, task=changed)], None, (0,))
-    with pytest.raises(UserError, match="name each search once"):
-        find_winners([first, first], None, (0,))
-
-
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(alike: list[Searched]) -> None:
     (best,) = find_winners(alike[:1], None, (0,))
     assert best.trial.values[0] == max(trial.values[0] for trial in alike[0].trials)

@@ -31,10 +31,3 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
     for one, two in zip(*drawn, strict=True):
         assert one.read_bytes() == two.read_bytes()
         assert b"#e5e5e5" not in one.read_bytes()  # the background of the style that Optuna asks for
-
-
-def test_what_the_trials_are_too_few_for_is_not_drawn(make_task: MakeTask, tmp_path: Path) -> None:
-    task = make_task(8)
-    drawn = draw_search(Searched(task, tuple(solve(task))), tmp_path, ("svg",))
-    assert [path.stem.rpartition("-")[2] for path in drawn] == ["history", "slices", "parallel"]
-    assert draw_search(Searched(task, ()), tmp_path, ("svg",)) == []

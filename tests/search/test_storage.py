@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -13,15 +11,11 @@ from optuna.storages.journal import JournalFileBackend
 
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import frozen_trials, new_journal
-from pneuma.search.spec import Budget
-from pneuma.search.storage import Searched, read_record, replaced_note, save_record
+from pneuma.search.storage import Searched, read_record, save_record
 from pneuma.search.trials import Task, Told
-from pneuma.study.files import read_sealed, seal
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, solve
-
-OTHER_SAMPLER = '[sampler]\nname = "random"'
 
 
 @pytest.fixture
@@ -52,34 +46,6 @@ def test_a_replay_loses_nothing(make_task: MakeTask, store: Store) -> None:
     whole = save(store, make_task(8), told)
     assert [save(store, make_task(8), told[:count]) for count in (0, 4)] == [whole] * 2
     assert save(store, make_task(4), told[:4]) == whole
-
-
-def test_another_search_of_the_name_takes_its_place_and_says_so(make_task: MakeTask, store: Store) -> None:
-    assert replaced_note(store, make_task(8)) == ""
-    save(store, make_task(8), solve(make_task(8)))
-    assert replaced_note(store, make_task(12)) == ""
-    other = replace(make_task(8), budget=Budget(8, (0, 1), 4096))
-    assert "8 trials so far had other seeds, steps, and leave" in replaced_note(store, other)
-    assert save(store, make_task(8, OTHER_SAMPLER), []).trials == ()
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda r: r["trials"][0].update(value="\x1b[31mhigh"),
-        lambda r: r.pop("identity"),
-    ],
-)
-def test_a_record_of_another_shape_is_damaged(
-    make_task: MakeTask, store: Store, change: Callable[[dict[str, Any]], object]
-) -> None:
-    save(store, make_task(8), solve(make_task(8)))
-    path = store.root / "searches" / "formula.json"
-    record = read_sealed(path) or {}
-    change(record)
-    store.write(path, seal(record))
-    with pytest.raises(UserError, match="formula.json: damaged"):
-        read_record(store, "formula")
 
 
 def test_a_published_record_is_read_where_the_search_was_not_run(

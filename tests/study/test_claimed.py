@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.claimed import claims_preset
-from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Preset, Study, load_study
 
 STUDY = """\
@@ -76,33 +74,9 @@ def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
     assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
 
 
-@pytest.mark.parametrize(
-    ("selection", "words"),
-    [
-        (Selection("claim"), "unknown preset of study mine 'claim' (did you mean claims?)"),
-        (Selection("claims", conditions=("unclaimed",)), "--condition unclaimed: the preset claims has no"),
-    ],
-)
-def test_a_preset_that_makes_no_sense_is_refused(selection: Selection, words: str, tmp_path: Path) -> None:
-    with pytest.raises(UserError) as refused:
-        make_plan(_study(tmp_path), selection)
-    assert words in str(refused.value)
-
-
 def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
     study = _study(tmp_path, CLAIMS.replace("seeds = { high", "steps = 512\nseeds = { high"))
     with pytest.raises(UserError, match="runs of 1,024 or 512 steps: say which with --steps"):
         claims_preset(study)
     assert {preset.steps for preset in claims_preset(study, 512).values()} == {512}
     assert "high" in claims_preset(study, 512)
-
-
-def test_a_study_without_claims_has_no_such_preset(tmp_path: Path) -> None:
-    study = _study(tmp_path, CLAIMS.replace("mine.toml", "activation").replace('"high"', '"tanh"'))
-    with pytest.raises(UserError, match=r"claims\.toml has no claim on study mine"):
-        claims_preset(study)
-    (tmp_path / "claims.toml").unlink()
-    with pytest.raises(UserError, match=r"claims\.toml is not there"):
-        claims_preset(study)
-    with pytest.raises(UserError, match="study mine is no file"):
-        claims_preset(replace(study, path=None))

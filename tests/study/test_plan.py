@@ -57,12 +57,6 @@ def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
     assert first.run_id == third.run_id
 
 
-def test_a_rounded_budget_is_told(study: Study) -> None:
-    # 195 horizons of 256 are 49,920, so 50,000 steps need 196
-    notes = make_plan(study, Selection(conditions=("sgd",))).notes
-    assert notes == ("50,000 steps are rounded up to 50,176, whole updates of 256",)
-
-
 def test_options_go_over_the_preset(study: Study) -> None:
     plan = make_plan(study, Selection(seeds=(5,), steps=512, conditions=("sgd", "adam")))
     # conditions keep the study's order, whatever order they were named in

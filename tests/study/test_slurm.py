@@ -67,11 +67,6 @@ def queue(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Qu
     return queue
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "results")
-
-
 def train(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision = HOW) -> list[Event]:
     events: list[Event] = []
     slurm.run_groups(groups, store, how, events.append)

@@ -166,11 +166,3 @@ def test_the_latest_selection_of_a_study_comes_back_unless_it_is_damaged(store: 
     for text in ("", "{", "[]", '{"schema": 2, "runs": []}'):
         store.selection_path("one").write_text(text)
         assert store.selection("one") is None
-
-
-def test_a_folder_is_made_and_left_empty_and_a_file_in_its_place_is_told(tmp_path: Path) -> None:
-    Store(tmp_path / "a" / "b").check_writable()
-    assert os.listdir(tmp_path / "a" / "b") == []
-    (tmp_path / "results").write_text("")
-    with pytest.raises(UserError, match=r"^--results .*results.* cannot be written"):
-        Store(tmp_path / "results" / "below").check_writable()

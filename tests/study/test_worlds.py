@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from pneuma.config import make_run
-from pneuma.errors import UserError
 from pneuma.study.execute import selection_record
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -67,17 +64,3 @@ def test_the_worlds_have_names_figures_and_run_ids_of_their_own(tmp_path: Path) 
     plans = [make_plan(study, Selection()) for study in (text, godot)]
     assert [selection_record(plan)["world"] for plan in plans] == ["text", "godot"]
     assert not {cell.run_id for cell in plans[0].cells} & {cell.run_id for cell in plans[1].cells}
-
-
-def test_a_shipped_study_in_godots_world_goes_by_its_name_too() -> None:
-    assert load_study("activation-godot") == load_study("activation", "godot")
-    with pytest.raises(UserError, match="--world text: the name activation-godot stands for"):
-        load_study("activation-godot", "text")
-
-
-def test_a_study_of_one_world_is_refused_in_another(tmp_path: Path) -> None:
-    path = _write(tmp_path, 'worlds = ["text"]\n' + PLAIN)
-    with pytest.raises(UserError, match="mine is not run in the world godot; it is in text"):
-        load_study(path, "godot")
-    with pytest.raises(UserError, match=r"unknown world 'gdot' \(did you mean godot\?\)"):
-        load_study(path, "gdot")
