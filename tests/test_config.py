@@ -19,7 +19,6 @@ from pneuma.config import (
     make_run,
 )
 from pneuma.errors import UserError
-from pneuma.values import shown_level
 
 # Design section 3, row by row: what each of the thesis's two tables says.
 COMMON_OF_BOTH_TABLES: dict[str, Any] = {
@@ -178,7 +177,3 @@ def test_whole_numbers_are_whole_however_they_are_written() -> None:
     for value in (256.0, np.int64(256), np.float64(256)):
         assert repr(make_run({"horizon": value}).horizon) == "256"
     assert repr(make_run({"entropy_coefficient": -0.0}).entropy_coefficient) == "0.0"
-
-
-def test_a_list_beside_other_levels_is_told_from_them() -> None:
-    assert ", ".join(map(shown_level, (3e-4, (0.9, 0.999), "raw", [64]))) == "0.0003, [0.9, 0.999], raw, 64"

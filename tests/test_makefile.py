@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -82,26 +81,3 @@ def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None
         assert len({(search.space.base, search.presets["paper"]) for search in searches}) == 1
     trained = [int(re.findall(r"study run .* --steps (\d+)", line)[0]) for line in lines]
     assert trained == [load_search(names[0]).presets["paper"].steps for names in searched]
-
-
-@pytest.mark.parametrize(
-    ("do", "status", "reached"), [("publish", 2, 6), ("run", 1, 6), ("run", 2, 1), ("publish", 130, 1)]
-)
-def test_a_study_that_fails_stops_no_other_and_a_mistake_or_ctrl_c_all(
-    do: str, status: int, reached: int, tmp_path: Path
-) -> None:
-    """What cannot be published is no mistake of the target: another study's runs may be here."""
-    program, asked = tmp_path / "pneuma", tmp_path / "asked"
-    program.write_text(f'#!/bin/sh\necho "$3" >> {asked}\n[ "$3" != activation ] || exit {status}\n')
-    program.chmod(0o755)
-    words = [f"DO={do}", "STUDIES=activation clip-range", f"BIN={tmp_path}"]
-    told = subprocess.run(
-        [MAKE or "make", "--assume-old=install", "reproduction", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False, env={"PATH": os.environ["PATH"]},
-    )  # fmt: skip
-    assert told.returncode and len(asked.read_text().split()) == reached
-    failed = "activation (arena) activation (text) activation (godot)"
-    assert (f"Not published (why stands above): {failed}." in told.stdout) == (
-        do == "publish" and reached == 6
-    )
-    assert (f"Runs failed of: {failed}." in told.stdout) == (do == "run" and reached == 6)

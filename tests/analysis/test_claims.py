@@ -42,20 +42,9 @@ def test_seeds_and_steps_may_be_of_each_condition(tmp_path: Path) -> None:
 
 MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     # name: (text in CLAIMS, what it becomes, line of the mistake, words of the message)
-    "unknown key": ("margin = 0.04", "margn = 0.04", 14, ("'margn'", "did you mean margin?")),
-    "unknown study": ('"mine.toml"', '"activaton"', 8, ("'activaton'", "did you mean activation?")),
     "unknown condition": ('"low"', '"lwo"', 10, ("b: ", "'lwo'", "did you mean low?")),
-    "margin of a share": (
-        '"mean"\ndirection = "greater"\nmargin = 0.04',
-        '"incidence"\nabove = 0.5\ndirection = "greater"\nmargin = 2', 15, ("margin = 2", "below 1"),
-    ),
     "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 5, ("'margin'", "missing")),
     "b and value": ('b = "low"', 'b = "low"\nvalue = 1', 5, ("either b", "or value")),
-    "list's margin of a wrong type": (
-        "[claims.better]", '[margins]\nfinal-return = { arena = 1.2, text = "much" }\n[claims.better]', 6,
-        ("much",),
-    ),
-    "seeds of a wrong type": ("seeds = 8", "seeds = 0", 2, ("seeds = 0", "a count")),
     "two effects of one arm": ("margin = 0.04", 'c = "middle"', 14, ("a difference of two effects",)),
 }  # fmt: skip
 

@@ -82,22 +82,16 @@ EXAMPLE: list[Episode] = [(12, 3.0), (17, 5.0), (22, 10.0), (60, 1.0)]
 @pytest.mark.parametrize(
     ("at", "value"),
     [
-        (1, NAN),
         (11, NAN),  # nothing has ended yet
         (12, 3.0),  # (2, 12] is closed on the right
-        (16, 3.0),
         (17, 4.0),  # (3 + 5) / 2
         (21, 4.0),  # (11, 21]
         (22, 7.5),  # (12, 22] is open on the left: (5 + 10) / 2
-        (26, 7.5),
         (27, 10.0),  # (17, 27]
-        (31, 10.0),
         (32, NAN),  # (22, 32] holds no end of an episode
-        (59, NAN),
         (60, 1.0),
         (69, 1.0),
         (70, NAN),
-        (200, NAN),
     ],
 )
 def test_a_point_is_the_mean_of_what_ended_in_the_last_twentieth(at: float, value: float) -> None:

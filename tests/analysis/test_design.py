@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from pneuma.analysis.judgement import judge
 from pneuma.analysis.pvalues import p_share_greater
 from pneuma.study.store import Store
 
-from ..cli.calls import described, printed
 from .claim_files import HIGH, LOW, changed, save_runs, write_files
 
 PILOT = """
@@ -101,15 +99,3 @@ def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: 
         "[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.1"
     )
     assert not_admitted(load_claims(write_files(tmp_path, enough))) == {}
-
-
-def test_the_command_tells_every_claim_and_what_is_refused(tmp_path: Path) -> None:
-    low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01")
-    command = ("study", "verify", "--design", "--claims", write_files(tmp_path, changed() + low))
-    lines = printed(*command).splitlines()
-    assert lines[1].split()[:4] == ["better", "text", "final-share-killed", "8/8"]
-    assert any(line.startswith("  better, text: cannot be decided") for line in lines)
-    rows: Any = described(*command, "--json")["design"]
-    assert [(row["claim"], row["world"], row["admitted"], row["seeds"]) for row in rows] == [
-        ("better", "text", False, [8, 8])
-    ]

@@ -8,20 +8,6 @@ import pytest
 from pneuma.bench import engines, env
 from pneuma.env.worlds import Worlds
 
-from ..cli.calls import described, printed
-
-
-def test_ratios_are_the_medians_of_rounds_and_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By hand: 10 over 5, 30 over 6 and 24 over 8 steps a second are 2, 5 and 3."""
-    monkeypatch.setattr(engines, "CASES", (("small", 10, 512, 256, 3),))
-    monkeypatch.setattr(engines, "engine_rates", lambda *_: ([10.0, 30.0, 24.0], [5.0, 6.0, 8.0]))
-    monkeypatch.setattr(engines, "bench_engines", engines.measure)
-    told = described("bench", "engines", "--json")
-    case = "small network, 10 runs"
-    assert told["ratios"] == {case: 3.0}
-    assert told["cases"][0] == {"case": case, "engine": "batched", "runs": 10, "steps_per_second": 24.0}
-    assert f"{case}: batched over sb3, median of rounds: 3.00\n" in printed("bench", "engines")
-
 
 def test_worst_case_keeps_every_monster_busy() -> None:
     worlds = Worlds(2)

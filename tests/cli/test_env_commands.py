@@ -77,14 +77,6 @@ def test_a_reward_that_breaks_a_promise_fails_its_check(here: Path) -> None:
 # --- Pictures and videos -------------------------------------------------------------------------
 
 
-def test_the_whole_map_is_drawn_with_the_strip(here: Path) -> None:
-    for name in ("PneumaGodot-v0", "mo-PneumaGodot-v0"):  # vector rewards look like any others
-        printed("env", "render", f"pneuma/{name}", "--out", f"{name}.png")
-    assert len({path.read_bytes() for path in here.iterdir()}) == 1
-    with Image.open("PneumaGodot-v0.png") as picture:
-        assert picture.size == (912, 800 + 38)  # 57 x 50 tiles of 16 pixels, and the strip above
-
-
 def test_a_video_has_four_frames_a_step_and_ends_two_seconds_after_the_last_kill(
     here: Path, arena: str
 ) -> None:

@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from pneuma.study.store import Store
-
 from ..figures.hand_made import HandMade
 from .calls import call
 
@@ -83,27 +81,3 @@ def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path
         assert code == 2 and "is no index of figures" in said
         assert [path.name for path in out.iterdir()] == ["index.json"]
         assert (out / "index.json").read_text(encoding="utf-8") == there
-
-
-def _owners(results: Path) -> dict[str, str]:
-    return {file: entry["from"].split()[1] for file, entry in _index(results / "figures").items()}
-
-
-def test_no_study_and_no_variant_takes_the_file_of_anothers_figure(results: Path) -> None:
-    """Whoever drew first keeps the name, drawn with others or alone."""
-    store = Store(results)
-    mine = store.selection("mine") or {}
-    for name, figure in (("other", "fig-mine"), ("entropy", "fig-mine-entropy")):
-        store.save_selection(name, {**mine, "study": name, "figure": figure})
-    for words in (["mine", "other"], ["other", "mine"], ["entropy"], ["mine", "--quantity", "entropy"]):
-        assert _plot(results, *words)[0] == 0
-    named = {"fig-mine.svg": "mine", "fig-mine-other.svg": "other", "fig-mine-entropy.svg": "entropy"}
-    assert _owners(results) == {**named, "fig-mine-mine-entropy.svg": "mine"}
-    changed = {**mine["selection"], "settings": {"learning_rate": 0.001}}
-    store.save_selection("mine", {**mine, "selection": changed})
-    before = (results / "figures" / "fig-mine.svg").read_bytes()
-    assert _plot(results, "mine")[0] == 0
-    assert (results / "figures" / "fig-mine.svg").read_bytes() == before
-    assert _index(results / "figures")["fig-mine-learning_rate=0.001.svg"]["changed"] == {
-        "learning_rate": 0.001
-    }

@@ -56,21 +56,6 @@ def test_runs_that_another_study_has_published_are_found_in_its_table(results: P
     assert "Note: 2 of 4 runs of policy-gradient are not here, not finished or damaged" in again.err
 
 
-def test_runs_that_are_here_and_published_ones_are_told_apart(results: Path, tmp_path: Path) -> None:
-    whole = call("study", "summary", "activation", "--results", results)
-    gone = sorted((results / "runs").iterdir())[0]
-    (gone / "episodes.parquet").write_bytes(b"damaged")
-    told = printed("study", "status", "activation", "--results", results)
-    assert "3 done, 1 done as published" in told.splitlines()[0]
-    shutil.rmtree(gone)
-    part = call("study", "summary", "activation", "--results", results)
-    note = "Note: 1 of 4 runs of activation are not here, but published.\n"
-    assert (part.out, part.err) == (whole.out, note)
-    episodes = ("--table", "episodes", "--out", tmp_path / "episodes.csv")
-    called = call("study", "export", "activation", *episodes, "--results", results)
-    assert called.code == 0 and called.err.startswith("Note: 1 of 4 runs of activation are not here, not")
-
-
 def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> None:
     table = results / "published" / "activation.parquet"
     shutil.rmtree(results / "runs")

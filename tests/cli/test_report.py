@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -12,47 +11,16 @@ from typing import Any
 import pytest
 
 from pneuma.config import as_fields, make_run
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.figures.verdicts import MEANINGS
 from pneuma.study import spec
-from pneuma.study.store import Status, Store
-from pneuma.study.tables import to_parquet
+from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
-from ..hand_made import make_id
+from ..hand_made import make_id, record_of, save_run
 from .calls import described
 
 Read = Callable[[bytes], Any]
 BUDGET = 1024
-
-
-def _record(store: Store, study: str, conditions: dict[str, dict[str, Any]], **other: Any) -> dict[str, Any]:
-    """Store a study of two seeds, and its record."""
-    runs = []
-    for name, own in conditions.items():
-        for seed in (0, 1):
-            settings = as_fields(make_run({"steps": BUDGET, **own}))
-            run_id = make_id(f"{study} {name}", seed)
-            runs.append({"condition": name, "seed": seed, "run_id": run_id, "run": settings})
-            _store_run(store, run_id)
-    named = {"study": study, "path": None, "title": study, "figure": f"fig-{study}"}
-    record = {**named, "baseline": next(iter(conditions)), "same": [], "runs": runs, "selection": {}, **other}
-    store.save_selection(study, record)
-    return record
-
-
-def _store_run(store: Store, run_id: str, status: str = "done") -> None:
-    episode = {"slot": 0, "episode": 0, "step": 50, "return": 1.0, "length": 50, "kills": 1, "hp": 0.0}
-    played = {"step": BUDGET, "episodes": 50, "argmax_starts": 6}
-    evaluation = {**dict.fromkeys(EVALUATION_COLUMNS, 0.5), **played}
-    machine = {"python": "3.11.7", "packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
-    files = {
-        "episodes.parquet": to_parquet([{**episode, "ending": "killed"}], EPISODE_COLUMNS),
-        "metrics.parquet": to_parquet([{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}], METRIC_COLUMNS),
-        "evaluations.parquet": to_parquet([evaluation], EVALUATION_COLUMNS),
-        "provenance.json": json.dumps({"started": run_id, **machine}).encode(),
-    }
-    store.save_run(run_id, Status(status, BUDGET), files)
 
 
 @pytest.fixture
@@ -69,7 +37,7 @@ def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
     return make
 
 
-TWO = {"tanh": {"activation": "tanh"}, "relu": {"activation": "relu"}}
+TWO = "tanh", "relu"
 
 
 def _words(page: Any) -> str:
@@ -103,7 +71,14 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
 def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     store: Store, make: Callable[..., Any]
 ) -> None:
-    record = _record(store, "activation", TWO)
+    cells = {(name, seed): make_id(name, seed) for name in TWO for seed in (0, 1)}
+    settings = {name: as_fields(make_run({"steps": BUDGET, "activation": name})) for name in TWO}
+    record = record_of(cells, settings)
+    store.save_selection("activation", {**record, "study": "activation"})
+    for run_id in cells.values():
+        rows = [{"step": 50, "return": 1.0}], [{"step": 256}], [{"step": BUDGET, "share_killed": 0.5}]
+        machine = {"packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
+        save_run(store, run_id, *rows, BUDGET, started=run_id, **machine)
     page = make("activation")
     words = _words(page)
     images = page.all("img")

@@ -76,16 +76,6 @@ def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, t
 
 def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
     cell = plan.cells[0]
-    shown = " ".join(printed("run", "show", cell.run_id).split())
-    for words in (
-        f"run {cell.run_id}: done, 640 steps trained",
-        "study activation, condition tanh, seed 7",
-        "horizon = 64 (default 256)",
-        "wall_seconds 12.5",
-        "packages pneuma 0.1.0, torch 2.13.0",
-    ):
-        assert words in shown
-    assert "gamma" not in shown  # at its default
     every = printed("run", "show", cell.run_id, "--all")
     fields = [line.partition(" = ")[0].strip() for line in every.splitlines() if " = " in line]
     assert sorted(fields) == sorted(Run.__dataclass_fields__)

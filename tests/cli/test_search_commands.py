@@ -107,18 +107,6 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
 
 
 @pytest.mark.slow
-def test_a_search_of_the_published_codes_world_is_promoted_there(
-    searched: tuple[Path, Path], tmp_path: Path
-) -> None:
-    words = [searched[0], "--world", "godot", "--results", tmp_path]
-    printed("search", "run", *words, "--trials", "2", "--quiet")
-    assert f"search promote {searched[0]} --world godot" in printed("search", "status", *words)
-    study = described("search", "promote", *words, "--seeds", "1", "--json")["study"]
-    assert Path(study).name == "promoted-godot-small.toml"
-    assert 'env = "pneuma/PneumaGodot-v0"' in Path(study).read_text()
-
-
-@pytest.mark.slow
 def test_no_code_that_a_record_or_its_file_names_is_run(tmp_path: Path) -> None:
     """Only a file that the person names may name code: the results folder may be untrusted."""
     path, results = tmp_path / "evil.toml", tmp_path / "results"

@@ -8,7 +8,7 @@ import torch
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress, checkpoint_steps, load_engine
-from pneuma.engines.records import Checkpoint, CheckpointError, Records
+from pneuma.engines.records import Checkpoint, CheckpointError
 from pneuma.study.checkpoints import (
     decode,
     encode,
@@ -86,29 +86,6 @@ def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], eng
 
 
 # --- As files --------------------------------------------------------------------------------------
-
-
-def a_checkpoint(step: int = 64) -> Checkpoint:
-    arrays = {
-        "scalar": np.array(1.5, np.float32),
-        "matrix": np.arange(6.0).reshape(2, 3),
-        "none": np.zeros(0),
-    }
-    episode = {"slot": 0, "episode": 0, "step": 5, "return": 0.1, "length": 5, "kills": 1, "hp": 0.0}
-    records = Records(episodes=[{**episode, "ending": "killed"}])
-    return Checkpoint(step, arrays, {"seed": 2**64 - 1, "pair": [1, 0.1]}, records)
-
-
-def test_a_checkpoint_comes_back_from_its_bytes() -> None:
-    checkpoint = a_checkpoint()
-    back, about = decode(encode(checkpoint, {"attempts": [1]}))
-    assert (back.step, back.numbers, back.records, about["history"]) == (
-        64, checkpoint.numbers, checkpoint.records, {"attempts": [1]},
-    )  # fmt: skip
-    assert {name: array.shape for name, array in back.arrays.items()} == {
-        "scalar": (), "matrix": (2, 3), "none": (0,),
-    }  # fmt: skip
-    assert all(np.array_equal(back.arrays[name], array) for name, array in checkpoint.arrays.items())
 
 
 def test_checkpoints_to_keep_are_spread_over_the_run_from_its_first_update() -> None:

@@ -45,14 +45,6 @@ def test_score_is_zero_for_the_random_player_and_one_for_the_hunter(evaluation: 
     assert 0.0 < evaluation.random_share < 0.3
 
 
-def test_a_uniform_policy_scores_about_zero(evaluation: Evaluation) -> None:
-    row = evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 100)
-    assert abs(row["score"]) < 0.1
-    assert row["score"] == pytest.approx(
-        (row["share_killed"] - evaluation.random_share) / (evaluation.hunter_share - evaluation.random_share)
-    )
-
-
 def test_a_certain_policy_plays_each_start_the_same_way_sampled_or_not(evaluation: Evaluation) -> None:
     # Nothing in the world is random but the start place, so episode lengths must agree by place.
     evaluation.evaluate(constant_policy([50, 0, 0, 0, 0]), 100)  # always down

@@ -17,7 +17,6 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import A2C, PPO
 
-import pneuma.engines.export as exports
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
 from pneuma.engines.policy import Policy, read_sound_policy
@@ -128,25 +127,6 @@ def test_the_zip_needs_nothing_of_pneuma(tmp_path: Path) -> None:
 
 
 # --- What an environment may be made of ------------------------------------------------------------
-
-
-def test_a_file_of_its_owner_is_opened_with_trust_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = []
-
-    def refuse(count: int, config: Any) -> Any:
-        opened.append(config.level)
-        raise UserError("opened")
-
-    monkeypatch.setattr(exports, "Worlds", refuse)
-    run = replace(make_run({}), level="/somewhere/own")
-    policy = random_policy(run, 9)
-    assert observation_space(policy, run) == own_space(9)
-    run_of_characters = replace(make_run({}), characters="/somewhere/own.toml")
-    assert observation_space(policy, run_of_characters) == own_space(9)
-    assert opened == []
-    with pytest.raises(UserError, match="opened"):
-        observation_space(policy, run, trust=True)
-    assert opened == ["/somewhere/own"]
 
 
 def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

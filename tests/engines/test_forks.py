@@ -152,14 +152,3 @@ def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
     assert whole.policy.to_bytes() == resumed.policy.to_bytes()
     assert [row["step"] for row in whole.records.metrics] == [256, 384]
     assert whole.records.metrics == resumed.records.metrics
-
-
-def test_a_critic_begun_anew_has_moments_of_its_own() -> None:
-    """The compiled update overwrites its arguments in place, so that no two may be one array."""
-    run = make_run(SMALL)
-    checkpoint = BatchedTrainer(run).checkpoint(AT, Records())
-    learner = begun(forked(run, fork_reset="critic"), checkpoint).learner
-    parts = [part["critic"] for name, part in learner.optimizer.items() if name != "steps"]
-    every = [array for part in parts for layer in part for array in layer]
-    assert len({id(array) for array in every}) == len(every) > 0
-    assert all(not np.asarray(array).any() for array in every)

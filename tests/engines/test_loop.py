@@ -83,24 +83,3 @@ def test_a_run_that_lost_its_numbers_ends_there_unjudged_and_without_a_policy() 
     result = train_run(run_of(), diary, on_update)
     assert (result.status, result.step, result.policy) == ("diverged", 2 * HORIZON, None)
     assert len(result.records.metrics) == 2 and len(taken) == 1 and not diary.judged
-
-
-def test_it_goes_on_from_its_checkpoint_with_what_was_written_before() -> None:
-    taken, on_update = until()
-    whole = train_run(run_of(), Diary(), on_update)
-    diary = Diary()
-    rest = train_run(run_of(), diary, until()[1], taken[6])
-    assert diary.restored == [7 * HORIZON] and diary.judged[0] == 8 * HORIZON
-    assert rest.records == whole.records
-    assert len(taken[6].records.metrics) == 7  # what follows does not reach it
-
-
-def test_a_fork_writes_down_its_own_part_alone() -> None:
-    parent = Checkpoint(7 * HORIZON, {}, {}, Records(metrics=[{"step": 7 * HORIZON}]))
-    fork = run_of(parent="0" * 16, fork_step=7 * HORIZON)
-    diary = Diary()
-    taken, on_update = until()
-    whole = train_run(fork, diary, on_update, parent)
-    assert diary.restored == [7 * HORIZON]
-    assert whole.records.metrics[0] == {"step": 8 * HORIZON, "before": 7 * HORIZON}
-    assert train_run(fork, Diary(), until()[1], taken[0]).records == whole.records

@@ -9,7 +9,6 @@ import pytest
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
-from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import (
     estimated_values,
@@ -149,11 +148,3 @@ def test_an_evaluation_explores_as_the_run_does_and_its_greedy_route_does_not() 
     assert always["return"] == pytest.approx(0.0, abs=0.2)
     assert always["length"] == pytest.approx(1.5, abs=0.1)
     assert (never["return"], never["length"], never["argmax_return"]) == (1.0, 2.0, 1.0)
-
-
-def test_the_stored_policy_is_the_table() -> None:
-    result, taken = train(run_of("double-q-learning"))
-    assert isinstance(result.policy, Policy)
-    mean = taken[-1].arrays["tables"].mean(axis=0)
-    np.testing.assert_allclose(result.policy.logits(np.eye(3, dtype=np.float32)), mean, rtol=1e-6)
-    assert result.policy.exploration == 0.1

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import OBSERVATIONS, REWARDS, SHIPPED_LEVELS, make_env_config
-from pneuma.env import REGISTERED, state
+from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 
 from ..pages import BLOCK
@@ -51,11 +50,3 @@ def test_the_pages_level_class_monster_and_weapon_are_what_it_says(
     assert isle.level.monsters == (("bamboo", 96.0, 0.0), ("wolf", 160.0, 64.0))
     assert isle.monster_stats["hp"].tolist() == [[60, 60]]
     assert (isle.player_stats["hp"][0], isle.player_stats["damage"][0]) == (200, 35)
-
-
-def test_the_page_names_all_that_there_is() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    for name in (*REGISTERED, *REWARDS, *OBSERVATIONS, *SHIPPED_LEVELS):
-        assert f"`{name}`" in page, name
-    for name in state.EVENTS.names or ():
-        assert f"`{name}`" in page or name == "reward", name

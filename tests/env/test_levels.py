@@ -11,7 +11,7 @@ import pytest
 
 from pneuma.config import make_env_config
 from pneuma.env import rules
-from pneuma.env.level import Level, load_level, room_for_bodies
+from pneuma.env.level import Level, load_level
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -101,32 +101,6 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 def test_what_cannot_be_is_told_with_file_and_row(tmp_path: Path, files: dict[str, str], told: str) -> None:
     folder = write_folder(tmp_path, **files)
     assert complaint(level=str(folder)).startswith(f"{folder}{'' if told.startswith(':') else '/'}{told}")
-
-
-# --- Room for bodies -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("margin", [0.5, 29.0, 40.0, 70.0, 100.0])
-@pytest.mark.parametrize("coast", [True, False])
-def test_there_is_room_where_no_closed_tile_comes_nearer_than_the_margin(
-    tmp_path: Path, coast: bool, margin: float
-) -> None:
-    """Compare with every tile against every half tile, and the tiles beyond the grid closed."""
-    level = load_level("thesis", CODES)
-    if not coast:  # land up to the edge of the grid
-        folder = Path(write_level(tmp_path, [(0.0, 0.0)], [(200.0, 200.0)]))
-        (folder / "ground.csv").write_text(layer(np.ones((20, 20), np.int64)))
-        level = load(folder)
-    rows, columns = level.terrain.shape
-    closed = np.pad(level.terrain != rules.OPEN, 3, constant_values=True)
-    closed_row, closed_column = np.nonzero(closed)
-    top, left = (closed_row - 3) * 64.0, (closed_column - 3) * 64.0
-    cell_top, cell_left = np.arange(2 * rows) * 32.0, np.arange(2 * columns) * 32.0
-    near_y = (top < cell_top[:, None] + 32 + margin) & (top + 64 > cell_top[:, None] - margin)
-    near_x = (left < cell_left[:, None] + 32 + margin) & (left + 64 > cell_left[:, None] - margin)
-    meets = near_y.astype(np.int32) @ near_x.T.astype(np.int32)  # (2 rows, 2 columns)
-    assert np.array_equal(room_for_bodies(level, margin), (meets == 0).astype(np.uint8))
-    assert (meets == 0).any() and (meets > 0).any()
 
 
 # --- Where bodies begin, and walk ----------------------------------------------------------------

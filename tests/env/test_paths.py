@@ -1,50 +1,16 @@
-"""Ways over a level: their lengths, and steps that are those of the rules."""
+"""Ways over a level: their steps are those of the rules."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from pneuma.env import rules
-from pneuma.env.level import Level
-from pneuma.env.paths import Body, Ways, spot
+from pneuma.env.paths import Body, Ways
 
 from .arena import DOWN, LEFT, RIGHT, UP, begin
 
 BODY = Body(23.5, 24.0, -1.5, 2.0)
-WALLS = 1 << rules.SOLID | 1 << rules.COAST
 REACH = 40.0
-
-# Two rooms and a gap that is one tile wide. Tiles of 64 px; the upper left corner is at 0, 0.
-ROOMS = (
-    "........",
-    "........",
-    "##.#####",
-    "........",
-    "..~~....",
-)
-
-
-def rooms(tile: float = 64.0) -> Level:
-    """Return the two rooms as a level."""
-    codes = {".": rules.OPEN, "#": rules.SOLID, "~": rules.COAST}
-    terrain = np.array([[codes[mark] for mark in row] for row in ROOMS], np.uint8)
-    return Level("rooms", "Rooms", tile, 0.0, 0.0, terrain, terrain, np.zeros((1, 2)), ())
-
-
-def lengths(ways: Ways, goal: tuple[float, float], *places: tuple[float, float]) -> list[float]:
-    """Return how many tiles it is to a goal from each place."""
-    x, y = np.array(places).T
-    goals = np.full((len(places), 1), goal[0]), np.full((len(places), 1), goal[1])
-    return [float(length) for length in ways.lengths(np.zeros(len(places), np.int64), *goals, x, y)[:, 0]]
-
-
-def test_lengths_count_tiles_around_what_is_closed() -> None:
-    ways = Ways([rooms()], BODY, WALLS, False)
-    # To column 0, row 3: from itself, from column 2 of the gap, from the other room's far corner.
-    found = lengths(ways, (32, 224), (32, 224), (160, 160), (480, 32))
-    assert found == [0, 3, 5 + 3 + 2]
-    assert lengths(ways, (480, 288), (32, 288)) == [1 + 7 + 1]  # along row 3, around the coast
 
 
 @pytest.mark.parametrize("coast", ["wall", "deadly"])
@@ -64,16 +30,3 @@ def test_steps_lead_where_the_rules_lead(coast: str) -> None:
                 there = ways.step(0, (float(old["x"]), float(old["y"])), action, REACH)
                 drowned = new["hp"] <= 0 and coast == "deadly"
                 assert there == (None if drowned else (float(new["x"]), float(new["y"])))
-
-
-def test_a_plan_leads_through_a_gap_that_steps_of_its_length_miss() -> None:
-    """From x = 140 steps of 40 px stand at 20, 60, …; only 153 to 170 lead through the gap."""
-    ways = Ways([rooms()], BODY, WALLS, False)
-    place, goal = (140.0, 32.0), (160.0, 224.0)
-    for _ in range(10):
-        plan = ways.plan(0, place, goal, REACH)
-        while spot(place) in plan:
-            there = ways.step(0, place, plan[spot(place)], REACH)
-            assert there is not None
-            place = there
-    assert place[1] >= 192  # a tile from the goal at most

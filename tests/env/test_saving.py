@@ -10,7 +10,7 @@ import pytest
 from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, THESIS, Fighter, begin, bits, state_bits
+from .arena import GODOT, THESIS, Fighter, begin, state_bits
 
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "thesis": (THESIS, {}),
@@ -94,12 +94,3 @@ def test_a_world_of_other_levels_or_characters_is_refused() -> None:
             worlds.restore(0, other.save(0))
         with pytest.raises(ValueError, match="a state of another"):
             other.restore(0, worlds.save(0))
-
-
-def test_what_is_seen_paid_and_allowed_may_differ() -> None:
-    settings: dict[str, Any] = {
-        "reward": "kills", "observation": "godot", "magic": True, "episode_steps": 9,
-    }  # fmt: skip
-    worlds, other = played("thesis", 1), begin(1, **settings)
-    other.restore(0, worlds.save(0))
-    assert bits(other.monsters, other.players) == bits(worlds.monsters, worlds.players)

@@ -114,18 +114,3 @@ def test_a_band_about_the_mean_is_not_drawn_where_runs_are_missing(
     study.add("tanh", 9, episodes=0, evaluations=(), status="diverged")
     study.draw(tmp_path)
     assert not drawn[0].axes[0].collections[0].get_paths()
-
-
-def test_random_player_and_hunter_are_told_with_their_levels_and_flatten_nothing(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
-) -> None:
-    study.draw(tmp_path)
-    assert legend(drawn[0])[-2:] == ["random player (4 %)", "scripted hunter (50 %)"]
-    low = HandMade(tmp_path / "low")
-    low.add("tanh", 0, evaluations=(0.0, 0.1))
-    low.draw(tmp_path)
-    assert legend(drawn[1])[-1] == "scripted hunter (50 %): above"
-    assert drawn[1].axes[0].get_ylim()[1] < 0.2
-    study.add("elsewhere", 0, hunter=0.9)  # of another world than the others'
-    study.draw(tmp_path)
-    assert "scripted hunter" not in words(drawn[2])

@@ -5,10 +5,7 @@ from __future__ import annotations
 import xml.dom.minidom
 from pathlib import Path
 
-import numpy as np
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from PIL import Image
 
 from pneuma.errors import plain
 from pneuma.figures.panels import label_rows
@@ -18,7 +15,6 @@ from pneuma.figures.style import (
     house_style,
     save_figure,
     short_names,
-    shrink,
 )
 
 
@@ -56,20 +52,3 @@ def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_pa
     document = path.read_text(encoding="utf-8")
     xml.dom.minidom.parseString(document)
     assert document.count(r"a\u001b\u202eb\ud800") == 2
-
-
-def test_a_small_png_keeps_its_dots_and_the_colours_of_few(tmp_path: Path) -> None:
-    """A page of letters in all greys, and small marks in all colours, each faint, fainter and whole."""
-    pixels = np.full((160, 480, 3), 255, np.uint8)
-    pixels[:100] = np.random.default_rng(0).integers(0, 256, (100, 480, 1))
-    colours = 255 * np.array([[to_rgb(colour) for colour in COLOURS]])
-    for row, alpha in enumerate((0.3, 0.5, 0.8, 1.0)):
-        marks = (255 - alpha * (255 - colours)).round().astype(np.uint8)
-        pixels[110 + 10 * row : 113 + 10 * row, 10 : 10 + 3 * marks.shape[1]] = marks.repeat(3, axis=1)
-    path = tmp_path / "marks.png"
-    Image.fromarray(pixels).save(path, dpi=(200, 200))
-    shrink(path)
-    with Image.open(path) as image:
-        assert (image.mode, round(image.info["dpi"][0])) == ("P", 200)
-        shown = np.asarray(image.convert("RGB"))
-    assert np.abs(shown.astype(int) - pixels).max() <= 25  # of 255: less than two neighbouring colours

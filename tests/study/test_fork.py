@@ -137,16 +137,3 @@ def test_runs_stand_in_one_order_in_every_condition(store: Store) -> None:
             (parent, step, seed) for parent, step in zip(parents, (64, 128), strict=True) for seed in range(3)
         ]
     assert len({cell.run_id for cell in planned.cells}) == len(planned.cells)
-
-
-def test_changes_and_runs_that_cannot_be_forked_are_left_out_and_said(store: Store) -> None:
-    sound, late, without = (stored(store, at, seed=len(at), **USUAL) for at in ((64, 128), (256,), ()))
-    planned = plan_cause_forks(store, "mine", {sound: 100, late: 100, without: 100}, [0])
-    left_out = {"tanh", "unit scale", "gradient limit 0.5", "reset xp"}
-    assert set(planned.conditions) == {"control", *CAUSES} - left_out
-    assert {note.split(":")[0] for note in planned.notes} >= {f"without {name}" for name in left_out}
-    assert {cell.run.parent for cell in planned.cells} == {sound}
-    assert any("first checkpoint" in note for note in planned.notes)
-    assert any("kept no checkpoints: remove" in note for note in planned.notes)
-    with pytest.raises(UserError, match="kept no checkpoints"):
-        plan_cause_forks(store, "mine", {without: 100}, [0])

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import pytest
-
 from pneuma.study.tables import from_parquet, to_parquet
 
 COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
@@ -28,17 +26,6 @@ def test_rows_come_back_as_they_were_with_the_columns_asked_for() -> None:
     assert from_parquet(to_parquet([{"length": 20.5}], ("length",))).to_pylist() == [{"length": 20.5}]
     (row,) = from_parquet(to_parquet([_row(0, hp=math.nan)], COLUMNS)).to_pylist()
     assert math.isnan(row["hp"])
-
-
-@pytest.mark.parametrize("rows", [[_row(0)], []])
-def test_counts_are_whole_numbers_and_amounts_are_not(rows: list[dict[str, Any]]) -> None:
-    table = from_parquet(to_parquet(rows, COLUMNS))
-    types = {name: str(table.schema.field(name).type) for name in COLUMNS}
-    assert types == {
-        **dict.fromkeys(("slot", "episode", "step", "length", "kills"), "int64"),
-        **dict.fromkeys(("return", "hp"), "double"),
-        "ending": "string",
-    }
 
 
 def test_the_same_rows_give_the_same_bytes() -> None:
