@@ -77,7 +77,7 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     store.save_selection("activation", {**record, "study": "activation"})
     for run_id in cells.values():
         rows = [{"step": 50, "return": 1.0}], [{"step": 256}], [{"step": BUDGET, "share_killed": 0.5}]
-        machine = {"packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
+        machine: dict[str, Any] = {"packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
         save_run(store, run_id, *rows, BUDGET, started=run_id, **machine)
     page = make("activation")
     words = _words(page)

@@ -94,15 +94,3 @@ def test_every_file_with_kernels_is_listed() -> None:
         if {"njit", "cached"} & (_imported(tree, "numba") | _imported(tree, "pneuma.env.compiled")):
             makes_kernels.add(path.relative_to(PACKAGE).as_posix())
     assert makes_kernels == set(KERNEL_SOURCES)
-
-
-@pytest.mark.parametrize("source", sorted({*KERNEL_SOURCES} - {"env/rules.py"}))
-def test_a_kernel_that_takes_no_handle_uses_nothing_of_another_file(source: str) -> None:
-    """Those of the rules may: they are kept on disk only as parts of the two that take one."""
-    tree = ast.parse((PACKAGE / source).read_text(encoding="utf-8"))
-    foreign = _imported(tree, "pneuma")
-    for kernel in ast.walk(tree):
-        if isinstance(kernel, ast.FunctionDef) and "kernel" in map(ast.unparse, kernel.decorator_list):
-            used = {node.id for node in ast.walk(kernel) if isinstance(node, ast.Name)}
-            takes_handle = "handle" in {argument.arg for argument in kernel.args.args}
-            assert takes_handle or not used & foreign, kernel.name

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.study.estimate import START_SECONDS, Paces, stored_paces, total_seconds
+from pneuma.study.estimate import START_SECONDS, stored_paces
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import machine
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -50,21 +50,3 @@ def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
     fork = make_run({**as_fields(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
     save(store, fork, 2560, 2.56, HERE)
     assert pace(store, fork) == pytest.approx(2.56 / 256)
-
-
-def test_a_run_unlike_all_takes_the_tables_time_as_often_as_this_machine_is_slower() -> None:
-    paces, big = Paces(), replace(RUN, actor=(512, 512), critic=(512, 512))
-    by_table = paces.seconds(big, 1000) - START_SECONDS
-    usual = paces.seconds(RUN, 1000) - START_SECONDS
-    assert 0 < usual < by_table
-    paces.add(as_fields(RUN), 3 * usual / 1000)
-    assert paces.knows(replace(RUN, seed=7)) and not paces.knows(big)
-    assert paces.seconds(RUN, 1000) - START_SECONDS == pytest.approx(3 * usual)
-    assert paces.seconds(big, 1000) - START_SECONDS == pytest.approx(3 * by_table)
-
-
-def test_runs_share_workers() -> None:
-    assert total_seconds([4, 3, 2], 1) == 9
-    assert total_seconds([4, 3, 2], 2) == 4.5
-    assert total_seconds([9, 1], 2) == 9
-    assert total_seconds([], 2) == 0

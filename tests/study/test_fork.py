@@ -11,7 +11,7 @@ import pytest
 from pneuma.config import make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import checkpoint_files, encode, file_name
+from pneuma.study.checkpoints import encode, file_name
 from pneuma.study.fork import CAUSES, Change, plan_cause_forks, plan_fork
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Plan
@@ -79,17 +79,6 @@ def test_what_is_replayed_keeps_its_meaning_at_a_fork(store: Store) -> None:
     assert plan(store, gamma=0.9)
 
 
-@pytest.mark.parametrize(("before", "after"), [(0.0, 0.9), (0.9, 0.0)])
-def test_momentum_begins_or_ends_with_a_fresh_optimizer_alone(
-    store: Store, before: float, after: float
-) -> None:
-    """Torch keeps a buffer for momentum in the optimizer's state where there is any, and none elsewhere."""
-    stored(store, betas=None, optimizer="rmsprop", momentum=before)
-    with pytest.raises(UserError, match="--set momentum: from or to 0 needs --reset optimizer"):
-        plan(store, momentum=after)
-    assert plan(store, reset="optimizer", momentum=after)
-
-
 def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     name = stored(store)
     document = json.loads(store.read_file(name, "run.json"))
@@ -97,16 +86,6 @@ def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     store.save_run(name, Status("done", 320), {"run.json": json.dumps(document).encode()})
     with pytest.raises(UserError, match="other rules or another engine"):
         plan(store, learning_rate=1e-3)
-
-
-def test_the_control_of_a_forks_fork_resets_nothing_and_its_parent_is_named(store: Store) -> None:
-    about_parent: dict[str, Any] = {"parent": "0" * 16, "fork_step": 64, "fork_reset": "optimizer"}
-    name = stored(store, **about_parent)
-    assert {(cell.run.fork_reset, cell.run.fork_step) for cell in plan(store, gamma=0.9).cells} == {("", AT)}
-    (file,) = checkpoint_files(store.run_folder(name))
-    file.path.unlink()
-    with pytest.raises(UserError, match=f"as it is a fork: fork run {'0' * 16} with both"):
-        plan(store, gamma=0.9)
 
 
 # --- Plans of several runs -------------------------------------------------------------------------
@@ -125,15 +104,3 @@ def test_every_condition_changes_one_thing_of_the_control(store: Store) -> None:
     differing = {name: {key for key in run if run[key] != control[key]} for name, run in runs.items()}
     assert {len(keys) for keys in differing.values()} == {1}
     assert differing["tanh"] == {"activation"} and differing["reset xp"] == {"fork_reset"}
-
-
-def test_runs_stand_in_one_order_in_every_condition(store: Store) -> None:
-    parents = {stored(store, (64, 128), seed=seed, **USUAL): at for seed, at in ((0, 70), (1, 300))}
-    planned = plan_cause_forks(store, "mine", parents, [0, 1, 2])
-    for condition in planned.conditions:
-        own = [cell for cell in planned.cells if cell.condition == condition]
-        assert [cell.seed for cell in own] == [0, 1, 2, 3, 4, 5]
-        assert [(cell.run.parent, cell.run.fork_step, cell.run.seed) for cell in own] == [
-            (parent, step, seed) for parent, step in zip(parents, (64, 128), strict=True) for seed in range(3)
-        ]
-    assert len({cell.run_id for cell in planned.cells}) == len(planned.cells)

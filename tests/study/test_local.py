@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import signal
 import sys
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.study.executors import local, supervisor
+from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.supervisor import Interrupts
 from pneuma.study.identity import run_id
-from pneuma.study.locks import RunLock, is_held
 from pneuma.study.store import Store
 
 SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
@@ -36,32 +33,6 @@ def no_worker(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Non
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
-
-
-def test_a_run_that_another_process_trains_is_waited_for_without_a_worker(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A worker takes half a second of a core to find the lock taken; once was enough."""
-    begun, asked, start = list[object](), list[Path](), local.LocalProcess
-
-    def note(job: Any) -> Any:
-        begun.append(job)
-        return start(job)
-
-    def ask(folder: Path) -> bool:
-        asked.append(folder)
-        if len(asked) == 3:
-            other.close()
-        return is_held(folder)
-
-    monkeypatch.setattr(local, "LocalProcess", note)
-    monkeypatch.setattr(supervisor, "is_held", ask)
-    monkeypatch.setattr(supervisor, "BUSY_SECONDS", 0.05)
-    with ExitStack() as other:
-        assert other.enter_context(RunLock(Store(tmp_path / "results").run_folder(run_id(RUN))))
-        events = train({run_id(RUN): RUN}, tmp_path)
-    assert len(begun) == 2 and len(asked) == 3  # one that found it busy, one that trained it
-    assert [event["status"] for event in events if event["event"] == "end"] == ["done"]
 
 
 @pytest.mark.parametrize("line", ["Welcome!", '{"event": "end", "run_id": "another", "status": "done"}'])

@@ -91,18 +91,6 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
 
 
-def test_after_a_stop_the_runs_that_wait_are_not_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(worker, "load_engine", lambda _: pytest.fail("a run was begun"))
-    events, stop = io.StringIO(), threading.Event()
-    stop.set()
-    job = worker.Job(Store(tmp_path), {run_id(run): run for run in RUNS})
-    assert worker.train_group(job, worker.Reporter(events), stop) == 0
-    ends = [json.loads(line) for line in events.getvalue().splitlines()]
-    assert [(end["run_id"], end["status"]) for end in ends] == [(FIRST, "stopped"), (SECOND, "stopped")]
-
-
 def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
