@@ -23,8 +23,10 @@ class Collects(Protocol):
     Attributes:
         features, actions: numbers in an observation, and how many actions there are.
         generator: draws the actions.
+        layout: changes where the arrays of `saved_state` are laid out otherwise.
     """
 
+    layout: str
     features: int
     actions: int
     generator: np.random.Generator

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import ACTION_NAMES, REWARDS, SPELL_NAMES, Run, env_config
+from pneuma.config import ACTION_NAMES, REWARDS, SPELL_NAMES, Run, env_config, is_gymnasium_id
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
@@ -95,8 +95,10 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
+    if policy.deviation is not None:
+        raise UserError(".zip is of actions to choose from, and this policy's are numbers: choose .onnx")
     features = policy.actor[0][0].shape[0]
-    if not (trust or reads_only_shipped_files(run)):
+    if is_gymnasium_id(run.env) or not (trust or reads_only_shipped_files(run)):
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
     space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
     if space.shape != (features,):
@@ -136,6 +138,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
     told = "logits" if policy.exploration is None else "action_values"
+    told = told if policy.deviation is None else "mean_action"
     nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, told)
     outputs = [helper.make_tensor_value_info(told, TensorProto.FLOAT, ["batch", actions])]
     if policy.exploration is None:
@@ -148,7 +151,8 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     made = {"producer_name": "pneuma", "ir_version": ONNX_IR_VERSION}
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
     known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else ACTION_NAMES + SPELL_NAMES
-    helper.set_model_props(model, {**about, "actions": json.dumps(known[:actions])})
+    named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known[:actions])}
+    helper.set_model_props(model, {**about, **named})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)
 

@@ -24,6 +24,7 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self.layout = "seeds and actions"
         self.slots = Slots(run, slot_seeds(run), logged=True)
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]

@@ -21,6 +21,7 @@ from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.compiled import cached
+from pneuma.env.state import LAYOUT_DIGEST
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_fields import own_rewards
 
@@ -91,6 +92,7 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self.layout = LAYOUT_DIGEST
         self._asks = bool(own_rewards(run.reward))
         self.worlds = Worlds(run.slots, env_config(run))
         self.worlds.seed(slot_seeds(run))

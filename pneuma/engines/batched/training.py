@@ -15,7 +15,6 @@ from pneuma.engines.environment import Evaluates, environment_of
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env.state import LAYOUT_DIGEST
 
 
 class BatchedTrainer:
@@ -58,7 +57,7 @@ class BatchedTrainer:
         """Copy networks, optimizer, worlds and random streams."""
         arrays = {name: own.copy() for name, own in self.collector.saved_state().items()}
         numbers = {
-            "layout": LAYOUT_DIGEST,
+            "layout": self.collector.layout,
             "optimizer": self.run.optimizer,
             "actions": self.collector.generator.bit_generator.state,
             "minibatches": self.learner.generator.bit_generator.state,
@@ -84,7 +83,7 @@ class BatchedTrainer:
     def _restore(self, checkpoint: Checkpoint, reset: str) -> None:
         numbers = checkpoint.numbers
         try:
-            if numbers["layout"] != LAYOUT_DIGEST:
+            if numbers["layout"] != self.collector.layout:
                 raise ValueError("the state of the worlds was laid out otherwise")
             if numbers["optimizer"] != self.run.optimizer and reset != "optimizer":
                 raise ValueError(f"it is of the optimizer {numbers['optimizer']}")

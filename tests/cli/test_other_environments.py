@@ -1,0 +1,46 @@
+"""A study in an environment of its user's own, by commands: one that breaks ends alone, forks go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.engines import own_envs
+
+from .calls import call, described, printed
+
+STUDY = """
+title = "Corridor"
+base = "table-6-2"
+keep_checkpoints = 1
+[run]
+env = "Tunnel-v0"
+env_module = "corridors"
+horizon = 64
+minibatch = 32
+actor = [8]
+critic = [8]
+evaluation_episodes = 2
+[conditions.sound]
+[conditions.breaks]
+env_kwargs = { raises = 70 }
+[presets.quick]
+seeds = 1
+steps = 128
+"""
+
+
+def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Path) -> None:
+    source = Path(own_envs.__file__).read_text().replace("tests.engines.own_envs", "corridors")
+    (tmp_path / "corridors.py").write_text(source.replace("Corridor-v0", "Tunnel-v0"))
+    (tmp_path / "mine.toml").write_text(STUDY)
+    at = ("--results", tmp_path / "results")
+    code, out, err = call("study", "run", tmp_path / "mine.toml", *at)
+    assert code != 0 and "Tunnel-v0 raised ZeroDivisionError: by the corridor in step" in out + err
+    table = described("study", "summary", "mine", *at, "--json")["summary"]
+    told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
+    assert told["evaluated-return"] == told["final-success"] == 1
+    assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
+    done = [run for run in described("run", "list", *at, "--json")["runs"] if run["status"] == "done"]
+    fork = ("run", "fork", done[0]["run_id"], *at, "--at", 64, "--seeds", 1, "--set", "gamma=0.9")
+    assert "run the module" in call(*fork).err
+    assert "2 done" in printed(*fork, "--trust")
