@@ -264,7 +264,7 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
         with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except gymnasium.error.UnregisteredEnv as error:
-        mend = "If not, install its package, or name the module that registers it as env_module"
+        mend = "Else install its package, or name the module that registers it as env_module"
         raise UserError(f"env = {run.env}: {told(error).partition(': ')[2]} {mend}") from None
     except Exception as error:
         raise UserError(f"env = {run.env} cannot be made: {told(error)}") from None
