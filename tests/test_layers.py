@@ -107,6 +107,7 @@ def test_the_package_list_is_every_folder_with_code() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     listed = settings["tool"]["setuptools"]["packages"]
     folders = {".".join(path.parent.relative_to(ROOT).parts) for path in MODULES.values()}
-    assert sorted(listed) == sorted(folders | {"pneuma.studies"})
+    assert sorted(listed) == sorted(folders | {"pneuma.published", "pneuma.studies"})
     assert len(listed) == len(set(listed))
-    assert settings["tool"]["setuptools"]["package-dir"] == {"pneuma.studies": "studies"}
+    beside = {"pneuma.published": "results/published", "pneuma.studies": "studies"}
+    assert settings["tool"]["setuptools"]["package-dir"] == beside

@@ -138,7 +138,7 @@ def find_runs(store: Store, claims: ClaimList) -> Iterator[ClaimRuns]:
 
     Claims on one study and of the same steps are read through one study, so that their runs lie on one grid.
     """
-    index, load = RunIndex(store), cache(load_study)
+    index, load = RunIndex(store, shipped=False), cache(load_study)
 
     @cache
     def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:

@@ -29,7 +29,7 @@ from pneuma.analysis.series import EXTREMES, GRID_POINTS, Stretch, make_grid, pe
 from pneuma.errors import UserError
 from pneuma.study.documents import Record, fits
 from pneuma.study.files import names_in, parse_json, read_json, read_whole
-from pneuma.study.store import FINISHED, Status, Store
+from pneuma.study.store import FINISHED, Status, Store, shipped_tables
 from pneuma.study.tables import from_parquet
 
 SCHEMA = 2
@@ -71,25 +71,26 @@ def times_path(store: Store, study: str) -> Path:
     return store.root / PUBLISHED / f"{study}.times.json"
 
 
-def published_studies(store: Store) -> list[str]:
-    """Return the names of the studies that have a published table."""
-    return [name.removesuffix(SUFFIX) for name in names_in(store.root / PUBLISHED) if name.endswith(SUFFIX)]
+def published_studies(store: Store, shipped: bool = False) -> list[str]:
+    """Return the names of the studies that have a published table here; `shipped`, or beside Pneuma."""
+    names = [*names_in(store.root / PUBLISHED), *(names_in(shipped_tables()) if shipped else ())]
+    return [name.removesuffix(SUFFIX) for name in dict.fromkeys(names) if name.endswith(SUFFIX)]
 
 
-def read_times(store: Store, study: str) -> dict[str, dict[str, Any]]:
-    """Return what the file of times tells of each run whose time makes sense; nothing without such a file."""
-    told = (read_json(times_path(store, study)) or {}).get("runs")
+def read_times(path: Path) -> dict[str, dict[str, Any]]:
+    """Return what a file of times tells of each run whose time makes sense; nothing without such a file."""
+    told = (read_json(path) or {}).get("runs")
     runs = told.items() if isinstance(told, dict) else ()
     return {name: own for name, own in runs if isinstance(own, dict) and told_seconds(own) is not None}
 
 
 def read_published(store: Store, study: str) -> PublishedTable:
-    """Read a study's published table.
+    """Read a study's published table, here or else beside Pneuma.
 
     Raises:
         UserError: when it is missing or not what was written.
     """
-    path = published_path(store, study)
+    path = store.published_path(study)
     try:
         data = read_whole(path)
     except OSError as error:
@@ -106,7 +107,7 @@ def read_published(store: Store, study: str) -> PublishedTable:
         _check(head, table)
     except ValueError as error:
         raise UserError(f"{path}: is no published table of a study ({error})") from None
-    return PublishedTable(head, table, read_times(store, study))
+    return PublishedTable(head, table, read_times(path.with_suffix(".times.json")))
 
 
 class PublishedTable:

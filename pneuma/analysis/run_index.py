@@ -2,13 +2,13 @@
 
 A results folder's own runs come first, trained there or imported; for those that it lacks, all of them in a
 fresh clone, published tables stand in: the study's own, then those of other studies, for a run is the same
-run in whichever study it was published.
+run in whichever study it was published. Tables are the folder's, and those that come with Pneuma.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,14 +28,16 @@ class RunIndex:
     Args:
         store: the folder.
         stored: whether its own runs count, or published tables alone.
+        shipped: whether tables that come with Pneuma count too.
 
     Attributes:
         damaged: of the tables of other studies that were asked for, what is wrong with those that cannot be
             read.
     """
 
-    def __init__(self, store: Store, stored: bool = True) -> None:
+    def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
         self.store = store
+        self._shipped = shipped
         self.damaged: list[str] = []
         self._stored = stored
         self._own = cache(self._read_own)
@@ -77,12 +79,13 @@ class RunIndex:
         Raises:
             UserError: when it is damaged.
         """
-        return read_published(self.store, study) if published_path(self.store, study).exists() else None
+        path = (self.store.published_path if self._shipped else partial(published_path, self.store))(study)
+        return read_published(self.store, study) if path.exists() else None
 
     def _read_others(self) -> list[PublishedTable]:
         """Return all published tables that can be read."""
         tables = []
-        for study in published_studies(self.store):
+        for study in published_studies(self.store, self._shipped):
             try:
                 tables += [table] if (table := self.table(study)) else []
             except UserError as error:
@@ -111,7 +114,7 @@ def open_published(results: Path, names: Sequence[str] | None = None) -> list[St
     Raises:
         UserError: when one is damaged or missing.
     """
-    index = RunIndex(Store(results), stored=False)
+    index = RunIndex(Store(results), stored=False, shipped=False)
     tables = [read_published(index.store, name) for name in names or published_studies(index.store)]
     return [open_study(index, table.record) for table in tables]
 

@@ -34,23 +34,30 @@ LONGEST_VALUE = 300
 
 
 def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> dict[str, Any]:
-    """Return what `report_page` shows of some studies, or of all shipped and all that were run here."""
-    known = {*known_studies(store), *spec.list_studies()}
+    """Return what `report_page` shows of some studies, or of all shipped and all that were run here.
+
+    Where none of them is the thesis's, the page is theirs: it has their titles, and judges no claims.
+    """
+    shipped, here = {*spec.list_studies()}, {_own_name(name) for name in known_studies(store)}
     for name in names:
-        if _own_name(name) not in known:
+        if _own_name(name) not in here | shipped:
             study_record(store, name)  # says that there is none
-    studies = sorted({_own_name(name) for name in names or known}, key=_place)
-    unjudged = ""
+    own_alone = here and not here & shipped
+    asked = {_own_name(name) for name in names} or (here if own_alone else here | shipped)
+    studies = sorted(asked, key=_place)
+    claims, note, unjudged = {}, "", ""
     try:
-        claims, note = judged_claims(store, studies)
+        if asked & shipped:
+            claims, note = judged_claims(store, studies)
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
-        claims, note, unjudged = {}, "", _without_folder(store, error)
+        unjudged = _without_folder(store, error)
         tell(f"Note: {error}; no claim is judged.")
     sections = []
     for place, study in enumerate(studies, 1):
         tell(f"{place}/{len(studies)} {study}")
         sections.append(_section(store, study))
-    return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged}
+    title = "" if asked & shipped else "; ".join(section["title"] for section in sections)
+    return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged, "title": title}
 
 
 def _own_name(name: str) -> str:
@@ -70,7 +77,8 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     known, meant = known_studies(store), shipped.worlds if shipped else ()
     worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
     told = {key: getattr(shipped, key, "") for key in ("section", "about")}
-    title = shipped.title if shipped else study
+    own = (store.selection(in_world(study, name)) or {} for name in worlds)
+    title = shipped.title if shipped else next((record["title"] for record in own if record), study)
     return {"study": study, "title": title, **told, "parts": [_part(store, study, name) for name in worlds]}
 
 

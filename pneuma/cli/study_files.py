@@ -226,7 +226,7 @@ def publish(
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import RunIndex, open_study
 
-    index, path = RunIndex(store), published_path(store, record["study"])
+    index, path = RunIndex(store, shipped=False), published_path(store, record["study"])
     data = open_study(index, record, "own")
     new, staying = len(data.runs) - len(data.published), len(data.published)
     if not new:

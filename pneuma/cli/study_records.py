@@ -123,7 +123,7 @@ class RunState(NamedTuple):
 
     Attributes:
         run: its entry in the record.
-        status: of the run here, or else as its study has published it.
+        status: of the run here, or else as it is published.
         published: whether the status is the published one.
     """
 
@@ -144,17 +144,16 @@ class RunState(NamedTuple):
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
-    """Return how every run of a record stands, here or in the published table of its study."""
+    """Return how every run of a record stands, here or in a published table."""
+    states = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     published: dict[str, Status] = {}
-    if (store.root / "published").is_dir():
+    if not all(status.finished for status in states.values()):
         from pneuma.analysis.run_index import RunIndex
 
-        found = RunIndex(store).of_record(record, "own")
+        found = RunIndex(store).of_record(record)
         published = {run_id: own.status for run_id, own in found.items() if own.published}
-    return [
-        RunState(run, published.get(run["run_id"]) or store.status(run["run_id"]), run["run_id"] in published)
-        for run in record["runs"]
-    ]
+    states |= published
+    return [RunState(run, states[run["run_id"]], run["run_id"] in published) for run in record["runs"]]
 
 
 def _latest(store: Store, name: str, stem: str) -> dict[str, Any] | None:
@@ -163,7 +162,7 @@ def _latest(store: Store, name: str, stem: str) -> dict[str, Any] | None:
     Raises:
         UserError: where it is the record of another file of the same name, or the table is damaged.
     """
-    record, table = store.selection(stem), store.root / "published" / f"{stem}.parquet"
+    record, table = store.selection(stem), store.published_path(stem)
     if record is not None and name.endswith(".toml"):
         execute.check_same_file(record, Path(name), store)
     if record is not None or not table.exists():

@@ -24,7 +24,7 @@ STOPPED = 130
 """The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
 
 Unpublished = Annotated[
-    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table of RESULTS.")
+    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
 ]
 
 
@@ -162,15 +162,12 @@ def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
     """Return which of a plan's runs a published table holds, of its study or another.
 
     Raises:
-        UserError: when there is no table, or the study's own is damaged.
+        UserError: when the study's own is damaged.
     """
     from pneuma.analysis.published import published_studies, read_published
 
     found: set[str] = set()
-    studies = published_studies(store)
-    if not studies:
-        raise UserError(f"--unpublished: nothing is published in {store.root}; leave it out to train all")
-    for study in studies:
+    for study in published_studies(store, shipped=True):
         try:
             found |= read_published(store, study).finished
         except UserError as error:

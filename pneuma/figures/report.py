@@ -72,7 +72,11 @@ class Part:
 
 
 def report_page(
-    claims: verdicts.Verdicts, studies: Sequence[Mapping[str, Any]], note: str = "", unjudged: str = ""
+    claims: verdicts.Verdicts,
+    studies: Sequence[Mapping[str, Any]],
+    note: str = "",
+    unjudged: str = "",
+    title: str = "",
 ) -> bytes:
     """Return the page as it goes into a file.
 
@@ -82,6 +86,7 @@ def report_page(
             `about`, and in `parts` what there is of it in each world.
         note: which list of claims was judged, with its checksum, and at which error rate.
         unjudged: why no claim could be judged; empty where they were.
+        title: of the page; empty where it is about the thesis.
     """
     environment = Environment(
         loader=PackageLoader("pneuma.figures", ""),
@@ -101,8 +106,9 @@ def report_page(
             for row, (run_id, *_) in enumerate(part.runs):
                 run_places.setdefault(run_id, (part.record, row))
     page = environment.get_template("report.html.j2").render(
-        claims=claims, studies=studies, note=note, unjudged=unjudged, version=__version__, words=verdicts,
-        places=verdicts.places_of(claims), counts=counts, run_places=run_places, anchor=_anchor,
+        claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
+        version=__version__, words=verdicts, places=verdicts.places_of(claims),
+        counts=counts, run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave

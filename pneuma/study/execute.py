@@ -186,10 +186,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     published = {name for name in plan.published if not statuses[name].finished}
     if published:
         runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
-        notes.append(
-            f"{runs} published, and not trained; those in other studies' tables are drawn and judged here "
-            "once this study is published, with a run of its own or more"
-        )
+        notes.append(f"{runs} published, and not trained: figures and numbers take them from there")
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))

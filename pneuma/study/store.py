@@ -23,6 +23,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +256,11 @@ class Store:
         """Return where a study's record is, if it was run here."""
         return self.root / "studies" / f"{study}.json"
 
+    def published_path(self, study: str) -> Path:
+        """Return where a study's published table is: here, or else in those that come with Pneuma."""
+        own, shipped = (folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables()))
+        return shipped if shipped.exists() and not os.path.lexists(own) else own
+
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
         names = names_in(self.root / "studies")
@@ -282,6 +288,14 @@ class Store:
             raise UserError(
                 f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
             ) from None
+
+
+def shipped_tables() -> Path:
+    """Return the folder of published tables that come with Pneuma: in a package, or in a source tree."""
+    try:
+        return Path(next(iter(import_module("pneuma.published").__path__)))
+    except ModuleNotFoundError:
+        return Path(__file__).parents[2] / "results" / "published"
 
 
 def run_document(run: Run, run_id: str) -> bytes:

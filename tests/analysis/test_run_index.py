@@ -28,6 +28,7 @@ from .published_runs import publish, republished
 
 BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
 WriteEvents = Callable[[Path, Any], Path]
+SHIPPED = Path(__file__).parents[2] / "results"
 B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
 
 
@@ -229,3 +230,22 @@ def test_a_record_whose_names_lead_elsewhere_is_refused(tmp_path: Path, key: str
     store = Store(tmp_path / "results")
     with pytest.raises(UserError, match=f"names its {key} .* no file name"):
         open_study(store, {**trained(store), key: name})
+
+
+def test_tables_that_come_with_pneuma_stand_beside_runs_of_ones_own(tmp_path: Path) -> None:
+    """Two published runs and one of our own, in a folder that holds the latter alone."""
+    shipped = RunIndex(Store(tmp_path / "nowhere")).record("activation-arena") or {}
+    record, store = trained(Store(tmp_path / "results")), Store(tmp_path / "results")
+    tanh = [run for run in shipped["runs"] if run["condition"] == "tanh"][:2]
+    ours = [{**tanh[0], "condition": "ours", "run_id": A0}]
+    mine = {**record, "study": "mine", "runs": [*tanh, *ours]}
+    data = open_study(store, mine)
+    assert [(run.condition, run.records.published) for run in data.runs] == [
+        ("tanh", True), ("tanh", True), ("ours", False),
+    ]  # fmt: skip
+    theirs = open_published(SHIPPED, ["activation-arena"])[0]
+    for run in data.of_condition("tanh"):
+        same = next(own for own in theirs.runs if own.run_id == run.run_id)
+        assert np.array_equal(data.curve(run, "return"), theirs.curve(same, "return"), equal_nan=True)
+    assert RunIndex(store, shipped=False).of_record(mine)[tanh[0]["run_id"]].status.name == "planned"
+    assert open_published(store.root) == []
