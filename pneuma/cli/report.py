@@ -20,7 +20,7 @@ from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, numbers_table, study_pictures
-from pneuma.figures.verdicts import judged_claims
+from pneuma.figures.verdicts import Verdicts, judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
@@ -45,7 +45,8 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     own_alone = here and not here & shipped
     asked = {_own_name(name) for name in names} or (here if own_alone else here | shipped)
     studies = sorted(asked, key=_place)
-    claims, note, unjudged = {}, "", ""
+    claims: Verdicts = {}
+    note = unjudged = ""
     try:
         if asked & shipped:
             claims, note = judged_claims(store, studies)
