@@ -96,7 +96,9 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
 def test_a_report_of_ones_own_studies_bears_their_title_and_judges_nothing(
     store: Store, make: Callable[..., Any]
 ) -> None:
-    _record(store, "mine", TWO, title="Mine & yours")
+    record = record_of({("a", 0): make_id("a", 0)})
+    store.save_selection("mine", {**record, "study": "mine", "title": "Mine & yours"})
+    save_run(store, make_id("a", 0), [{"step": 50, "return": 1.0}], [], [], BUDGET)
     page = make()
     assert [each.text for each in page.all("h1")] == ["Mine & yours"]
     assert [each.text for each in page.all("h2")] == ["Mine & yours"]
