@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, passes, read_model, read_toml
 
 
@@ -67,3 +67,24 @@ def test_a_mistake_is_told_at_its_line(tmp_path: Path, text: str, line: str, mes
 def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="line 5: "):
         _read(tmp_path, 'title = """\ncolour = "blue"\n[inner]\n"""\ncolour = "blue"\n')
+
+
+# --- The nearest name -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("written", "names", "meant"),
+    [
+        ("activaton", ["search", "activation"], "activation"),
+        ("Activation", ["search", "activation"], "activation"),
+        ("activation-study", ["search", "activation"], "activation"),
+        ("final", ["finality", "final-hp", "final"], "final"),
+        ("lr", ["clip", "learning_rate"], "learning_rate"),  # by meaning
+        ("reward", ["length", "return"], "return"),
+        ("fin", ["final-share-killed"], ""),  # as well of finish, or of a fin
+        ("xyz", ["search", "activation"], ""),
+        ("xyz", [], ""),
+    ],
+)
+def test_a_near_name_is_suggested(written: str, names: list[str], meant: str) -> None:
+    assert nearest_name(written, names) == (f" (did you mean {meant}?)" if meant else "")

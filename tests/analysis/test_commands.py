@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -25,14 +24,6 @@ def results(tmp_path: Path) -> Path:
 
 
 def test_collapse_lists_runs_with_onset_and_signs_and_counts_them(results: Path) -> None:
-    told = printed("study", "collapse", "mine", "--results", results)
-    (row,) = (line for line in told.splitlines() if "a1" * 8 in line)
-    assert re.split(r"  +", row)[3:] == ["6,100", "no entropy, one action, dead units", "never"]
-    assert "1 of 2 runs  1% to 99%" in told and "0 of 2 runs  0% to 84%" in told
-    assert "To show the cause" not in told  # nothing to fork from
-    Store(results).write(Store(results).run_folder("a1" * 8) / "checkpoints" / "one", b"")
-    again = f"To show the cause: pneuma study collapse mine --fork --results {results}\n"
-    assert printed("study", "collapse", "mine", "--results", results) == told + again
     document = described("study", "collapse", "mine", "--json", "--results", results)
     assert [run["onset_update"] for run in document["runs"]] == [None, 61, None, None]
     assert [row["collapsed"] for row in document["incidence"]] == [1, 0]

@@ -63,9 +63,7 @@ def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
 
 def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, tmp_path: Path) -> None:
     tanh, relu = (cell.run_id for cell in plan.cells)
-    rows = [line.split() for line in printed("run", "list").splitlines()]
-    assert [row[0] for row in rows] == [tanh, relu, ALONE, ALIKE]
-    assert rows[0] == [tanh, "done", "640", "steps", "seed", "7", "activation/tanh"]
+    assert [line.split()[0] for line in printed("run", "list").splitlines()] == [tanh, relu, ALONE, ALIKE]
     (store.run_folder(ALONE) / "policy.safetensors").unlink()
     documents = {row.pop("run_id"): row for row in described("run", "list", "--json")["runs"]}
     held = [{"study": "activation", "condition": "tanh", "seed": 7}]

@@ -1,15 +1,23 @@
-"""The study commands over runs that are really trained: a tiny activation study."""
+"""The study commands: over a tiny study that is really trained, where runs fail, and for one's own."""
 
 from __future__ import annotations
 
 import io
 import shutil
+import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
+import typer
 
-from .calls import TINY, Called, call, described, printed
+from pneuma.cli.options import Chosen, grouped, selecting_words
+from pneuma.study import execute
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import list_studies, load_study
+from pneuma.study.store import Status, Store
+
+from .calls import TINY, Called, call, printed
 
 # Design section 2, word for word.
 EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
@@ -43,23 +51,6 @@ def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path)
     assert "250 steps are rounded up to 256" in called.err
     assert "activation: 4 done; 0 trained now, 4 were stored." in printed(*run)
     assert call(*run, "--quiet") == Called(0, "", "")
-
-
-def test_status_is_of_the_latest_selection_or_of_one_that_is_named(
-    trained: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PNEUMA_RESULTS", str(trained))
-    document = described("study", "status", "activation", "--json")
-    assert {*document["runs"][0]} == {
-        "run_id", "condition", "seed", "status", "step", "published",
-    }  # fmt: skip
-    assert [(run["seed"], run["status"]) for run in document["runs"]] == [
-        (0, "done"), (0, "done"), (1, "done"), (1, "done"),
-    ]  # fmt: skip
-    runs = described("study", "status", "activation", *TINY, "--seeds", "1,2", "--json")["runs"]
-    assert [(run["seed"], run["status"]) for run in runs] == [
-        (1, "done"), (1, "done"), (2, "planned"), (2, "planned"),
-    ]  # fmt: skip
 
 
 # --- export --------------------------------------------------------------------------------------
@@ -114,3 +105,87 @@ def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
         means = [own[own["run_id"] == name]["return"][-100:].mean() for name in own["run_id"].unique()]
         found = returns[returns["condition"] == condition][["low", "mean", "high"]].to_numpy(float)[0]
         assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
+
+
+# --- Studies whose runs end in no success ---------------------------------------------------------
+
+
+def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path) -> None:
+    (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
+    Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
+    run = ("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path)
+    assert "tanh seed 0 diverged at step 512" in printed(*run)
+    called = call(*run, "--json")
+    assert called.code == 0 and "tanh seed 0 diverged at step 512" in called.err
+    assert called.document["runs"][0]["status"] == "diverged"
+
+
+def test_a_crash_is_exit_code_1_and_says_where_to_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "python"
+    script.write_text("#!/bin/sh\nread job\necho out of luck >&2\nexit 3\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(script))
+    results = tmp_path / "results"
+    called = call("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", results)
+    assert called.code == 1
+    (trace,) = results.glob("runs/*/error.txt")
+    assert f"tanh seed 0 crashed: out of luck ({trace})" in called.out
+    assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
+    status = call("study", "status", "activation", "--json", "--results", results)
+    assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
+
+
+def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(execute, "execute", interrupt)
+    called = call("study", "run", "activation", "--quiet", "--results", tmp_path)
+    assert (called.code, called.out) == (130, "")
+    assert len(called.err.splitlines()) == 1
+
+
+# --- A study of one's own -------------------------------------------------------------------------
+
+
+def test_a_copy_of_any_shipped_study_plans_the_same_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in list_studies():
+        printed("study", "new", f"my-{name}", "--from", name)
+        own, shipped = load_study(f"my-{name}.toml"), load_study(name)
+        plans = [make_plan(study, Selection("quick")).cells for study in (own, shipped)]
+        assert [cell.run_id for cell in plans[0]] == [cell.run_id for cell in plans[1]]
+        assert (own.title, own.section, own.about) == (f"my-{name}", "", "")
+
+
+# --- The options that select runs -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("selection", "words"),
+    [
+        (Selection(settings={}), ""),
+        (Selection("claims", (0, 1, 2), settings={}), "--preset claims --seeds 3"),
+        (Selection(seeds=(4,), steps=512, engine="sb3", settings={}), "--seeds 4, --steps 512 --engine sb3"),
+        (Selection(conditions=("tanh", "relu"), settings={}), "--condition tanh --condition relu"),
+        (
+            Selection(settings={"betas": [0.9, 0.9], "reward": "kills", "gradient_limit": "none"}),
+            "--set betas=[0.9, 0.9] --set reward=kills --set gradient_limit=none",
+        ),
+    ],
+)
+def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, words: str) -> None:
+    told, app, read = selecting_words(selection), typer.Typer(), []
+
+    @app.command()
+    @grouped
+    def take(chosen: Chosen) -> None:
+        read.append(chosen.selection)
+
+    assert " ".join(told) == words
+    app(told, standalone_mode=False)
+    assert read == [selection]

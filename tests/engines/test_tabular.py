@@ -1,9 +1,10 @@
-"""Tables: single steps by hand, the best route found, overestimation where noise makes it, and contracts."""
+"""Tables and the mailman: steps by hand, the best route, overestimation where noise makes it, contracts."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -18,7 +19,7 @@ from pneuma.engines.tabular import (
     policy_values,
     temporal_difference,
 )
-from pneuma.env.mailman import GO_HOME, GO_ON, LETTERS, POST_OFFICE, MailmanEnv, decision_process
+from pneuma.env.mailman import GO_HOME, GO_ON, HOME, LETTERS, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.study.checkpoints import decode, encode
 
 from .trained import bits, train
@@ -148,3 +149,24 @@ def test_an_evaluation_explores_as_the_run_does_and_its_greedy_route_does_not() 
     assert always["return"] == pytest.approx(0.0, abs=0.2)
     assert always["length"] == pytest.approx(1.5, abs=0.1)
     assert (never["return"], never["length"], never["argmax_return"]) == (1.0, 2.0, 1.0)
+
+
+# --- The mailman's day (thesis Fig. 2.1) ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("actions", "day"),
+    [
+        ((GO_ON, GO_ON), [(LETTERS, 0.0, False), (HOME, 1.0, True)]),
+        ((GO_ON, GO_HOME), [(LETTERS, 0.0, False), (HOME, 1.0, True)]),
+        ((GO_HOME,), [(HOME, -1.0, True)]),
+    ],
+)
+def test_a_day_without_slips_goes_as_chosen(
+    actions: tuple[int, ...], day: list[tuple[int, float, bool]]
+) -> None:
+    env = MailmanEnv()
+    assert env.reset(seed=0)[0] == POST_OFFICE
+    assert [(int(told[0]), told[1], told[2]) for told in map(env.step, map(np.int64, actions))] == day
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.int64(GO_ON))

@@ -1,4 +1,4 @@
-"""The two players that anchor every scale: the random one and the hunter."""
+"""The two players that anchor every scale, the random one and the hunter, and the ways that it finds."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
+from pneuma.env.paths import Body, Ways
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 
-from .arena import ARENA, GODOT, THESIS
+from .arena import ARENA, DOWN, GODOT, LEFT, RIGHT, THESIS, UP, begin
 
 
 def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
@@ -52,3 +53,28 @@ def test_the_hunter_does_not_drown() -> None:
     worlds.reset(starts=np.arange(6))
     play_out(worlds, Hunter(worlds))
     assert (worlds.players["hp"] > 0).all()
+
+
+# --- Ways over a level ----------------------------------------------------------------------------
+
+BODY = Body(23.5, 24.0, -1.5, 2.0)
+REACH = 40.0
+
+
+@pytest.mark.parametrize("coast", ["wall", "deadly"])
+def test_steps_lead_where_the_rules_lead(coast: str) -> None:
+    """From random places of a random level, hundreds of steps in every direction."""
+    count = 2000
+    worlds = begin(count, level="random:test:3", coast=coast, bodies="pass")
+    ways = Ways(worlds.levels, BODY, int(worlds.settings["player_stops"][0]), coast == "deadly")
+    generator = np.random.default_rng(0)
+    for _ in range(30):  # away from the start places, to walls and shores
+        worlds.step(generator.integers(4, size=(count, 1)))
+    for action in (DOWN, LEFT, UP, RIGHT):
+        before = worlds.players[:, 0].copy()
+        worlds.step(np.full((count, 1), action))
+        for old, new in zip(before, worlds.players[:, 0], strict=True):
+            if old["hp"] > 0 and old["busy"] == 0:
+                there = ways.step(0, (float(old["x"]), float(old["y"])), action, REACH)
+                drowned = new["hp"] <= 0 and coast == "deadly"
+                assert there == (None if drowned else (float(new["x"]), float(new["y"])))

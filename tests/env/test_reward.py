@@ -1,4 +1,4 @@
-"""Rewards: every formula by hand, one for each player, and functions of a user's own."""
+"""Rewards: every formula by hand, one for each player, functions of a user's own, vectors."""
 
 from __future__ import annotations
 
@@ -8,13 +8,19 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
-from pneuma.env.reward import load_reward
+from pneuma.config import ENVIRONMENTS, make_env_config, make_run
+from pneuma.env import MO_ENVIRONMENTS
+from pneuma.env.reward import PARTS, load_reward, module_files
+from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
+from pneuma.study.identity import run_id
 
 from .arena import ATTACK, STAND, Place, move_monster, play, stage
 
@@ -188,3 +194,105 @@ def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
     assert paid() == 300.25
     monkeypatch.chdir(tmp_path / "two")
     assert paid() == 20.25
+
+
+# --- Vector rewards -------------------------------------------------------------------------------
+
+
+def make(name: str, **settings: Any) -> PneumaMOEnv:
+    env = gymnasium.make(name, disable_env_checker=True, **settings).unwrapped
+    assert isinstance(env, PneumaMOEnv)
+    return env
+
+
+def test_the_parts_are_what_they_are_called(arena: str) -> None:
+    env = make(MO_ENVIRONMENTS[0], level=arena)
+    env.reset(seed=0)
+    players, monsters = env.state.players, env.state.monsters
+    players["xp"], players["hp"], players["facing"] = 3, 50, 3
+    for index, (x, y) in enumerate([(80.0, 0.0), (-40.0, 0.0), (-200.0, 0.0)]):
+        monsters["x"][0, index], monsters["y"][0, index] = x, y
+    monsters["hp"][0, 0] = 20
+    # A kill (1 XP and 7 HP) before it is noticed, a bite of 7, two notices and one contact.
+    assert env.step(np.int64(ATTACK))[1].tolist() == pytest.approx([4, 0.5, 1, 0.07, 2, 1])
+
+
+@pytest.mark.parametrize(
+    ("formula", "plus", "minus"), [("thesis", "xp", "hp"), ("kills", "xp_gained", "hp_lost")]
+)
+@pytest.mark.parametrize(("name", "world"), list(zip(MO_ENVIRONMENTS, ENVIRONMENTS, strict=True)))
+def test_two_parts_make_a_formula_and_none_leaves_its_space(
+    name: str, world: str, formula: str, plus: str, minus: str, pit: str
+) -> None:
+    """In the pit a player is bitten by five monsters and dies, or kills some of them first."""
+    settings: dict[str, Any] = {"level": pit, "episode_steps": 40}
+    env = make(name, **settings)
+    assert env.reward_dim == len(PARTS) == 6
+    scalar = PneumaEnv(world, reward=formula, **settings)
+    generator = np.random.default_rng(1)
+    env.reset(seed=3)
+    scalar.reset(seed=3)
+    endings = set()
+    for _ in range(600):
+        action = np.int64(generator.choice([0, 1, 2, 3, ATTACK, ATTACK]))
+        _, parts, *over, info = env.step(action)
+        _, reward, *_ = scalar.step(action)
+        assert isinstance(parts, np.ndarray) and env.reward_space.contains(parts)
+        share = parts[PARTS.index(plus)] - parts[PARTS.index(minus)]
+        assert share == pytest.approx(reward, abs=1e-5)
+        if any(over):
+            endings.add(info["ending"])
+            env.reset()
+            scalar.reset()
+    assert "killed" in endings
+
+
+# --- Files of one's own reward, which are part of a run's id --------------------------------------
+
+BODY = "def reward(events, players, stats):\n    return events['xp_gained']\n"
+
+
+def files(folder: Path, **sources: str) -> dict[str, Path]:
+    """Write files, with __ for a folder's slash, and return their paths."""
+    paths = {name: folder / (name.replace("__", "/") + ".py") for name in sources}
+    for name, path in paths.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(sources[name])
+    return paths
+
+
+def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -> None:
+    paths = files(
+        tmp_path,
+        mine="import json, numpy, pneuma.env\nfrom helper import f\ndef g():\n    import late\n",
+        helper="from tools.deep import x\n",
+        late="import mine\n",
+        tools__deep="from . import near\nfrom .. import nothing\n",
+        tools__near="",
+        other="",
+        pneuma__env="",
+    )
+    package = tmp_path / "tools" / "__init__.py"
+    package.write_text("")
+    found = module_files("mine", paths["mine"])
+    assert found[0] == paths["mine"]
+    expected = {paths[name] for name in ("mine", "helper", "late", "tools__deep", "tools__near")} | {package}
+    assert set(found) == expected and found[1:] == sorted(found[1:])
+
+
+def test_a_reward_that_the_standard_library_makes_is_named_by_its_own_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`functools.partial` objects say that they are of functools."""
+    source = "import functools\nfrom {helper} import body\nreward = functools.partial(body)\n"
+    module, helper = "own_reward_a", "own_reward_a_helper"
+    named = files(tmp_path, **{module: source.format(helper=helper), helper: BODY.replace("reward", "body")})
+    monkeypatch.chdir(tmp_path)
+    run = make_run({"reward": f"{module}:reward"})
+    before = run_id(run)
+    for path in named.values():
+        original = path.read_text()
+        path.write_text(original + "# changed\n")
+        assert run_id(run) != before
+        path.write_text(original)
+        assert run_id(run) == before

@@ -1,4 +1,4 @@
-"""Worlds saved and put back, elsewhere and in other processes."""
+"""Worlds saved and put back elsewhere, and the checks that find what saving forgets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from pneuma.config import make_env_config
-from pneuma.env.worlds import Worlds
+from pneuma.env.check import check_restore
+from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.errors import UserError
 
 from .arena import GODOT, THESIS, Fighter, begin, state_bits
 
@@ -94,3 +96,21 @@ def test_a_world_of_other_levels_or_characters_is_refused() -> None:
             worlds.restore(0, other.save(0))
         with pytest.raises(ValueError, match="a state of another"):
             other.restore(0, worlds.save(0))
+
+
+# --- The checks find what saving forgets ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(("array", "field"), [("worlds", "draws"), ("players", "kills"), ("monsters", "hp")])
+def test_whatever_saving_forgets_is_found(array: str, field: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even what no observation shows: the number of draws from the random stream, and of kills."""
+    save = Worlds.save
+
+    def forgetful(worlds: Worlds, world: int) -> Snapshot:
+        snapshot = save(worlds, world)
+        getattr(snapshot, array)[field] += 1
+        return snapshot
+
+    monkeypatch.setattr(Worlds, "save", forgetful)
+    with pytest.raises(UserError, match="put back into another slot"):
+        check_restore(THESIS, {})

@@ -1,17 +1,23 @@
-"""The figure of what runs came to: values worked out by hand, and few or many rows."""
+"""The figures of what runs came to, and of all verdicts: values by hand, and the same bytes again."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pneuma.analysis.intervals import Interval
+from pneuma.analysis.judgement import Comparison
 from pneuma.figures.summary import draw_summary
+from pneuma.figures.verdicts import draw_verdicts, in_margins
 
 from .hand_made import HandMade, legend, words
+from .hand_made_verdicts import claim, comparison, judged
 
 
 def _points(axes: Axes, marker: str) -> list[float]:
@@ -46,3 +52,39 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
         [1, 0.8, 0.2]
     )
     assert "scripted hunter (50 %)" in legend(drawn[0]) and "The baseline is relu" in words(drawn[0])
+
+
+# --- Verdicts -------------------------------------------------------------------------------------
+
+
+def shown(verdict: str, effect: float, low: float, high: float, **fields: Any) -> Comparison:
+    own = comparison(verdict, effect, of=claim(**fields))
+    return replace(own, contrast=replace(own.contrast, simultaneous=Interval(low, high, 0.999, "t")))
+
+
+@pytest.mark.parametrize(
+    ("fields", "numbers", "told"),
+    [
+        ({"margin": 0.5}, (1.0, 0.5, 2.0), (2, 1, 4)),
+        ({"margin": 0.5, "direction": "less"}, (1.0, 0.5, 2.0), (-2, -4, -1)),
+        ({"margin": 0.5, "direction": "different"}, (-1.0, -2.0, -0.5), (2, 1, 4)),
+        ({}, (1.0, 0.5, 2.0), None),
+    ],
+)
+def test_effects_are_in_margins_and_right_is_as_claimed(
+    fields: dict[str, Any], numbers: tuple[float, float, float], told: tuple[float, ...] | None
+) -> None:
+    found = in_margins(claim(**fields), shown("supported", *numbers, **fields))
+    assert found == (told if told is None else pytest.approx(told))
+
+
+def test_all_verdicts_are_drawn_and_again_to_the_same_bytes(tmp_path: Path) -> None:
+    fields = {"margin": 0.5, "outcome": ("final-return", "final-share-killed")}
+    both = shown("supported", 1.0, 0.1, 90.0, **fields), shown("refuted", -1.0, -2.0, -0.1, **fields)
+    both = both[0], replace(both[1], outcome="final-share-killed")
+    claims = {
+        "one": judged(claim("one", **fields), text=("mixed", "", both)),
+        "two": judged(claim("two"), arena=("untestable", "A/A: the same", ())),
+    }
+    (first,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
+    assert first.name == "verdicts.png" and first.read_bytes() == again.read_bytes()

@@ -1,8 +1,10 @@
-"""The runtime estimate: from runs like it, else from a table, times this machine's slowness."""
+"""The runtime estimate from runs like it, and what is kept of the machines that produced a run."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 from pneuma.config import Run, as_fields, make_run
 from pneuma.study.estimate import START_SECONDS, stored_paces
 from pneuma.study.identity import run_id
-from pneuma.study.provenance import machine
+from pneuma.study.provenance import Attempt, finished_provenance, machine
 from pneuma.study.store import Status, Store, run_document, to_json
 
 RUN = make_run({"steps": 2560})
@@ -50,3 +52,36 @@ def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
     fork = make_run({**as_fields(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
     save(store, fork, 2560, 2.56, HERE)
     assert pace(store, fork) == pytest.approx(2.56 / 256)
+
+
+# --- What produced a run: every attempt keeps its machine -----------------------------------------
+
+
+def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
+    elsewhere = {**machine(), "cpu": "abacus", "commit": "0" * 40}
+    began = "2026-01-01T00:00:00+00:00"
+    earlier = {"started": began, "wall_seconds": 100.0, "step": 512, "machine": elsewhere}
+    last = Attempt(512).so_far(1024)
+    about = finished_provenance([earlier, last])
+    assert about["started"] == began
+    assert 100 <= about["wall_seconds"] < 110
+    assert {key: about[key] for key in machine()} == machine() == last["machine"]
+    assert about["attempts"] == [earlier, last]
+    assert last["step"] == 1024 and datetime.fromisoformat(last["started"]).tzinfo == UTC
+
+
+def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 s of compiling and 2 s of the first 100 steps, then 6 s of 300: 2 s each, so 8 s."""
+    clock = [1000.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+    own = Attempt(600)
+    clock[0] += 22
+    own.update(700)
+    assert own.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
+    clock[0] += 6
+    own.update(1000)
+    told = own.so_far(1000)
+    assert (told["wall_seconds"], told["training_seconds"]) == (28, 8)
+    older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
+    about = finished_provenance([older, told])
+    assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)

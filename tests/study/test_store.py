@@ -1,11 +1,12 @@
-"""The store: files are there whole or not at all, and nothing damaged is ever read."""
+"""The store: files are there whole or not at all, nothing damaged is ever read; record tables."""
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 
@@ -13,6 +14,7 @@ from pneuma.errors import UserError
 from pneuma.study.files import replace_files
 from pneuma.study.locks import RunLock
 from pneuma.study.store import Status, Store, to_json, write_whole
+from pneuma.study.tables import from_parquet, to_parquet
 
 NAME = "0123456789abcdef"
 RECORD = {"title": "A", "figure": "a", "baseline": "a", "same": [], "selection": {}, "runs": []}
@@ -166,3 +168,32 @@ def test_the_latest_selection_of_a_study_comes_back_unless_it_is_damaged(store: 
     for text in ("", "{", "[]", '{"schema": 2, "runs": []}'):
         store.selection_path("one").write_text(text)
         assert store.selection("one") is None
+
+
+# --- Record tables --------------------------------------------------------------------------------
+
+COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
+
+
+def _row(episode: int, **changes: Any) -> dict[str, Any]:
+    row = {"slot": 0, "episode": episode, "step": 10**12, "return": 0.1 + 0.2, "length": 50, "kills": 3}
+    return {**row, "hp": 12.0, "ending": "killed", **changes}
+
+
+def test_rows_come_back_as_they_were_with_the_columns_asked_for() -> None:
+    rows = [_row(0), _row(1, ending="time-limit", **{"return": -1e-300}), _row(2, kills=0)]
+    table = from_parquet(to_parquet(rows, COLUMNS))
+    assert tuple(table.column_names) == COLUMNS
+    assert table.to_pylist() == rows
+    assert from_parquet(to_parquet([_row(0)], ("ending", "step"))).to_pylist() == [
+        {"ending": "killed", "step": 10**12}
+    ]
+    assert from_parquet(to_parquet([{"length": 20.5}], ("length",))).to_pylist() == [{"length": 20.5}]
+    (row,) = from_parquet(to_parquet([_row(0, hp=math.nan)], COLUMNS)).to_pylist()
+    assert math.isnan(row["hp"])
+
+
+def test_the_same_rows_give_the_same_bytes() -> None:
+    rows = [_row(episode) for episode in range(100)]
+    assert to_parquet(iter(rows), COLUMNS) == to_parquet([dict(row) for row in rows], COLUMNS)
+    assert to_parquet(rows, COLUMNS) != to_parquet([*rows[:-1], _row(99, kills=4)], COLUMNS)
