@@ -113,6 +113,8 @@ def _read_limit(value: object) -> float | None:
 
 OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
+GODOT = "Godot-v0"
+"""Among these a game made with Godot, which is started: see `pneuma.env.godot`."""
 """What others have registered with Gymnasium, in form."""
 OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
 """Fields that other environments than Pneuma's read in place of those of `EnvConfig`."""

@@ -9,13 +9,10 @@ from typing import Any
 import gymnasium
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import ENVIRONMENTS
+from pneuma.config import ENVIRONMENTS, GODOT
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
 """The same worlds with vector rewards."""
-
-GODOT = "pneuma/Godot-v0"
-"""A game made with Godot, over Godot RL Agents' protocol; it needs an `env_path`."""
 
 REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 

@@ -3,6 +3,7 @@
 A message is JSON behind its length in four bytes, little-endian, over TCP. The trainer listens and the game
 connects; then the trainer says `handshake` and asks for `env_info`, `reset`, `action` (one step) and `close`.
 A game begins the next episode by itself: what it sends beside `done` is that episode's first observation.
+Beyond the protocol, `reset` may name a `seed`; a game that repeats it in its answer has begun with it.
 The package's own client is not used here, because it pins Gymnasium 1.0 and never notices a game that ended.
 """
 
@@ -92,9 +93,12 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
             if kind == "env_info":
                 send(connection, _env_info(envs))
             elif kind == "reset":
+                asked = message.get("seed")
+                if asked is not None:
+                    seeds = [asked + i for i in range(agents)]
                 first = [env.reset(seed=own)[0] for env, own in zip(envs, seeds, strict=True)]
                 seeds = [None] * agents
-                send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first]})
+                send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first], "seed": asked})
             elif kind == "action":
                 rows = [_step(env, own["action"]) for env, own in zip(envs, message["action"], strict=True)]
                 send(connection, {"type": "step", **{key: [row[key] for row in rows] for key in rows[0]}})
@@ -167,8 +171,9 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     """A game that speaks Godot RL Agents' protocol, with one agent, one action and flat observations.
 
     Args:
-        env_path: the exported game. It is started for every seed, with `--port`, `--env_seed` and without a
-            window. Without it a game that already runs, such as the editor's, is waited for.
+        env_path: the exported game. It is started with `--port`, `--env_seed` and without a window, and again
+            for every seed unless it takes seeds with `reset`. Without it a game that already runs, as in the
+            editor, is waited for.
         port: where the game connects; by default a free one, or 11008 for a running game.
         arguments: more arguments for the game, such as `{"speedup": 8}`.
 
@@ -184,31 +189,34 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         port: int | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> None:
-        if env_path is not None and not Path(env_path).is_file():
-            raise UserError(f"env_path {env_path}: no such file; name the exported game")
         self._path, self._port, self._arguments = env_path, port, dict(arguments or {})
         self._name = env_path or "the running game"
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: socket.socket | None = None
         self._begun: dict[str, Any] | None = None
+        if env_path is not None and not Path(env_path).is_file():
+            raise UserError(f"env_path {env_path}: no such file; name the exported game")
         self._start(0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; with a seed other than the game's, start the game anew."""
+        """Begin an episode; for a seed that the game does not take, start it anew."""
         super().reset(seed=seed)
-        if seed is not None and self._path and (seed != self._seed or self._played):
-            self._stop()
-            self._start(seed)
-        if self._begun is None:
+        if seed is not None:
+            answer = self._ask({"type": "reset", "seed": seed}, "reset")
+            if answer.get("seed") != seed and self._path:
+                self._stop()
+                self._start(seed)
+                answer = self._ask({"type": "reset"}, "reset")
+            self._begun = answer["obs"][0]
+        elif self._begun is None:
             self._begun = self._ask({"type": "reset"}, "reset")["obs"][0]
         begun, self._begun = self._begun, None
         return self._array(begun["obs"]), {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one step; an episode's end counts as truncated where the game says so."""
-        self._played = True
         plain = np.asarray(action).tolist()
         answer = self._ask({"type": "action", "action": [{self._action: plain}]}, "step")
         obs, reward, done = answer["obs"][0], float(answer["reward"][0]), bool(answer["done"][0])
@@ -222,8 +230,12 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         """End the game."""
         self._stop()
 
+    def __del__(self) -> None:
+        """End the game with what played it: engines close no environment."""
+        self._stop()
+
     def _start(self, seed: int) -> None:
-        self._seed, self._played, self._begun = seed, False, None
+        self._begun = None
         with socket.socket() as listening:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_field
+from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields, read_field
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
@@ -85,4 +85,6 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
         found[MODULE] = f"run the module {own[MODULE]}"
     if WRAPPERS in own:
         found[WRAPPERS] = f"run the wrapper {', '.join(own[WRAPPERS])}"
+    if fields.get("env") == GODOT and fields.get("env_kwargs"):
+        found["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
     return found | {key: f"read the {key} {own[key]}" for key in (LEVEL, CHARACTERS) if key in own}

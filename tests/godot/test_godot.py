@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 import pneuma.env.godot as godot
+from pneuma.config import make_run
 from pneuma.env.godot import GodotGame, receive, send
 from pneuma.errors import UserError
+from pneuma.study.identity import own_things
+from tests.engines.trained import bits, train
 
 ARENA = "pneuma/PneumaArena-v0"
 
@@ -53,6 +56,20 @@ def test_a_game_is_the_environment_that_it_plays_number_for_number(tmp_path: Pat
                 assert others[:3] == rest[:3]
                 if rest[1] or rest[2]:
                     np.testing.assert_array_equal(game.reset()[0], env.reset()[0])
+
+
+@pytest.mark.slow
+def test_a_study_of_a_game_is_that_of_the_environment(tmp_path: Path) -> None:
+    small = {"steps": 256, "slots": 2, "horizon": 64, "evaluation_episodes": 1, "actor": [8], "critic": [8]}
+    arguments = {"env_path": a_game(tmp_path, "CartPole-v1")}
+    played, _ = train(make_run({**small, "env": "Godot-v0", "env_kwargs": arguments}))
+    known, _ = train(make_run({**small, "env": "CartPole-v1"}))
+    assert bits(played) == bits(known)
+
+
+def test_a_game_that_untrusted_fields_name_is_not_started_unasked() -> None:
+    fields = {"env": "Godot-v0", "env_kwargs": '{"env_path": "game"}'}
+    assert own_things(fields) == {"env_kwargs": 'start the game of {"env_path": "game"}'}
 
 
 def serving(name: str, agents: int) -> tuple[int, subprocess.Popen[bytes]]:
