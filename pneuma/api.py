@@ -12,7 +12,7 @@ docs/python.md shows them at work.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,7 +49,7 @@ def run_study(
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
     workers: int | None = None,
-    on_progress: Callable[[execute.CellProgress], None] | None = None,
+    on_progress: execute.OnProgress | None = None,
     quiet: bool = False,
 ) -> StudyData:
     """Train what a study lacks, and open it. Runs that are stored are not trained again.
@@ -64,7 +64,7 @@ def run_study(
         settings: fields of the run that every condition gets.
         world: of `pneuma.worlds.WORLDS`; the study's usual one when left out.
         workers: how many runs train at once, each in a process of one thread; a core each when left out.
-        on_progress: told of each run's steps, instead of showing them.
+        on_progress: called with the cell and the event, `step` for one, instead of showing progress.
         quiet: whether to show no progress.
 
     Raises:
@@ -86,9 +86,9 @@ def run_study(
         workers=workers or available_cores(),
         keep_checkpoints=planned.study.keep_checkpoints,
     )
-    todo = execute.prepare(planned, store)
-    with ProgressDisplay(planned, todo.runs, quiet or on_progress is not None, todo.kept) as display:
-        outcomes = execute.execute(planned, todo.runs, store, how, on_progress or display.update)
+    todo, _ = execute.prepare(planned, store)
+    with ProgressDisplay(planned, todo, store, quiet or on_progress is not None) as display:
+        outcomes = execute.execute(planned, todo, store, how, on_progress or display.update)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
         raise UserError(

@@ -226,13 +226,13 @@ def train(
     """
     from pneuma.search.trials import Unfinished
 
-    todo = execute.prepare(planned, store, retry_failed)
-    for note in dict.fromkeys(todo.notes):
+    todo, notes = execute.prepare(planned, store, retry_failed)
+    for note in notes:
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)
-    if todo.runs:
-        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
-            execute.execute(planned, todo.runs, store, how, display.update)
+    if todo:
+        with ProgressDisplay(planned, todo, store, quiet) as display:
+            execute.execute(planned, todo, store, how, display.update)
     for cell in planned.cells:
         status = store.status(cell.run_id)
         if not status.finished:

@@ -120,13 +120,13 @@ def train(
         quiet: whether to say nothing but mistakes.
         document: whether that is this one, and not the caller's.
     """
-    todo = execute.prepare(planned, store, retry_failed)
-    for note in (*planned.notes, *todo.notes):
+    todo, notes = execute.prepare(planned, store, retry_failed)
+    for note in (*planned.notes, *notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     results, code = [], STOPPED
     try:
-        with ProgressDisplay(planned, todo.runs, quiet, todo.kept) as display:
-            results = execute.execute(planned, todo.runs, store, how, display.update)
+        with ProgressDisplay(planned, todo, store, quiet) as display:
+            results = execute.execute(planned, todo, store, how, display.update)
         code = int(any(result.status.name in UNWELL for result in results))
         _tell_results(planned, results, store, json, quiet)
     except Detached as left:  # as --detach asks, or by Ctrl-C
@@ -139,7 +139,7 @@ def train(
         rows = []
         for cell in planned.cells:
             own, stored = ended.get(cell.run_id), store.status(cell.run_id)
-            trained = own.trained if own else stored.finished and cell.run_id in todo.runs
+            trained = own.trained if own else stored.finished and cell.run_id in todo
             if stored.finished or cell.run_id not in planned.published:
                 status = own.status if own else stored
                 rows.append({**_cell(cell), "status": status.name, "trained": trained})

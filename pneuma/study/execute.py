@@ -38,45 +38,8 @@ class CellResult:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class CellProgress:
-    """Sent while a plan is executed, of one cell.
-
-    Attributes:
-        cell: the cell.
-        step: agent steps trained so far; 0 where there is only something to say.
-        status: once it has ended, how.
-        note: what a person should know, such as that it goes on after a kill.
-        passing: whether the note is only for who watches what is going on.
-    """
-
-    cell: Cell
-    step: int
-    status: str = ""
-    note: str = ""
-    passing: bool = False
-
-    def __repr__(self) -> str:
-        told = self.note or self.status or f"{self.step:,} of {self.cell.run.steps:,} steps"
-        return f"{self.cell.condition} seed {self.cell.seed}: {told}"
-
-
-@dataclass(frozen=True)
-class Todo:
-    """What `prepare` found.
-
-    Attributes:
-        runs: to be trained, by id.
-        kept: of those that do not begin at 0, the step of the checkpoint, or fork, from which they go on.
-        notes: sentences about damage and failures.
-    """
-
-    runs: Mapping[str, Run]
-    kept: Mapping[str, int]
-    notes: tuple[str, ...]
-
-
-OnProgress = Callable[[CellProgress], None]
+OnProgress = Callable[[Cell, Event], None]
+"""Told of every event of a cell's run; `executors.base.Executor` says what there are."""
 
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
@@ -87,8 +50,8 @@ MOST_IN_GROUP = 8
 """Runs that one worker process trains; another `study run` finds them busy until it ends."""
 
 
-def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
-    """Check all that can be checked, record the selection, and return what is to be done.
+def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
+    """Check all that can be checked, record the selection; return what is to be trained, by id, and notes.
 
     Raises:
         UserError: before anything is written, for an environment that cannot be made, a results folder
@@ -100,11 +63,9 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> Todo:
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
-    notes = _notes(plan, statuses, todo)
     store.check_writable()
     store.save_selection(plan.study.name, selection_record(plan))
-    kept = {name: step for name, run in todo.items() if (step := kept_step(run, statuses[name]))}
-    return Todo(todo, kept, tuple(notes))
+    return todo, _notes(plan, statuses, todo)
 
 
 def execute(
@@ -125,9 +86,8 @@ def execute(
     def report(event: Event) -> None:
         if event["event"] == "end":
             ended[event["run_id"]] = event
-        told = event.get("step", 0), event.get("status", ""), event.get("text", event.get("reason", ""))
         for cell in cells[event["run_id"]]:
-            on_progress(CellProgress(cell, *told, passing=event["event"] == "passing"))
+            on_progress(cell, event)
 
     if todo or how.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)

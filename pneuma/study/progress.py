@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from pneuma.config import Run
-from pneuma.study.execute import CellProgress
-from pneuma.study.plan import Plan
-from pneuma.study.store import FINISHED
+from pneuma.study.execute import kept_step
+from pneuma.study.executors.base import Event
+from pneuma.study.plan import Cell, Plan
+from pneuma.study.store import FINISHED, Store
 
 LINE_SECONDS = 10.0
 """How often a plain line is printed."""
@@ -34,13 +35,11 @@ class ProgressDisplay:
     Args:
         plan: what is executed.
         to_train: the runs that are missing, by id.
+        store: where some of them may have begun.
         quiet: whether to show nothing but notes.
-        kept: the steps from which runs go on, where that is not 0.
     """
 
-    def __init__(
-        self, plan: Plan, to_train: Mapping[str, Run], quiet: bool, kept: Mapping[str, int] | None = None
-    ) -> None:
+    def __init__(self, plan: Plan, to_train: Mapping[str, Run], store: Store, quiet: bool) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -55,7 +54,7 @@ class ProgressDisplay:
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
         )
-        self._steps = {name: (kept or {}).get(name, 0) for name in to_train}
+        self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
         self._ended: set[str] = set()
         self._runs_of: dict[str, list[str]] = {}
         for cell in plan.cells:
@@ -81,36 +80,33 @@ class ProgressDisplay:
             with suppress(OSError):  # the terminal was closed
                 self._bars.stop()
 
-    def update(self, progress: CellProgress) -> None:
+    def update(self, cell: Cell, event: Event) -> None:
         """Take one event of `execute`."""
-        name, condition = progress.cell.run_id, progress.cell.condition
-        if progress.note and not progress.status:
-            if self._show or not progress.passing:
-                _print(f"{condition} seed {progress.cell.seed}: {progress.note}")
+        name, condition, status = cell.run_id, cell.condition, event.get("status", "")
+        if event["event"] in ("note", "passing"):
+            if self._show or event["event"] == "note":
+                _print(f"{condition} seed {cell.seed}: {event['text']}")
             return
-        if progress.status and progress.status != "stopped":
+        if status and status != "stopped":
             self._ended.add(name)
-        over = progress.status in FINISHED
-        self._steps[name] = progress.cell.run.steps if over else max(self._steps[name], progress.step)
+        self._steps[name] = cell.run.steps if status in FINISHED else max(self._steps[name], event["step"])
         for bar, runs in ((condition, self._runs_of[condition]), ("all", [*self._steps])):
             done = sum(self._steps[own] for own in runs)
             self._bars.update(self._tasks[bar], completed=done, runs=self._count(runs))
         if self._show and not self._live:
-            self._print_line(progress)
+            self._print_line(f"{condition} seed {cell.seed}: {status}; " if status else "")
 
     def _count(self, runs: list[str]) -> str:
         return f"{sum(name in self._ended for name in runs)}/{len(runs)} runs"
 
-    def _print_line(self, progress: CellProgress) -> None:
+    def _print_line(self, what: str) -> None:
         now = time.monotonic()
-        if not progress.status and now < self._next_line:
+        if not what and now < self._next_line:
             return
         self._next_line = now + LINE_SECONDS
         whole = self._bars.tasks[self._tasks["all"]]
         left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
-        what = f"{progress.cell.condition} seed {progress.cell.seed}: {progress.status}; "
-        ended = f"{whole.fields['runs']} ended, {whole.percentage:.0f}% of all steps{left}"
-        _print(f"{what if progress.status else ''}{ended}")
+        _print(f"{what}{whole.fields['runs']} ended, {whole.percentage:.0f}% of all steps{left}")
 
 
 def _print(line: str) -> None:

@@ -47,12 +47,14 @@ class Job:
         runs: by id; of equal shapes, so that they share compiled programs.
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
+        last_try: whether a crash counts, and is stored.
     """
 
     store: Store
     runs: Mapping[str, Run]
     checkpoint_seconds: float = 15.0
     keep: int = 0
+    last_try: bool = True
 
 
 def main() -> int:
@@ -181,14 +183,15 @@ def _train_once(
 
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
-    """Store and report a run's crash."""
+    """Report a run's crash, and store it if it is not tried again."""
     trace = traceback.format_exc().encode()
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-    try:
-        files = {"run.json": run_document(run, name), "error.txt": trace}
-        job.store.save_run(name, Status("crashed"), files)
-    except UserError as unwritten:
-        reason = str(unwritten)
+    if job.last_try:
+        try:
+            files = {"run.json": run_document(run, name), "error.txt": trace}
+            job.store.save_run(name, Status("crashed"), files)
+        except UserError as unwritten:
+            reason = str(unwritten)
     reporter.end(name, Status("crashed"), reason=reason)
 
 

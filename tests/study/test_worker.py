@@ -91,6 +91,12 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
 
 
+def test_a_crash_that_is_tried_again_is_not_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stopped meanwhile, the same command goes on with it."""
+    _, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch, last_try=False)
+    assert store.status(SECOND).name == "planned" and events[-1]["status"] == "crashed"
+
+
 def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -204,6 +204,7 @@ class Supervisor:
                 "runs": {name: as_fields(run) for name, run in task.group.items()},
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "keep": self._how.keep_checkpoints,
+                "last_try": task.tries == TRIES,
             }
             worker = _Worker(self._start(job), task)
             self._selector.register(worker.process.events, selectors.EVENT_READ, worker)
