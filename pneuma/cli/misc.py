@@ -85,24 +85,29 @@ def tensorboard(
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported import import_tensorboard
 
-    done = import_tensorboard(folders, Store(results), name)
-    for note in done.notes:
+    study, runs, notes = import_tensorboard(folders, Store(results), name)
+    for note in notes:
         say(f"Note: {note}.", aside=True)
     if json:
         rows = [
             {
-                **{key: getattr(run, key) for key in ("run_id", "condition", "seed", "steps")},
-                **{"imported": run.new, "points": len(run.points), "damage": run.provenance["damage"]},
+                "run_id": run.run_id,
+                "condition": run.log.condition,
+                "seed": run.log.seed,
+                "steps": run.steps,
+                "imported": run.new,
+                "points": len(run.points),
+                "damage": run.provenance["damage"],
                 "superseded": int(run.points["superseded"].sum()),
             }
-            for run in done.runs
+            for run in runs
         ]
-        return print_json({"study": done.study, "runs": rows, "notes": done.notes})
-    new, points = sum(run.new for run in done.runs), sum(len(run.points) for run in done.runs)
-    kept = len(done.runs) - new
-    say(f"{done.study}: {len(done.runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
+        return print_json({"study": study, "runs": rows, "notes": notes})
+    new, points = sum(run.new for run in runs), sum(len(run.points) for run in runs)
+    kept = len(runs) - new
+    say(f"{study}: {len(runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
     print("Returns are means of 100 episodes.")
-    return say(f"Draw it with: {command('study', 'plot', done.study, '--results', results)}")
+    return say(f"Draw it with: {command('study', 'plot', study, '--results', results)}")
 
 
 # --- bench -----------------------------------------------------------------------------------------

@@ -15,9 +15,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from pneuma.errors import UserError, install_extra
@@ -29,20 +28,30 @@ from pneuma.worlds import split_world
 
 SOURCE = "tensorboard"
 """What a selection's record calls the source of an imported study."""
-
 IMPORT_VERSION = 2
 """Raised by hand when the same logs are read to other points; part of every imported run's id."""
-
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags that Stable-Baselines3 and CleanRL write, whose steps are agent steps."""
-
 FRAME_BYTES = 16
 """Length and checksums around each event of a file."""
 
-Log = tuple[str, str, int, list[Path]]
-"""A run's folder for people, its condition and seed, and its event files, oldest first."""
-Scalar = tuple[str, int, float, float]
-"""Tag, step, value, and the second since 1970 at which it was written."""
+
+class Log(NamedTuple):
+    """A run's folder for people, its condition and seed, and its event files, oldest first."""
+
+    shown: str
+    condition: str
+    seed: int
+    paths: list[Path]
+
+
+class Scalar(NamedTuple):
+    """A point of a log; `second` is when it was written, since 1970."""
+
+    tag: str
+    step: int
+    value: float
+    second: float
 
 
 @dataclass(frozen=True)
@@ -50,16 +59,14 @@ class ImportedRun:
     """One imported run.
 
     Attributes:
-        shown: its folder, for people.
+        log: where it was found.
         steps: the last agent step that was logged.
         points: tag, step, value and superseded (by a restart) of every scalar, in the order of writing.
         provenance: when it was logged, and its files; under `damage`, what could not be read of them.
         new: whether this call stored it.
     """
 
-    shown: str
-    condition: str
-    seed: int
+    log: Log
     run_id: str
     steps: int
     points: pd.DataFrame
@@ -72,17 +79,10 @@ class ImportedRun:
         return {"env": "Imported TensorBoard logs", "slots": None, "steps": self.steps}
 
 
-@dataclass(frozen=True)
-class Import:
-    """What an import did: the study's name, its runs, and notes for people."""
-
-    study: str
-    runs: list[ImportedRun]
-    notes: list[str]
-
-
-def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None = None) -> Import:
-    """Import every run below some folders as one study.
+def import_tensorboard(
+    folders: Sequence[Path], store: Store, name: str | None = None
+) -> tuple[str, list[ImportedRun], list[str]]:
+    """Import every run below some folders as one study; return its name, its runs, and notes for people.
 
     Each folder holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The study is
     called as the folder that holds all that are given, where no name is.
@@ -97,15 +97,16 @@ def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None =
     for log in logs:
         run = _read_log(log, store)
         if not run.steps:
-            notes.append(f"{run.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
+            notes.append(f"{log.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
         elif run.run_id in found:
-            notes.append(f"{run.shown}: holds the same log as {found[run.run_id].shown} and is left out")
+            same = found[run.run_id].log.shown
+            notes.append(f"{log.shown}: holds the same log as {same} and is left out")
         else:
             found[run.run_id] = run
-            notes += [f"{run.shown}/{words}" for words in run.provenance["damage"]]
+            notes += [f"{log.shown}/{words}" for words in run.provenance["damage"]]
             if again := run.points["superseded"].sum():
                 written = f"{again:,} of {len(run.points):,} points were written again after a restart"
-                notes.append(f"{run.shown}: {written}; the later ones count")
+                notes.append(f"{log.shown}: {written}; the later ones count")
     runs = [*found.values()]
     if not runs:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
@@ -123,16 +124,16 @@ def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None =
         "path": None,
         "title": study,
         "figure": study,
-        "baseline": runs[0].condition,
+        "baseline": runs[0].log.condition,
         "same": [],
         "selection": asdict(Selection()),
         "runs": [
-            {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "run": run.fields}
+            {"condition": run.log.condition, "seed": run.log.seed, "run_id": run.run_id, "run": run.fields}
             for run in runs
         ],
     }
     store.save_selection(study, record)
-    return Import(study, runs, notes)
+    return study, runs, notes
 
 
 # --- Which runs there are -------------------------------------------------------------------------
@@ -171,7 +172,7 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
         if seed > number:
             notes.append(f"{shown}: seed {number} of {condition} is taken, so it is seed {seed}")
         own = sorted(path for path in files if path.parent == folder)
-        logs[condition, seed] = (str(shown), condition, seed, own)
+        logs[condition, seed] = Log(str(shown), condition, seed, own)
     return [logs[key] for key in sorted(logs)], notes
 
 
@@ -205,23 +206,23 @@ def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
 
 
 def _read_log(log: Log, store: Store) -> ImportedRun:
-    shown, condition, seed, paths = log
     files: list[dict[str, Any]] = []
     damage: list[str] = []
-    rows: list[tuple[int, *Scalar]] = []
-    for place, path in enumerate(paths):
+    rows: list[tuple[Any, ...]] = []
+    for place, path in enumerate(log.paths):
         try:
             data = read_whole(path)
-            files.append({"bytes": len(data), "sha256": checksum(data)})
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-        scalars, words = read_event_file(path)
+        files.append({"bytes": len(data), "sha256": checksum(data)})
+        scalars, left = read_event_file(path)
         rows += [(place, *scalar) for scalar in scalars]
-        damage += [f"{path.name}: {word}" for word in words]
-    points = pd.DataFrame(rows, columns=["file", "tag", "step", "value", "second"])
+        if left:
+            damage.append(f"{path.name}: torn or damaged: the last {left:,} bytes are left out")
+    points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
     steps = points["step"][points["tag"].str.startswith(AGENT_STEPS) & ~points["superseded"]]
-    seconds = points["second"][points["second"].between(0, 1e11)]  # later is no clock's: the year 5138
+    seconds = points["second"][points["second"].between(1, 1e11)]  # later is no clock's: the year 5138
     first, last = (seconds.min(), seconds.max()) if len(seconds) else (0.0, 0.0)
     provenance = {
         "imported": SOURCE,
@@ -233,18 +234,15 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
     }
     contents = "".join(file["sha256"] for file in files)
     run_id = checksum(f"{SOURCE} {IMPORT_VERSION}\0{contents}".encode())[:16]
-    reached, new = int(max(steps, default=0)), not store.status(run_id).finished
-    return ImportedRun(shown, condition, seed, run_id, max(reached, 0), points, provenance, new)
+    reached, new = max(0, int(steps.max())) if len(steps) else 0, not store.status(run_id).finished
+    return ImportedRun(log, run_id, reached, points, provenance, new)
 
 
-def read_event_file(path: Path) -> tuple[list[Scalar], list[str]]:
-    """Read every scalar of an event file, in the order of writing.
+def read_event_file(path: Path) -> tuple[list[Scalar], int]:
+    """Return every scalar of an event file, in the order of writing, and how many bytes could not be read.
 
     With the reader of TensorBoard's own EventAccumulator, which stops where a file is damaged. The
     accumulator itself does not say so, and forgets the order of tags, by which restarts are known.
-
-    Returns:
-        The scalars, and what could not be read, in words.
 
     Raises:
         UserError: without the `tensorboard` package.
@@ -252,47 +250,28 @@ def read_event_file(path: Path) -> tuple[list[Scalar], list[str]]:
     try:
         from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
         from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.util.tensor_util import make_ndarray
     except ImportError:
         raise UserError(
             f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
         ) from None
     scalars: list[Scalar] = []
-    plugins: dict[str, str] = {}
-    odd: dict[str, None] = {}
-    read, size = 0, path.stat().st_size
+    plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
+    left = path.stat().st_size
     with suppress(Exception):  # whatever a length or a message that was made up leads to is damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
-            read += len(record) + FRAME_BYTES
             for value in event.summary.value:
-                try:
-                    number = _number(value, plugins)
-                except Exception:  # as many kinds as there are kinds of tensors
-                    odd[value.tag] = None
+                plugin = plugins.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
+                if value.HasField("simple_value"):
+                    number = value.simple_value
+                elif plugin == "scalars" and not value.tensor.tensor_shape.dim:
+                    number = float(make_ndarray(value.tensor))
+                else:  # a text, a histogram and the like
                     continue
-                if number is not None:
-                    scalars.append((value.tag, event.step, number, event.wall_time))
-    damage = [f"values of {tag} are no numbers and are left out" for tag in odd]
-    if read < size:
-        damage.append(f"torn or damaged: the last {size - read:,} of {size:,} bytes are left out")
-    return scalars, damage
-
-
-def _number(value: Any, plugins: dict[str, str]) -> float | None:
-    """Return the number of a summary's value; None for a text, a histogram and the like.
-
-    `plugins` keeps by tag what shows a tensor: some writers tell it once.
-    """
-    from tensorboard.util.tensor_util import make_ndarray
-
-    if value.HasField("simple_value"):
-        return float(value.simple_value)
-    plugin = plugins.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
-    if plugin != "scalars" or not value.HasField("tensor"):
-        return None
-    if value.tensor.tensor_shape.dim:  # not made, however large it says that it is
-        raise ValueError
-    return float(make_ndarray(value.tensor))
+                scalars.append(Scalar(value.tag, event.step, number, event.wall_time))
+            left -= len(record) + FRAME_BYTES
+    return scalars, left
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
@@ -304,10 +283,9 @@ def find_superseded(points: pd.DataFrame) -> pd.Series:
     """
     of_agent = points["tag"].str.startswith(AGENT_STEPS)
     begins = points[of_agent].groupby("file")["step"].first()
-    later = {file: begins[begins.index > file].min() for file in begins.index}  # NaN for the last file
-    gone = of_agent & (points["step"] >= points["file"].map(later))
+    later_files = begins[::-1].cummin().shift()  # NaN for the last
+    gone = of_agent & (points["step"] >= points["file"].map(later_files))
     for _, steps in points.groupby("tag")["step"]:
-        went_back = np.where(steps.diff() < 0, steps, np.inf)
-        least_after = np.minimum.accumulate(np.append(went_back[1:], np.inf)[::-1])[::-1]
-        gone[steps.index] |= steps >= least_after
+        went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
+        gone[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
     return gone

@@ -15,7 +15,13 @@ import pandas as pd
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.imported import Import, find_logs, find_superseded, import_tensorboard, read_event_file
+from pneuma.study.imported import (
+    ImportedRun,
+    find_logs,
+    find_superseded,
+    import_tensorboard,
+    read_event_file,
+)
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -26,8 +32,8 @@ NOT_IN_TENSORBOARD = ("time/iterations", "time/time_elapsed", "time/total_timest
 FILE = "events.out.tfevents.1700000000.host"
 
 
-def _import(tmp_path: Path, name: str | None = None) -> Import:
-    return import_tensorboard([tmp_path / "logs"], Store(tmp_path / "results"), name)
+def _import(tmp_path: Path, name: str | None = None) -> tuple[list[ImportedRun], list[str]]:
+    return import_tensorboard([tmp_path / "logs"], Store(tmp_path / "results"), name)[1:]
 
 
 def _stored(tmp_path: Path, run_id: str) -> list[tuple[str, int, float, bool]]:
@@ -55,11 +61,11 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
             model.set_logger(logger)
             model.learn(128)
             logger.close()
-    done = _import(tmp_path)
-    named = [(run.condition, run.seed, run.steps) for run in done.runs]
+    runs, notes = _import(tmp_path)
+    named = [(run.log.condition, run.log.seed, run.steps) for run in runs]
     assert named == [("fast", 1, 128), ("slow", 2, 128)]
-    for run in done.runs:
-        with (tmp_path / "logs" / run.shown / "progress.csv").open() as file:
+    for run in runs:
+        with (tmp_path / "logs" / run.log.shown / "progress.csv").open() as file:
             rows = list(csv.DictReader(file))
         wanted = {
             (tag, int(row["time/total_timesteps"]), np.float32(value))
@@ -70,10 +76,10 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
         found = _stored(tmp_path, run.run_id)
         assert {(tag, step, np.float32(value)) for tag, step, value, _ in found} == wanted
         assert len(found) == len(wanted)
-    assert done.notes == []
+    assert notes == []
     before = _files(tmp_path / "results")
-    assert [run.new for run in done.runs] == [True] * 2
-    assert [run.new for run in _import(tmp_path).runs] == [False] * 2
+    assert [run.new for run in runs] == [True] * 2
+    assert [run.new for run in _import(tmp_path)[0]] == [False] * 2
     assert _files(tmp_path / "results") == before, "importing twice changes nothing"
 
 
@@ -87,8 +93,8 @@ def test_scalars_of_torchs_writer_are_read_among_texts_and_histograms(tmp_path: 
         for step, value in ((8, 1.0), (8, 2.0), (16, 4.0)):  # two episodes that ended at one step
             writer.add_scalar("charts/episodic_return", value, step)
         writer.add_scalar("losses/entropy", 0.5, 16, new_style=True)
-    (run,) = import_tensorboard([tmp_path / "runs"], Store(tmp_path / "results")).runs
-    assert (run.condition, run.seed, run.steps) == ("Pong-v5__ppo_atari", 3, 16)
+    _, (run,), _ = import_tensorboard([tmp_path / "runs"], Store(tmp_path / "results"))
+    assert (run.log.condition, run.log.seed, run.steps) == ("Pong-v5__ppo_atari", 3, 16)
     assert _stored(tmp_path, run.run_id) == [
         ("charts/episodic_return", 8, 1.0, False),
         ("charts/episodic_return", 8, 2.0, False),
@@ -117,22 +123,18 @@ def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(
         flipped = data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
         for broken in (data[:place], flipped):
             path.write_bytes(broken)
-            found, damage = read_event_file(path)
-            assert [scalar[:3] for scalar in found] == sound
-            left = len(broken) - last
-            told = f"torn or damaged: the last {left} of {len(broken)} bytes are left out"
-            assert damage == [told] * (left > 0)
+            found, left = read_event_file(path)
+            assert [scalar[:3] for scalar in found] == sound and left == len(broken) - last
 
 
 def test_damage_is_kept_and_a_file_too_large_is_told(tmp_path: Path, write_events: WriteEvents) -> None:
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
-    done = _import(tmp_path)
-    (run,) = done.runs
+    (run,), notes = _import(tmp_path)
     assert (run.steps, len(run.points)) == (4 * 256, 4)
     (words,) = run.provenance["damage"]
     assert words.startswith(f"{FILE}: torn or damaged")
-    assert done.notes == [f"a_1/{words}"]
+    assert notes == [f"a_1/{words}"]
     assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
     os.truncate(path, 2**40)
     with pytest.raises(UserError, match="is larger than"):
@@ -171,10 +173,10 @@ def test_what_is_renamed_or_left_out_is_told(tmp_path: Path, write_events: Write
         value = 1.0 if name == "d_1" else float(number)
         write_events(tmp_path / "logs" / name / FILE, [("loss" if name == "b_1" else RETURN, 10, value)])
     write_events(tmp_path / "logs" / "PPO_1" / FILE, [(RETURN, 10, 9.0)])
-    done = _import(tmp_path)
-    cells = [(run.shown, run.condition, run.seed) for run in done.runs]
+    runs, notes = _import(tmp_path)
+    cells = [run.log[:3] for run in runs]
     assert cells == [("PPO", "PPO", 0), ("PPO_0", "PPO", 1), ("PPO_1", "PPO", 2), ("c_1", "c", 1)]
-    assert done.notes == [
+    assert notes == [
         "PPO_0: seed 0 of PPO is taken, so it is seed 1",
         "PPO_1: seed 1 of PPO is taken, so it is seed 2",
         "b_1: holds no scalars of Stable-Baselines3 or CleanRL and is left out",
@@ -217,10 +219,10 @@ def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]]
 def test_superseded_points_are_kept_marked_and_told(tmp_path: Path, write_events: WriteEvents) -> None:
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.1", [(RETURN, 10, 1.0), (RETURN, 20, 2.0)])
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", [(RETURN, 20, 5.0)])
-    done = _import(tmp_path)
-    assert _stored(tmp_path, done.runs[0].run_id) == [
+    (run,), notes = _import(tmp_path)
+    assert _stored(tmp_path, run.run_id) == [
         (RETURN, 10, 1.0, False),
         (RETURN, 20, 2.0, True),
         (RETURN, 20, 5.0, False),
     ]
-    assert done.notes == ["a_1: 1 of 3 points were written again after a restart; the later ones count"]
+    assert notes == ["a_1: 1 of 3 points were written again after a restart; the later ones count"]
