@@ -238,10 +238,9 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
         return tuple(where), "", f"the key {key!r} is missing"
     path: Where = ()
     value: Any = data
-    for step in first["loc"]:  # a list is not looked into
-        if not isinstance(value, Mapping) or step not in value:
-            break
-        path, value = (*path, str(step)), value[step]
+    for step in first["loc"]:  # a list is not looked into; which of several models it was is no key
+        if isinstance(value, Mapping) and step in value:
+            path, value = (*path, str(step)), value[step]
     if kind == "wrong" and isinstance(value, Mapping):
         return path, context["key"], context["message"]
     (*where, key) = path

@@ -76,6 +76,8 @@ def print_json(document: Mapping[str, Any]) -> None:
 def _as_json(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
+    elif hasattr(value, "model_dump"):  # one of pydantic's
+        value = value.model_dump()
     elif hasattr(value, "to_dict"):  # a pandas table
         value = rows_of(value)
     if isinstance(value, Mapping):

@@ -119,5 +119,5 @@ def _caption(searched: Searched) -> str:
     )
     return (
         f"Search {search.name}: {told} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
-        f"steps; sampler {search.sampler['name']}; {searched.task.digest}"
+        f"steps; sampler {search.sampler.name}; {searched.task.digest}"
     )

@@ -24,8 +24,8 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import stream_seed
-from pneuma.search.space import Parameter, Range
-from pneuma.search.spec import Search
+from pneuma.search.space import Parameter
+from pneuma.search.spec import Median, Nsga, Sampler, Search, Tpe
 
 if TYPE_CHECKING:
     from pneuma.search.trials import Told
@@ -42,11 +42,12 @@ def create_study(
     search: Search, objectives: int | None = None, storage: optuna.storages.BaseStorage | None = None
 ) -> optuna.Study:
     """Return a study without trials, of the first so many objectives: in memory, or in a storage."""
-    sought, pruner = search.objectives[:objectives], search.pruner
+    sought, own = search.objectives[:objectives], search.pruner
+    pruner = MedianPruner(own.startup_trials, n_min_trials=1) if isinstance(own, Median) else NopPruner()
     study = optuna.create_study(
         storage=storage or optuna.storages.InMemoryStorage(),
         sampler=RandomSampler(seed=0),
-        pruner=MedianPruner(pruner["startup_trials"], n_min_trials=1) if pruner["name"] else NopPruner(),
+        pruner=pruner,
         study_name=search.name,
         directions=[StudyDirection[own.direction.upper()] for own in sought],
     )
@@ -69,34 +70,33 @@ def ask(
 
 
 def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
-    domain = parameter.domain
-    if not isinstance(domain, Range):
-        return trial.suggest_categorical(parameter.name, list(domain.settings_of))
-    if domain.whole:
-        return trial.suggest_int(parameter.name, int(domain.low), int(domain.high), log=domain.log)
-    return trial.suggest_float(parameter.name, domain.low, domain.high, log=domain.log)
+    if parameter.choices:
+        return trial.suggest_categorical(parameter.name, [*parameter.choices])
+    low, high = parameter.extremes
+    suggest = trial.suggest_int if parameter.whole else trial.suggest_float
+    return suggest(parameter.name, low, high, log=parameter.log)
 
 
-def _sampler(options: Mapping[str, Any], seed: int) -> BaseSampler:
+def _sampler(own: Sampler, seed: int) -> BaseSampler:
     """Make a sampler with every argument that changes what it suggests stated."""
-    if options["name"] == "random":
-        return RandomSampler(seed=seed)
-    if options["name"] == "nsga-ii":
+    if isinstance(own, Tpe):
+        return TPESampler(
+            n_startup_trials=own.startup_trials,
+            n_ei_candidates=own.candidates,
+            seed=seed,
+            multivariate=own.multivariate,
+            group=own.multivariate,
+            constant_liar=True,
+        )
+    if isinstance(own, Nsga):
         return NSGAIISampler(
-            population_size=options["population"],
-            mutation_prob=options["mutation"],
-            crossover_prob=options["crossover"],
+            population_size=own.population,
+            mutation_prob=own.mutation,
+            crossover_prob=own.crossover,
             swapping_prob=0.5,
             seed=seed,
         )
-    return TPESampler(
-        n_startup_trials=options["startup_trials"],
-        n_ei_candidates=options["candidates"],
-        seed=seed,
-        multivariate=options["multivariate"],
-        group=options["multivariate"],
-        constant_liar=True,
-    )
+    return RandomSampler(seed=seed)
 
 
 # --- Showing --------------------------------------------------------------------------------------
@@ -137,9 +137,8 @@ def frozen_trials(told: Iterable[Told], search: Search, objectives: int | None =
 
 
 def _distribution(parameter: Parameter) -> BaseDistribution:
-    domain = parameter.domain
-    if not isinstance(domain, Range):
-        return CategoricalDistribution(tuple(domain.settings_of))
-    if domain.whole:
-        return IntDistribution(int(domain.low), int(domain.high), log=domain.log)
-    return FloatDistribution(domain.low, domain.high, log=domain.log)
+    if parameter.choices:
+        return CategoricalDistribution([*parameter.choices])
+    low, high = parameter.extremes
+    kind = IntDistribution if parameter.whole else FloatDistribution
+    return kind(low, high, log=parameter.log)

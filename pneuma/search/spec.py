@@ -1,9 +1,8 @@
 """Searches as files: the space, the objectives, the budget, the sampler and the pruner.
 
-[space.learning_rate]          a range: low, high, log = true
-[space.betas]                  choices = [[0.9, 0.999], [0.9, 0.9]]
-[space.network.choices.small]  a choice between bundles of fields of the run
-[space.momentum]               when = { optimizer = ["sgd", "rmsprop"] }
+[space.learning_rate]  a range: low, high, log = true
+[space.betas]          choices = [[0.9, 0.999], [0.9, 0.9]]
+[space.momentum]       when = { optimizer = ["sgd", "rmsprop"] }
 
 A file is checked here once; what reads a `Search` trusts it.
 """
@@ -13,40 +12,84 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Interval, MinLen
+from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import BASES, Steps
-from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown
+from pneuma.errors import UserError
+from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
-from pneuma.search.space import FIXABLE, Parameter, ParameterTable, Space, read_parameter
+from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.spec import (
     PRESETS,
     SEEDS_ALLOWED,
+    find_file,
     modules_beside,
     read_seeds,
-    refuse_taken_name,
+    shipped_names,
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
-from pneuma.worlds import TEXT, check_world, chosen_world, in_world, world_fields
+from pneuma.worlds import TEXT, check_world, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "deviation")
 """How the outcomes of a trial's seeds become one value."""
 DIRECTIONS = ("maximize", "minimize")
+Count = Annotated[int, Interval(ge=1, le=10_000)]
 
 
-@dataclass(frozen=True)
-class Objective:
-    """What is sought: an outcome of the runs, put together over a trial's seeds."""
+class Objective(Table):
+    """[objectives.NAME]: an outcome of the runs, put together over a trial's seeds."""
 
     name: str
-    outcome: str
-    over_seeds: str
-    direction: str
+    outcome: Annotated[str, passes(find_outcome)]
+    over_seeds: Annotated[str, OneOf(OVER_SEEDS)] = "mean"
+    direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
+
+
+class Tpe(Table):
+    """[sampler]: Optuna's tree-structured Parzen estimator, with its defaults."""
+
+    name: Literal["tpe"] = "tpe"
+    startup_trials: Count = 10
+    candidates: Count = 24
+    multivariate: bool = True
+
+
+class Random(Table):
+    """[sampler]: all alike."""
+
+    name: Literal["random"]
+
+
+class Nsga(Table):
+    """[sampler]: a genetic algorithm for several objectives."""
+
+    name: Literal["nsga-ii"]
+    population: Annotated[int, Interval(ge=2, le=10_000)] = 16
+    mutation: Share = 0.1
+    crossover: Share = 0.9
+
+
+class NoPruner(Table):
+    """Every trial is trained to its end."""
+
+    name: Literal[""] = ""
+
+
+class Median(Table):
+    """[pruner]: gives up what is behind the median of the trials at rungs of the budget."""
+
+    name: Literal["median"]
+    rungs: Annotated[int, Interval(ge=2, le=10)] = 3
+    startup_trials: Count = 5
+
+
+Sampler = Tpe | Random | Nsga
+Pruner = NoPruner | Median
 
 
 @dataclass(frozen=True)
@@ -69,7 +112,7 @@ class Search:
         objectives: one; several for a search of the Pareto front.
         start: bases to begin with a trial of each.
         generation: trials that are asked for before any of them is told.
-        sampler, pruner: their names and options, all of these given; the pruner's name may be empty.
+        sampler, pruner: with all their options.
         presets: by name.
         world: of `pneuma.worlds.WORLDS`.
     """
@@ -82,8 +125,8 @@ class Search:
     objectives: tuple[Objective, ...]
     start: tuple[str, ...]
     generation: int
-    sampler: Mapping[str, Any]
-    pruner: Mapping[str, Any]
+    sampler: Sampler
+    pruner: Pruner
     presets: Mapping[str, Budget]
     world: str = TEXT
 
@@ -126,7 +169,7 @@ class Search:
 
 def list_searches() -> list[str]:
     """Return the names of the shipped searches."""
-    return sorted(path.stem for path in (studies_folder() / "search").glob("*.toml"))
+    return shipped_names(studies_folder() / "search")
 
 
 def load_search(name: str, world: str | None = None) -> Search:
@@ -139,15 +182,7 @@ def load_search(name: str, world: str | None = None) -> Search:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    shipped = studies_folder() / "search"
-    if name.endswith(".toml"):
-        path = Path(name)
-        refuse_taken_name(path, shipped / path.name, "search")
-    else:
-        own, world = chosen_world(name, world)
-        if own not in list_searches():
-            raise unknown_name("search", name, list_searches())
-        path = shipped / f"{own}.toml"
+    path, world = find_file("search", name, world, studies_folder() / "search")
     return read_search(path).in_world(world or TEXT)
 
 
@@ -170,16 +205,6 @@ def check_budget(search: Search, budget: Budget) -> None:
 
 # --- What the file may hold ------------------------------------------------------------------------
 
-Count = Annotated[int, Interval(ge=1, le=10_000)]
-
-
-class ObjectiveTable(Table):
-    """[objectives.NAME]."""
-
-    outcome: Annotated[str, passes(find_outcome)]
-    over_seeds: Annotated[str, OneOf(OVER_SEEDS)] = "mean"
-    direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
-
 
 class BudgetTable(Table):
     """[presets.NAME]."""
@@ -187,48 +212,6 @@ class BudgetTable(Table):
     trials: Count
     seeds: Annotated[tuple[int, ...], Reads(read_search_seeds, SEEDS_ALLOWED)]
     steps: Steps
-
-
-class Options(Table):
-    """The name of a sampler or a pruner, and options of which each is for one of them."""
-
-    name: str
-
-    def chosen(self, file: TomlFile, what: str, known: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-        """Return the name, and the options that it reads; others are refused."""
-        own = known[self.name]
-        for key in self.model_fields_set - {"name", *own}:
-            raise file.mistake((what,), str(unknown_name(f"option of {self.name}", key, own)), key)
-        return {key: getattr(self, key) for key in ("name", *own)}
-
-
-SAMPLERS = {
-    "tpe": ("startup_trials", "candidates", "multivariate"),
-    "random": (),
-    "nsga-ii": ("population", "mutation", "crossover"),
-}
-"""The options of each sampler: Optuna's, with its defaults."""
-PRUNERS = {"": (), "median": ("rungs", "startup_trials")}
-
-
-class SamplerTable(Options):
-    """[sampler]."""
-
-    name: Annotated[str, OneOf(tuple(SAMPLERS))] = "tpe"
-    startup_trials: Count = 10
-    candidates: Count = 24
-    multivariate: bool = True
-    population: Annotated[int, Interval(ge=2, le=10_000)] = 16
-    mutation: Share = 0.1
-    crossover: Share = 0.9
-
-
-class PrunerTable(Options):
-    """[pruner]: median gives up what is behind the median of the trials at rungs of the budget."""
-
-    name: Annotated[str, OneOf(tuple(PRUNERS))] = ""
-    rungs: Annotated[int, Interval(ge=2, le=10)] = 3
-    startup_trials: Count = 5
 
 
 class SearchFile(Table):
@@ -241,10 +224,10 @@ class SearchFile(Table):
     start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
     run: Annotated[dict[str, Any], FIXABLE] = {}
-    objectives: Annotated[dict[str, ObjectiveTable], MinLen(1)]
-    space: Annotated[dict[str, ParameterTable], MinLen(1)]
-    sampler: SamplerTable = SamplerTable()
-    pruner: PrunerTable = PrunerTable()
+    objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
+    space: Parameters
+    sampler: Annotated[Sampler, Field(discriminator="name")] = Tpe()
+    pruner: Annotated[Pruner, Field(discriminator="name")] = NoPruner()
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], BudgetTable], MinLen(1)]
 
 
@@ -259,10 +242,7 @@ def read_search(path: Path) -> Search:
     """
     file = read_toml(path)
     said = read_model(SearchFile, file)
-    parameters: list[Parameter] = []
-    for name, own in said.space.items():
-        parameters.append(read_parameter(file, name, own, parameters))
-    space = Space(tuple(parameters), modules_beside(path, said.run), said.base)
+    space = Space(tuple(said.space.values()), modules_beside(path, said.run), said.base)
     try:
         space.check(unread=said.run)
     except UserError as error:
@@ -275,10 +255,10 @@ def read_search(path: Path) -> Search:
         section=said.section,
         about=" ".join(said.about.split()),
         space=space,
-        objectives=tuple(Objective(name, **own.model_dump()) for name, own in said.objectives.items()),
+        objectives=tuple(said.objectives.values()),
         start=said.start,
         generation=said.generation,
-        sampler=said.sampler.chosen(file, "sampler", SAMPLERS),
-        pruner=said.pruner.chosen(file, "pruner", PRUNERS),
+        sampler=said.sampler,
+        pruner=said.pruner,
         presets={name: Budget(**own.model_dump()) for name, own in said.presets.items()},
     )

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -69,12 +69,12 @@ class Task:
         return {
             "base": search.space.base,
             "fixed": search.space.fixed,
-            "space": [asdict(parameter) for parameter in search.space.parameters],
-            "objectives": [asdict(objective) for objective in search.objectives],
+            "space": [parameter.identity for parameter in search.space.parameters],
+            "objectives": [objective.model_dump() for objective in search.objectives],
             "start": search.first_trials,
             "generation": search.generation,
-            "sampler": search.sampler,
-            "pruner": search.pruner,
+            "sampler": search.sampler.model_dump(),
+            "pruner": search.pruner.model_dump(),
             "seeds": self.budget.seeds,
             "steps": self.budget.steps,
             "optuna": optuna.__version__,
@@ -143,7 +143,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
         Unfinished: where a run crashed.
     """
     search, budget = task.search, task.budget
-    rungs, first_trials = rung_steps(search.pruner, budget), search.first_trials
+    rungs, first_trials = rung_steps(getattr(search.pruner, "rungs", 1), budget), search.first_trials
     study = create_study(search)
     trained: list[Cell] = []
 
@@ -162,12 +162,11 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
         yield [_tell(study, search.objectives, each, outcomes) for each in asked]
 
 
-def rung_steps(pruner: Mapping[str, Any], budget: Budget) -> dict[int, int]:
+def rung_steps(count: int, budget: Budget) -> dict[int, int]:
     """Return the steps of the trainings after each of which trials are compared, by rung from 1 on.
 
     Each is a training of its own with all seeds; the last has the whole budget.
     """
-    count = pruner.get("rungs", 1)
     return {rung: max(1, round(rung / count * budget.steps)) for rung in range(1, count + 1)}
 
 

@@ -222,9 +222,14 @@ def studies_folder() -> Path:
         return Path(__file__).parents[2] / "studies"
 
 
+def shipped_names(folder: Path) -> list[str]:
+    """Return the names of the studies, or searches, that are shipped in a folder."""
+    return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
+
+
 def list_studies() -> list[str]:
     """Return the names of the shipped studies."""
-    return sorted(path.stem for path in studies_folder().glob("*.toml") if path.name != CLAIMS_FILE)
+    return shipped_names(studies_folder())
 
 
 def name_in_world(name: str, world: str | None) -> str:
@@ -251,16 +256,24 @@ def load_study(name: str, world: str | None = None) -> Study:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    if name.endswith(".toml"):
-        path = Path(name)
-        refuse_taken_name(path, studies_folder() / path.name, "study")
-    else:
-        own, world = chosen_world(name, world)
-        if own not in list_studies():
-            raise unknown_name("study", name, [*list_studies(), *files_called(name)])
-        path = studies_folder() / f"{own}.toml"
+    path, world = find_file("study", name, world, studies_folder())
     study: Study = import_module("pneuma.study.study_file").read_study(path)
     return study.in_world(world or study.worlds[0])
+
+
+def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Path, str | None]:
+    """Return the path of a study, or a search, and the world that its name or `world` names, if any.
+
+    Raises:
+        UserError: for a name that there is not in the folder of the shipped ones, or two worlds.
+    """
+    if name.endswith(".toml"):
+        refuse_taken_name(Path(name), folder / Path(name).name, what)
+        return Path(name), world
+    own, world = chosen_world(name, world)
+    if own not in (known := shipped_names(folder)):
+        raise unknown_name(what, name, [*known, *files_called(name)])
+    return folder / f"{own}.toml", world
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:

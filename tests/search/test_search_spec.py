@@ -45,13 +45,8 @@ low = 0.0
 high = 0.9
 when = { optimizer = "sgd" }
 
-[space.network.choices.small]
-actor = [32]
-critic = [64]
-
-[space.network.choices.text]
-actor = [128]
-critic = [256]
+[space.actor]
+choices = [[32], [128]]
 
 [presets.quick]
 trials = 4
@@ -76,14 +71,14 @@ def test_a_search_is_read_whole(write: Load) -> None:
     search = write(GOOD)
     assert search.presets["quick"].seeds == (1000, 1001)
     assert [p.name for p in search.space.parameters] == [
-        "learning_rate", "epochs", "optimizer", "momentum", "network",
+        "learning_rate", "epochs", "optimizer", "momentum", "actor",
     ]  # fmt: skip
     assert search.first_trials == (
-        {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "network": "text"},
-        {"learning_rate": 3e-4, "optimizer": "adam", "network": "text"},  # 15 epochs are outside
+        {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "actor": "[128]"},
+        {"learning_rate": 3e-4, "optimizer": "adam", "actor": "[128]"},  # 15 epochs are outside
     )
-    assert search.space.fields({"optimizer": "sgd", "momentum": 0.5, "network": "small"}) == {
-        "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,), "critic": (64,),
+    assert search.space.fields({"optimizer": "sgd", "momentum": 0.5, "actor": "[32]"}) == {
+        "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,),
     }  # fmt: skip
 
 
@@ -92,7 +87,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
     for optimizer in ("adam", "sgd"):
 
         def suggest(parameter: Parameter, chosen: str = optimizer) -> object:
-            return chosen if parameter.name == "optimizer" else parameter.domain.extremes[0]
+            return chosen if parameter.name == "optimizer" else parameter.extremes[0]
 
         asked = space.ask(suggest)
         assert ("momentum" in asked) == (optimizer == "sgd")
@@ -104,7 +99,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[space.epochs]", "[space.epoch]", "[space.epoch] unknown parameter 'epoch' (did you"),
         ("high = 1e-2", "high = 1e-6", "low = 1e-05 is not below high = 1e-06: an empty range"),
         ('optimizer = "sgd" }', 'optimiser = "sgd" }', "unknown parameter 'optimiser'"),
-        ('optimizer = "sgd" }', 'network = "small" }', "network is searched, too: [space.network]"),
+        ('optimizer = "sgd" }', 'actor = [32] }', "actor is searched, too: [space.actor]"),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing: adam reads"),

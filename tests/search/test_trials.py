@@ -60,8 +60,8 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
 
 def test_rungs_of_the_budget(make_task: MakeTask) -> None:
     budget = Budget(8, (0, 1, 2), 9000)
-    assert rung_steps({"name": "median", "rungs": 3}, budget) == {1: 3000, 2: 6000, 3: 9000}
-    assert rung_steps({"name": ""}, budget) == {1: 9000}
+    assert rung_steps(3, budget) == {1: 3000, 2: 6000, 3: 9000}
+    assert rung_steps(1, budget) == {1: 9000}
     # at a horizon of 256, rungs of 100 and 200 steps both are 256: one training
     more = '[run]\nhorizon = 256\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 8'
     task = replace(make_task(4, more), budget=Budget(4, (1000, 1001), 200))

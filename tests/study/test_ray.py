@@ -88,9 +88,9 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
-    command = ray.Command(ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere"))
+    node = ray.Node(ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere"))
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        next(ray.Node().train({"results": "/shared/results"}, command))
+        next(node.train({"results": "/shared/results"}))
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

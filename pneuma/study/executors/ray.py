@@ -14,7 +14,7 @@ import socket
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -69,8 +69,7 @@ def run_groups(
     join(how.address)
     store.root.mkdir(parents=True, exist_ok=True)
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        command = Command(versions(), code(), os.getcwd(), mark.name)
-        start = partial(NodeProcess, command)
+        start = partial(NodeProcess, Node(versions(), code(), os.getcwd(), mark.name))
         Supervisor(groups, store, how, on_event, interrupts, start).work()
         if interrupts.count:
             raise KeyboardInterrupt
@@ -119,24 +118,25 @@ def join(address: str | None) -> None:
 # --- Workers on nodes ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Command:
-    """What asks a node for a worker: its versions, its code and folder, and a file in its results folder."""
+@dataclass
+class Node:
+    """Runs the process of one worker on the node that Ray makes this on.
+
+    Attributes:
+        versions, code, folder: of the command, which the node must have, is told, and works in.
+        mark: a file in the results folder.
+    """
 
     versions: Mapping[str, str]
     code: str
     folder: str
     mark: str
 
-
-class Node:
-    """Runs the process of one worker on the node that Ray makes this on."""
-
     def stop(self) -> None:
         """Let the runs come to a checkpoint and end."""
         self._process.ask_to_stop()
 
-    def train(self, job: Mapping[str, Any], command: Command) -> Iterator[bytes | Death]:
+    def train(self, job: Mapping[str, Any]) -> Iterator[bytes | Death]:
         """Start the worker; yield its lines, then how it ended.
 
         Raises:
@@ -146,17 +146,17 @@ class Node:
 
         node = ray.util.get_node_ip_address()
         here = versions()
-        lacking = [f"{name} {own}" for name, own in command.versions.items() if here.get(name) != own]
+        lacking = [f"{name} {own}" for name, own in self.versions.items() if here.get(name) != own]
         if lacking:
             raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
-        if not Path(command.mark).exists():
+        if not Path(self.mark).exists():
             raise UserError(
                 f"--executor ray: the node {node} does not see {job['results']}: all must share that folder"
             )
         die_with(os.getppid())  # Ray's own process here
-        os.environ[CARRIED_CODE] = command.code
+        os.environ[CARRIED_CODE] = self.code
         with suppress(OSError):
-            os.chdir(command.folder)  # from which people's own rewards and levels are read
+            os.chdir(self.folder)  # from which people's own rewards and levels are read
         prepare_node()
         self._process = LocalProcess(job)
         first = {"event": "passing", "run_id": next(iter(job["runs"])), "text": f"starts on the node {node}"}
@@ -168,12 +168,12 @@ class Node:
 class NodeProcess:
     """The process of a worker on some node, as the supervisor in the command sees it."""
 
-    def __init__(self, command: Command, job: Mapping[str, Any]) -> None:
+    def __init__(self, node: Node, job: Mapping[str, Any]) -> None:
         import ray
 
         kind: Any = ray.remote(Node)
-        self._node = kind.options(num_cpus=1, max_concurrency=2).remote()
-        told = self._node.train.options(num_returns="streaming").remote(job, command)
+        self._node = kind.options(num_cpus=1, max_concurrency=2).remote(**asdict(node))
+        told = self._node.train.options(num_returns="streaming").remote(job)
         self._begun = False
         self._death: Death | UserError = Death(True, "its node was lost")
         reader, writer = os.pipe()
