@@ -12,16 +12,20 @@ what machine: the clock has no place in the table.
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic import Field
+from typing_extensions import TypedDict
 
 from pneuma.analysis import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.records import Records, told_seconds
@@ -32,33 +36,9 @@ from pneuma.study.files import names_in, parse_json, read_json, read_whole
 from pneuma.study.store import FINISHED, Status, Store, shipped_tables
 from pneuma.study.tables import from_parquet
 
-SCHEMA = 2
 PUBLISHED = "published"
 """The tables' folder, in a results folder."""
-
 SUFFIX = ".parquet"
-EVALUATIONS = "evaluations"
-"""The one record table that is kept."""
-
-NO_SUM = "sha256:" + "0" * 64
-"""Stands where the checksum goes."""
-
-_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
-
-PEAKS = "extreme"
-SIGNS = "signs"
-OUTCOME = "outcome "
-
-SINGLE, WIDE = pa.list_(pa.float32()), pa.list_(pa.float64())
-"""Of curves; older tables hold some of them in full width."""
-_TEXTS = ("condition", "run_id", "status", "settings", "provenance", SIGNS)
-_KINDS = {
-    **dict.fromkeys(_TEXTS, (pa.string(),)),
-    **dict.fromkeys(("seed", "end"), (pa.int64(),)),
-    **dict.fromkeys(UPDATE_QUANTITIES, (SINGLE,)),
-    **{f"{name} {own}": (SINGLE, WIDE) for name in TRAINING_QUANTITIES for own in (*WINDOWS, PEAKS)},
-}
-"""Types that a column may have; all others hold a number a run."""
 
 
 def published_path(store: Store, study: str) -> Path:
@@ -77,11 +57,63 @@ def published_studies(store: Store, shipped: bool = False) -> list[str]:
     return [name.removesuffix(SUFFIX) for name in dict.fromkeys(names) if name.endswith(SUFFIX)]
 
 
-def read_times(path: Path) -> dict[str, dict[str, Any]]:
-    """Return what a file of times tells of each run whose time makes sense; nothing without such a file."""
-    told = (read_json(path) or {}).get("runs")
-    runs = told.items() if isinstance(told, dict) else ()
-    return {name: own for name, own in runs if isinstance(own, dict) and told_seconds(own) is not None}
+# --- The file ---------------------------------------------------------------------------------------
+
+SINGLE, WIDE = pa.list_(pa.float32()), pa.list_(pa.float64())
+NAMING = ("condition", "seed", "run_id", "status", "end", "settings", "provenance")
+SIGNS, EVALUATIONS = "signs", "evaluations"
+OUTCOME, PEAKS = "outcome", "extreme"
+"""'outcome final-return' is an outcome; 'entropy extreme', 'entropy' and 'return budget-5%' are curves."""
+
+
+OF_RECORD = ("study", "title", "figure", "baseline", "same", "budget")
+"""Of a study's record, in the file's metadata."""
+
+
+class _Head(TypedDict):
+    """What the file's metadata hold beside a `Record`."""
+
+    schema: Literal[2]
+    budget: Annotated[int, Field(gt=0)]
+    tables: list[Literal["evaluations"]]
+    windows: Annotated[list[Literal[WINDOWS]], Field(min_length=1)]  # type: ignore[valid-type]
+    averaged_over: int | None
+
+
+def column_types(column: str) -> tuple[pa.DataType, ...]:
+    """Return what a column may hold, first what new tables do; nothing where nothing reads it."""
+    first, _, second = column.partition(" ")
+    if column in ("seed", "end"):
+        return (pa.int64(),)
+    if column in (*NAMING, SIGNS):
+        return (pa.string(),)
+    if first in TRAINING_QUANTITIES and second in ("", *WINDOWS, PEAKS):
+        return (SINGLE, WIDE)  # older tables hold some of them in full width
+    return (pa.float64(),) if first == OUTCOME else ()
+
+
+def curve_column(quantity: str, window: str) -> str:
+    """Return the column of a curve: what updates have is averaged in one way alone."""
+    return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
+
+
+NO_SUM = "sha256:" + "0" * 64
+"""Stands where the checksum over all other bytes goes."""
+_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
+
+
+def with_sum(data: bytes) -> bytes:
+    """Put the checksum over a file into the place that is kept for it there."""
+    return data.replace(NO_SUM.encode(), f"sha256:{hashlib.sha256(data).hexdigest()}".encode())
+
+
+def is_whole(data: bytes) -> bool:
+    """Tell whether a file is what `with_sum` returned, to the bit."""
+    blank = _SUM.sub(NO_SUM.encode(), data)
+    return _SUM.findall(data) == [hashlib.sha256(blank).hexdigest().encode()]
+
+
+# --- Reading ----------------------------------------------------------------------------------------
 
 
 def read_published(store: Store, study: str) -> PublishedTable:
@@ -99,15 +131,14 @@ def read_published(store: Store, study: str) -> PublishedTable:
         raise UserError(
             f"{path}: damaged; take it from version control again, or remove it and publish the study anew"
         )
+    times = (read_json(path.with_suffix(".times.json")) or {}).get("runs")
     try:
-        table = from_parquet(data)
-        head = parse_json((table.schema.metadata or {}).get(b"pneuma", b""))
-        if head.get("schema") != SCHEMA:
-            raise ValueError(f"of schema {head.get('schema')}, which this version of Pneuma cannot read")
-        _check(head, table)
+        rows = from_parquet(data)
+        table = PublishedTable(parse_json((rows.schema.metadata or {}).get(b"pneuma", b"")), rows, times)
+        _check(table)
     except ValueError as error:
         raise UserError(f"{path}: is no published table of a study ({error})") from None
-    return PublishedTable(head, table, read_times(path.with_suffix(".times.json")))
+    return table
 
 
 class PublishedTable:
@@ -115,25 +146,35 @@ class PublishedTable:
 
     Attributes:
         head: what the file's metadata holds.
-        budget: the step at which its curves end.
-        times: what the file of times beside it tells of each run.
         rows: the table.
-        quantities: what it has curves of.
+        times: what the file of times beside it tells of each run.
     """
 
-    def __init__(self, head: Mapping[str, Any], table: pa.Table, times: Mapping[str, Any]) -> None:
+    def __init__(self, head: Mapping[str, Any], rows: pa.Table, times: object) -> None:
         self.head = head
-        self.budget: int = head["budget"]
-        self.times = times
-        self.rows = table
-        held = {name.removesuffix(f" {head['windows'][0]}") for name in table.column_names}
-        self.quantities = tuple(name for name in TRAINING_QUANTITIES if name in held)
-        self._places = {run_id: place for place, run_id in enumerate(table["run_id"].to_pylist())}
+        self.rows = rows
+        self.times = times if isinstance(times, dict) else {}
 
-    @property
+    @cached_property
     def record(self) -> dict[str, Any]:
         """The study's record, in the form of `pneuma.study.execute.selection_record`."""
-        return _record(self.head, self.rows)
+        names = ("condition", "seed", "run_id", "settings")
+        cells = zip(*(self.rows[name].to_pylist() for name in names), strict=True)
+        runs = [
+            {"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in cells
+        ]
+        told = {key: own for key, own in self.head.items() if key in OF_RECORD}
+        return {**told, "source": "published", "path": None, "runs": runs}
+
+    @cached_property
+    def quantities(self) -> tuple[str, ...]:
+        """What it has curves of."""
+        held, window = {*self.rows.column_names}, self.head["windows"][0]
+        return tuple(name for name in TRAINING_QUANTITIES if curve_column(name, window) in held)
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {run_id: place for place, run_id in enumerate(self.rows["run_id"].to_pylist())}
 
     @cached_property
     def finished(self) -> frozenset[str]:
@@ -146,7 +187,7 @@ class PublishedTable:
 
 
 class PublishedRecords(Records):
-    """A run of a published table; `budget` is the step at which its curves end."""
+    """A run of a published table."""
 
     what = "the published table"
     published = True
@@ -156,14 +197,18 @@ class PublishedRecords(Records):
         self._place = place
         self.run_id = run_id
         self.status = Status(self.cell("status"), self.cell("end") or 0)
-        self.budget = table.budget
+        self.budget = table.head["budget"]
         self.tables = tuple(table.head["tables"])
         self.windows = tuple(table.head["windows"])
         self.averaged_over = table.head["averaged_over"]
 
     def cell(self, column: str) -> Any:
-        """Return what the run's row has in a column."""
-        return self._table.rows[column][self._place].as_py()
+        """Return what the run's row has in a column; None where there is no such column."""
+        return self._table.rows[column][self._place].as_py() if self.hascurve_column(column) else None
+
+    def hascurve_column(self, name: str) -> bool:
+        """Tell whether the table has a column."""
+        return name in self._table.rows.column_names
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -172,7 +217,7 @@ class PublishedRecords(Records):
 
     def has_curve(self, quantity: str, window: str) -> bool:
         """Tell whether it has the curve: rounded tables have one window of most quantities."""
-        return _column(quantity, window) in self._table.rows.column_names
+        return self.hascurve_column(curve_column(quantity, window))
 
     def table(self, name: str) -> pd.DataFrame:
         """Return the run's evaluations, the one table that is kept."""
@@ -185,7 +230,7 @@ class PublishedRecords(Records):
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return a curve, (points,); on another grid than it is kept on, the last value up to each point."""
-        kept, own = np.array(self.cell(_column(quantity, window)), float), make_grid(self.budget)
+        kept, own = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
         held = np.concatenate([[np.nan], kept])[np.searchsorted(own, grid, side="right")]
         return np.where(grid <= own[-1], held, np.nan)
 
@@ -200,7 +245,8 @@ class PublishedRecords(Records):
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was taken from curves before they were rounded or left out."""
-        return float(self.cell(OUTCOME + name)) if OUTCOME + name in self._table.rows.column_names else None
+        kept: float | None = self.cell(f"{OUTCOME} {name}")
+        return kept
 
     def provenance(self) -> dict[str, Any]:
         """Return what produced the run, without when it did."""
@@ -208,17 +254,56 @@ class PublishedRecords(Records):
 
     @property
     def times(self) -> Mapping[str, Any]:
-        """What the file of times beside the table tells."""
-        found: Mapping[str, Any] = self._table.times.get(self.run_id, {})
-        return found
+        """What the file of times beside the table tells, where it makes sense."""
+        own = self._table.times.get(self.run_id)
+        return own if isinstance(own, dict) and told_seconds(own) is not None else {}
 
 
-def _column(quantity: str, window: str) -> str:
-    return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
+def _check(table: PublishedTable) -> None:
+    """Refuse a table, which may be anybody's, that is not what `encode_study` makes.
+
+    Raises:
+        ValueError: naming what is amiss.
+    """
+    head, rows = table.head, table.rows
+    if not fits(head, _Head):
+        raise ValueError("its metadata make no sense")
+    if missing := {*NAMING, SIGNS, *head["tables"]} - {*rows.column_names}:
+        raise ValueError(f"column {min(missing)} is missing")
+    if not fits(table.record, Record):
+        raise ValueError("its runs make no sense")
+    finished = pa.array([status in FINISHED for status in rows["status"].to_pylist()], pa.bool_())
+    rows = rows.filter(finished)
+    for field in rows.schema:
+        types, sound = column_types(field.name), True
+        if types:
+            sound = field.type in types and not rows[field.name].null_count
+        elif field.name == EVALUATIONS:
+            sound = pa.types.is_list(field.type) and pa.types.is_struct(field.type.value_type)
+            sound = sound and field.type.value_type.get_field_index("step") >= 0
+            sound = sound and not rows[field.name].null_count
+        if sound and SINGLE in types:
+            sound = {*pc.list_value_length(rows[field.name]).to_pylist()} <= {GRID_POINTS}
+        if not sound:
+            raise ValueError(f"column {field.name} makes no sense")
+    for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
+        parse_json(told)
+        unpack_signs(signs)
+
+
+# --- Signs of collapse, in few bytes -----------------------------------------------------------------
+
+
+def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
+    """Return where signs hold as JSON: a unit of steps, and each sign's gaps and lengths in it, in turn."""
+    ends = {sign: [int(end) for stretch in parts for end in stretch] for sign, parts in signs.items()}
+    unit = math.gcd(*(end for own in ends.values() for end in own)) or 1
+    packed = {sign: np.diff(np.array([0, *own]) // unit).tolist() for sign, own in ends.items()}
+    return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 
 
 def unpack_signs(text: str) -> dict[str, list[Stretch]]:
-    """Return what `pneuma.analysis.publishing.pack_signs` was given.
+    """Return what `pack_signs` was given.
 
     Raises:
         ValueError: for a text that it did not make.
@@ -232,63 +317,3 @@ def unpack_signs(text: str) -> dict[str, list[Stretch]]:
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"signs of collapse that make no sense: {error}") from None
     return found
-
-
-# --- The checksum, over all other bytes of the file ------------------------------------------------
-
-
-def with_sum(data: bytes) -> bytes:
-    """Put the checksum over a file into the place that is kept for it there."""
-    if data.count(NO_SUM.encode()) != 1 or len(_SUM.findall(data)) != 1:
-        raise ValueError("the place of the checksum is not the only one of its look")
-    return data.replace(NO_SUM.encode(), f"sha256:{hashlib.sha256(data).hexdigest()}".encode())
-
-
-def is_whole(data: bytes) -> bool:
-    """Tell whether a file is what `with_sum` returned, to the bit."""
-    sums = _SUM.findall(data)
-    blank = _SUM.sub(NO_SUM.encode(), data)
-    return len(sums) == 1 and hashlib.sha256(blank).hexdigest() == sums[0].decode()
-
-
-# --- Whether it is one -----------------------------------------------------------------------------
-
-
-def _record(head: Mapping[str, Any], table: pa.Table) -> dict[str, Any]:
-    names = ("condition", "seed", "run_id", "settings")
-    rows = zip(*(table[name].to_pylist() for name in names), strict=True)
-    runs = [{"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in rows]
-    kept = ("study", "title", "figure", "baseline", "same", "budget")
-    told = {key: head[key] for key in kept if key in head}
-    return {**told, "source": "published", "path": None, "runs": runs}
-
-
-def _check(head: Mapping[str, Any], table: pa.Table) -> None:
-    """Refuse a table, which may be anybody's, that is not what `encode_study` makes.
-
-    Raises:
-        ValueError: naming what is amiss.
-    """
-    windows, budget = head.get("windows") or [], head.get("budget")
-    sound = windows and {*windows} <= {*WINDOWS} and isinstance(budget, int) and budget > 0
-    if not sound or head.get("tables") not in ([], [EVALUATIONS]):
-        raise ValueError("its metadata make no sense")
-    if missing := {*_TEXTS, "seed", "end", *head["tables"]} - {*table.column_names}:
-        raise ValueError(f"column {min(missing)} is missing")
-    rows = table.filter(pa.array([status in FINISHED for status in table["status"].to_pylist()], pa.bool_()))
-    for field in table.schema:
-        kind = field.type
-        if field.name == EVALUATIONS:
-            fit = pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)
-            fit = fit and kind.value_type.get_field_index("step") >= 0
-        else:
-            fit = kind in _KINDS.get(field.name, (pa.float64(),))
-            if fit and pa.types.is_list(kind):
-                fit = {*pc.list_value_length(rows[field.name]).to_pylist()} <= {GRID_POINTS}
-        if not fit or rows[field.name].null_count:
-            raise ValueError(f"column {field.name} makes no sense")
-    if not fits(_record(head, table), Record):
-        raise ValueError("its runs make no sense")
-    for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
-        parse_json(told)
-        unpack_signs(signs)

@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis import WINDOWS
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.published import NO_SUM, published_path, published_studies, read_published, with_sum
+from pneuma.analysis.published import published_path, published_studies, read_published
 from pneuma.analysis.publishing import encode_study, rounded
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
-from pneuma.study.tables import from_parquet
 
 from .published_runs import CELLS, RECORD, SETTINGS, save_run
 
@@ -133,25 +131,6 @@ def test_published_part_by_part_it_is_the_same_to_the_byte(
     second = _part(tmp_path, 1, before=first)
     second.save_run("a0" * 8, Status("crashed", 100), {})  # it stays as it was published
     assert _publish(second).read_bytes() == _publish(store, **options).read_bytes()
-
-
-def test_a_table_that_was_not_rounded_stays_so(store: Store) -> None:
-    """Older tables hold curves in full, and are the same when the same runs are published again."""
-    path = _publish(store, curves=("return",))
-    table, wide = from_parquet(path.read_bytes()), "return budget-5%"
-    data = open_study(store, RECORD)
-    exact = pa.array([data.curve(run, "return") for run in data.runs], pa.list_(pa.float64()))
-    head = {**json.loads(table.schema.metadata[b"pneuma"]), "rounded": False}
-    table = table.set_column(table.column_names.index(wide), wide, exact)
-    sink = pa.BufferOutputStream()
-    metadata = {"pneuma": json.dumps(head), "pneuma.checksum": NO_SUM}
-    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="none")
-    path.write_bytes(with_sum(sink.getvalue().to_pybytes()))
-    whole = _publish(store).read_bytes()
-    (again,) = open_published(store.root)
-    for ours, theirs in zip(data.runs, again.runs, strict=True):
-        np.testing.assert_array_equal(data.curve(ours, "return"), again.curve(theirs, "return"))
-    assert _publish(store).read_bytes() == whole
 
 
 @pytest.mark.parametrize(
