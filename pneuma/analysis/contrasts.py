@@ -2,7 +2,7 @@
 
 A contrast has five one-sided p-values, each valid by itself: that the effect is above no difference, below
 it, within the margin on both sides, and beyond it, above and below. What they mean for a claim is decided in
-`pneuma.analysis.verdicts`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
+`pneuma.analysis.judgement`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -69,25 +69,27 @@ class Contrast:
 def compare(
     kind: str,
     a: ArrayLike,
-    b: ArrayLike,
+    b: ArrayLike | float,
     margin: float | None,
     generator: np.random.Generator,
     level: float = intervals.LEVEL,
 ) -> Contrast:
-    """Compare arm a with arm b.
+    """Compare arm a with arm b, or with a constant.
 
     Args:
         kind: mean, or incidence, of values 0 or 1.
         a: (runs,) finite values, one per run.
-        b: the same of the other arm.
+        b: the same of the other arm, or a number in a's unit, or a share of runs.
         margin: within what a difference counts as none: in the outcome's unit, or as a share. None where no
             such claim can be made.
-        generator: draws relabelings where there are too many to count.
+        generator: draws relabelings, or turns of signs, where there are too many to count.
         level: of the simultaneous interval.
 
     Raises:
         ValueError: for values that are not finite, or an incidence of others than 0 and 1.
     """
+    if isinstance(b, int | float):
+        return _compare_with(kind, finite(a), b, margin, generator, level)
     first, second = finite(a), finite(b)
     seeds = n, m = first.size, second.size
     effect = float(first.mean() - second.mean()) if n and m else float("nan")
@@ -105,32 +107,27 @@ def compare(
     return _contrast(kind, effect, make, level, found, seeds, (extremes.greater[0], extremes.less[1]))
 
 
-def compare_with(
+def _compare_with(
     kind: str,
-    a: ArrayLike,
+    runs: np.ndarray,
     value: float,
     margin: float | None,
     generator: np.random.Generator,
-    level: float = intervals.LEVEL,
+    level: float,
 ) -> Contrast:
-    """Compare one arm with a constant, in its unit: is its mean, or its share of runs, above or below it?
-
-    Otherwise as `compare`; the generator draws turns of signs.
-    """
-    runs = finite(a)
-    seeds = (runs.size, 0)
+    seeds, effect = (runs.size, 0), float((runs - value).mean()) if runs.size else float("nan")
     if too_few := _too_few(kind, runs.size):
-        return undecided(kind, too_few, seeds, float((runs - value).mean()) if runs.size else float("nan"))
+        return undecided(kind, too_few, seeds, effect)
     if kind == "mean":
         flips = pvalues.sign_flips(runs.size, generator)
         found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
-        effect, make = float((runs - value).mean()), partial(intervals.mean_interval, runs - value)
+        make = partial(intervals.mean_interval, runs - value)
         return _contrast(kind, effect, make, level, found, seeds, (1 / len(flips),) * 2)
     count = _count(runs)
     found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
     extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
 
-    def shifted(own: float = intervals.LEVEL) -> Interval:
+    def shifted(own: float) -> Interval:
         made = intervals.incidence_interval(count, runs.size, own)
         return replace(made, low=made.low - value, high=made.high - value)
 

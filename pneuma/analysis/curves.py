@@ -7,15 +7,20 @@ then are runs averaged, over those that have a value at t. Nothing is extrapolat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from pneuma.analysis import EVALUATION_QUANTITIES
-from pneuma.analysis.bands import Edges, count_of, find_band, mean_of
 from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.errors import unknown_name
+
+Edges = tuple[np.ndarray, np.ndarray]
+"""Lower and upper edge of a band, (points,) each, NaN where fewer than two runs have a value."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +42,22 @@ class Curve:
     @property
     def count(self) -> np.ndarray:
         """How many runs have a value at each point, (points,)."""
-        return count_of(self.runs)
+        return np.isfinite(self.runs).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
         """Mean over the runs that have a value, NaN where none has, (points,)."""
-        return mean_of(self.runs)
+        return _mean(self.runs)
 
     def band(self, name: str) -> Edges:
-        """Return lower and upper edge of a band of `BANDS`, NaN where fewer than two runs are."""
-        edges = find_band(name).edges
+        """Return both edges of a band of `BANDS`.
+
+        Raises:
+            UserError: for a name that is no band's.
+        """
+        if name not in BANDS:
+            raise unknown_name("band", name, BANDS)
+        edges = BANDS[name].edges
         return edges(self.runs) if edges else (np.full(self.step.shape, np.nan),) * 2
 
     @property
@@ -185,3 +196,91 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
     if not levels or np.ptp(levels, axis=0).max() > NEAR:
         return {}
     return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))
+
+
+# --- Bands -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Band:
+    """What a band shows.
+
+    Attributes:
+        label: its words, for a legend.
+        edges: of (runs, points) values, NaN where a run has none; None where the runs themselves are drawn.
+    """
+
+    label: str
+    edges: Callable[[np.ndarray], Edges] | None
+
+
+def _mean(runs: np.ndarray) -> np.ndarray:
+    """Return the mean over the runs that have a value, NaN where none has, (points,)."""
+    count = np.isfinite(runs).sum(axis=0)
+    total = np.where(np.isfinite(runs), runs, 0.0).sum(axis=0)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+def _variance(runs: np.ndarray) -> np.ndarray:
+    """Return the sample variance over runs, NaN where fewer than two have a value, (points,)."""
+    count = np.isfinite(runs).sum(axis=0)
+    squares = np.where(np.isfinite(runs), (runs - _mean(runs)) ** 2, 0.0).sum(axis=0)
+    return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
+
+
+def _standard_error(runs: np.ndarray) -> np.ndarray:
+    return np.sqrt(_variance(runs) / np.maximum(np.isfinite(runs).sum(axis=0), 1))
+
+
+def _t_half(runs: np.ndarray) -> np.ndarray:
+    """Return half the width of Student's interval for the mean, (points,)."""
+    freedom = np.maximum(np.isfinite(runs).sum(axis=0) - 1, 1)
+    return special.stdtrit(freedom, 0.975) * _standard_error(runs)
+
+
+def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
+    return lambda runs: (_mean(runs) - half(runs), _mean(runs) + half(runs))
+
+
+def _extremes(runs: np.ndarray) -> Edges:
+    known = np.isfinite(runs)
+    several = np.where(known & (known.sum(axis=0) > 1), runs, np.nan)
+    return np.fmin.reduce(several), np.fmax.reduce(several)
+
+
+BANDS = {
+    "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half)),
+    "se": Band("± 1 standard error", _around(_standard_error)),
+    "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(_variance(runs)))),
+    "minmax": Band("least to greatest", _extremes),
+    "runs": Band("every run as a thin line", None),
+}
+
+ENOUGH = 0.9
+"""A band that covers its mean less often is drawn with the runs themselves, and marked."""
+
+COVERAGE_SEEDS = (3, 5, 10, 20, 50)
+LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
+    "ci": (0.815, 0.752, 0.886, 0.926, 0.942),
+    "se": (0.403, 0.578, 0.637, 0.658, 0.663),
+}
+"""At each of `COVERAGE_SEEDS`: the least over normal, 80/20 bimodal and heavy-tailed runs, as printed by
+`pneuma bench calibration`. Other bands say how far runs lie apart, and cover the mean by accident."""
+
+
+def coverage(band: str, runs: int) -> float | None:
+    """Return how often a band of `BANDS` covers the mean of what its runs are from.
+
+    Between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the runs; 0 of
+    fewer than the first, for which nothing was drawn. None for a band that is no interval of a mean.
+    """
+    if band not in LEAST_COVERAGE:
+        return None
+    below, above = bisect_right(COVERAGE_SEEDS, runs), bisect_left(COVERAGE_SEEDS, runs)
+    return min(LEAST_COVERAGE[band][below - 1 : above + 1]) if below else 0.0
+
+
+def is_trusted(band: str, runs: int) -> bool:
+    """Whether a band can be drawn without the runs that it is of."""
+    covered = coverage(band, runs)
+    return covered is None or covered >= ENOUGH

@@ -6,6 +6,12 @@ Every claim is judged by the runs that it fixed beforehand, by their ids, and by
 itself. All contrasts of all claims in all worlds, also of those without runs, are one family for the
 correction: whatever is asked for and whatever has been run, the chance of any false verdict stays at most the
 list's alpha.
+
+Each contrast enters with one p-value, the lesser of what can decide it, corrected by Bonferroni. Not by Holm,
+whose steps suppose that what was found leaves fewer hypotheses that could still be true: a contrast found
+equivalent leaves the list because its effect looked small, and those that are left look large. Most lists of
+60 true equivalences, judged in steps, can hold a false difference. Why the lesser p-value bounds the chance
+of any false verdict, whatever the truth, is in docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -18,24 +24,16 @@ import numpy as np
 
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, find_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_effects, compare_with, undecided
+from pneuma.analysis.contrasts import Contrast, compare, compare_effects, undecided
 from pneuma.analysis.design import not_admitted, seeds_needed
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.verdicts import (
-    INCONCLUSIVE,
-    MIXED,
-    REFUTED,
-    SUPPORTED,
-    UNTESTABLE,
-    decide,
-    found,
-    of_outcomes,
-    smallest_p,
-    together,
-)
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
+
+SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
+INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
+VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
 """The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
@@ -43,7 +41,6 @@ WITH_CONTENT, BY_LETTER, OPEN, UNDECIDABLE, NOT_RUN = STANDINGS = (
     "decided with content", "decided by the letter", "open", "could not be decided", "not run yet",
 )  # fmt: skip
 """What verdicts come to, as they are counted (docs/evidence.md)."""
-VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 
 @dataclass(frozen=True)
@@ -215,10 +212,9 @@ def _judge_contrast(
         contrast = undecided(claim.kind, reason, (sizes[0], sizes[1]))
     elif claim.c:
         contrast = compare_effects(values, margin, level)
-    elif b is None:
-        contrast = compare_with(claim.kind, values[0], claim.value or 0.0, margin, generator, level)
     else:
-        contrast = compare(claim.kind, values[0], values[1], margin, generator, level)
+        against = (claim.value or 0.0) if b is None else values[1]
+        contrast = compare(claim.kind, values[0], against, margin, generator, level)
     verdict, p = decide(contrast, claim.direction, factor, alpha)
     smallest, needed = smallest_p(contrast, claim.direction), None
     if verdict == INCONCLUSIVE:  # equivalence may be shown by fewer runs than a difference takes
@@ -276,3 +272,75 @@ def _is_of_play(outcome: str) -> bool:
     """Tell whether more of an outcome is better play."""
     parts = [find_outcome(part) for part in outcome.split(MINUS)]
     return all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
+
+
+# --- Decisions -----------------------------------------------------------------------------------
+
+
+def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> tuple[str, float]:
+    """Return the verdict on one contrast of a list, and its p-value after the correction.
+
+    A claim that there is no difference is not refuted by one inside the margin, which counts as none: it
+    takes a difference beyond the margin, tested two-sided there.
+
+    Args:
+        contrast: the contrast.
+        claimed: the direction that is claimed of it.
+        factor: what its p-value is multiplied by: the number of contrasts in the list.
+        alpha: the chance of any false verdict in the list.
+    """
+    if claimed == "equal":
+        p_far = min(2 * min(contrast.p_far_less, contrast.p_far_greater), 1.0)
+        p, so = min(contrast.p_equivalent, p_far), contrast.p_equivalent <= p_far
+    else:
+        p, so = contrast.p_any, found(contrast) in _supporting(claimed)
+    corrected = min(p * factor, 1.0)
+    return (SUPPORTED if so else REFUTED) if corrected <= alpha else INCONCLUSIVE, corrected
+
+
+def found(contrast: Contrast) -> str:
+    """Return what a significant contrast shows: "greater", "less" or "equal".
+
+    It is what the lesser p-value says. To let the other one speak too would be a second test of the
+    same claim, which the correction did not count.
+    """
+    if contrast.p_equivalent < contrast.p_different:
+        return "equal"
+    return "greater" if contrast.p_greater < contrast.p_less else "less"
+
+
+def together(verdicts: Sequence[str], need: str) -> str:
+    """Return the verdict on a claim by those on its contrasts; empty where some of them is neither.
+
+    Args:
+        verdicts: of each contrast, at least one.
+        need: "all" or "any", of how many of its contrasts a claim speaks.
+    """
+    by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
+    if by_one in verdicts:
+        return by_one
+    return by_all if all(own == by_all for own in verdicts) else ""
+
+
+def of_outcomes(verdicts: Sequence[str]) -> str:
+    """Return the verdict on a claim by those on its outcomes, each supported, refuted or something else.
+
+    Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
+    contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
+    """
+    decided = {own for own in verdicts if own in (SUPPORTED, REFUTED)}
+    return MIXED if len(decided) == 2 else "".join(decided)
+
+
+def smallest_p(contrast: Contrast, claimed: str) -> float:
+    """Return the smallest p-value by which so many runs can support a claimed direction.
+
+    For equivalence it is a lower bound, but for shares, where it may be above what can be reached.
+    """
+    one_sided = {"greater": contrast.smallest_greater, "less": contrast.smallest_less}
+    least = min(one_sided.values())
+    return min(2 * one_sided[way] if way in one_sided else least for way in _supporting(claimed))
+
+
+def _supporting(claimed: str) -> tuple[str, ...]:
+    return ("greater", "less") if claimed == "different" else (claimed,)

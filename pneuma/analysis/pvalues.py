@@ -213,10 +213,10 @@ def incidence_p_values(
     """Test differences of shares exactly, given the (samples,) counts of runs with the event."""
 
     def above(difference: float) -> np.ndarray:
-        return p_share_greater(counts_a, runs_a, counts_b, runs_b, difference)
+        return share_table(runs_a, runs_b, difference)[counts_a, counts_b]
 
     def below(difference: float) -> np.ndarray:  # a below b by more: b above a by more
-        return p_share_greater(counts_b, runs_b, counts_a, runs_a, difference)
+        return share_table(runs_b, runs_a, difference)[counts_b, counts_a]
 
     at_zero = above(0.0), below(0.0)
     if margin is None or margin >= 1:
@@ -224,20 +224,13 @@ def incidence_p_values(
     return p_values(at_zero, (above(margin), below(-margin)), (above(-margin), below(margin)))
 
 
-def p_share_greater(
-    counts_a: np.ndarray, runs_a: int, counts_b: np.ndarray, runs_b: int, difference: float = 0.0
-) -> np.ndarray:
-    """Return the p-values that the share of a exceeds that of b by more than a difference, (samples,).
+@lru_cache(maxsize=256)
+def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray:
+    """Return p-values that the share of a exceeds that of b by more, (runs_a + 1, runs_b + 1).
 
     The test is exact and unconditional (Barnard 1945): tables are ordered by a score, and the p-value is the
     chance of one as extreme, at that common share which makes it greatest.
     """
-    return share_table(runs_a, runs_b, difference)[counts_a, counts_b]
-
-
-@lru_cache(maxsize=256)
-def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray:
-    """Return the p-value of every table, (runs_a + 1, runs_b + 1)."""
     score = _score(runs_a, runs_b, difference).ravel()
     order = np.argsort(-score, kind="stable")
     share_b = np.linspace(max(0.0, -difference), min(1.0, 1.0 - difference), SHARES)
@@ -292,7 +285,7 @@ def holm(p: ArrayLike) -> np.ndarray:
     """Return Holm's adjusted p-values, (tests,): each is to be held against the error rate of the list.
 
     Of each test one p-value, against one hypothesis; where it is the lesser of two, only Bonferroni's holds
-    (`pneuma.analysis.verdicts`). The least is multiplied by their number, the next by one less, and so on;
+    (`pneuma.analysis.judgement`). The least is multiplied by their number, the next by one less, and so on;
     none is less than one before it (Holm 1979).
     """
     p = np.asarray(p, dtype=float)

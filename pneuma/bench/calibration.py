@@ -16,11 +16,11 @@ import numpy as np
 from scipy import special
 
 from pneuma.analysis import intervals, pvalues
-from pneuma.analysis.bands import BANDS
 from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.curves import BANDS
 from pneuma.analysis.estimates import mean
+from pneuma.analysis.judgement import INCONCLUSIVE, decide, found
 from pneuma.analysis.pvalues import PValues
-from pneuma.analysis.verdicts import INCONCLUSIVE, decide, found
 
 LISTS = 2_000
 SEEDS = (3, 5, 10, 20, 50)
@@ -141,7 +141,7 @@ def wrong_lists(lists: int, draw: Draw, seeds: int, setting: Setting, generator:
     wrong = np.zeros(lists, dtype=bool)
     size = sum(setting.sizes.values())
     for kind, truth, row, contrast in _contrasts(arms, seeds, setting, generator):
-        verdict = decide(contrast, setting.claimed, size).verdict
+        verdict, _ = decide(contrast, setting.claimed, size)
         wrong[row // setting.sizes[kind]] |= is_false(verdict, contrast, truth, setting.claimed)
     return int(wrong.sum())
 

@@ -19,8 +19,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter
 
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.analysis.bands import BANDS, is_trusted
-from pneuma.analysis.curves import Curve, LogCurve, curve_names, shared_levels, study_curves
+from pneuma.analysis.curves import (
+    BANDS,
+    LEAST_COVERAGE,
+    Curve,
+    LogCurve,
+    curve_names,
+    is_trusted,
+    shared_levels,
+    study_curves,
+)
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.config import ACTION_NAMES
@@ -278,7 +286,7 @@ def _draw_means(
         whole = curve.count == len(curve.runs)
         if _shows_band(curve, band):
             low, high = curve.band(band)
-            if BANDS[band].about_mean:  # those that are left where others diverged are no sample
+            if band in LEAST_COVERAGE:  # those that are left where others diverged are no sample
                 low = np.where(whole, low, np.nan)
             axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
         if _shows_runs(curve, band):

@@ -21,10 +21,22 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis.claims import MINUS, Claim, load_claims
 from pneuma.analysis.intervals import decimals, shown
-from pneuma.analysis.judgement import BY_LETTER, NOT_RUN, STANDINGS, Comparison, Verdict, decisive_of, judge
+from pneuma.analysis.judgement import (
+    BY_LETTER,
+    INCONCLUSIVE,
+    MIXED,
+    NOT_RUN,
+    REFUTED,
+    STANDINGS,
+    SUPPORTED,
+    UNTESTABLE,
+    Comparison,
+    Verdict,
+    decisive_of,
+    judge,
+)
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.published import PUBLISHED
-from pneuma.analysis.verdicts import INCONCLUSIVE, MIXED, REFUTED, SUPPORTED, UNTESTABLE
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.study.files import write_whole
 from pneuma.study.store import Store

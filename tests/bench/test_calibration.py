@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.analysis import bands
-from pneuma.analysis.bands import BANDS, coverage, is_trusted
+from pneuma.analysis import curves
 from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.curves import coverage, is_trusted
 from pneuma.analysis.intervals import no_interval
-from pneuma.analysis.verdicts import decide
+from pneuma.analysis.judgement import decide
 from pneuma.bench.calibration import DISTRIBUTIONS, SETTINGS, band_coverage, is_false, wrong_lists
 
 
 def test_the_committed_coverages_are_those_that_are_drawn() -> None:
     generator = np.random.default_rng(1)
-    for i, seeds in enumerate(bands.COVERAGE_SEEDS):
-        for band, least in bands.LEAST_COVERAGE.items():
+    for i, seeds in enumerate(curves.COVERAGE_SEEDS):
+        for band, least in curves.LEAST_COVERAGE.items():
             drawn = [band_coverage(band, draw(generator, (3_000, seeds))) for draw in DISTRIBUTIONS.values()]
             assert min(drawn) == pytest.approx(least[i], abs=0.03), (band, seeds)
 
@@ -32,7 +32,6 @@ def test_between_two_numbers_of_runs_the_lesser_coverage_counts() -> None:
     assert coverage("ci", 4) == coverage("ci", 6) == 0.752
     assert coverage("ci", 1_000) == 0.942 and coverage("ci", 2) == 0
     assert is_trusted("ci", 20) and not is_trusted("ci", 19)
-    assert {name for name, band in BANDS.items() if band.about_mean} == {*bands.LEAST_COVERAGE}
     assert coverage("std", 50) is None and is_trusted("minmax", 3)
 
 
@@ -55,7 +54,7 @@ def test_what_counts_as_a_false_verdict(truth: str, claimed: str, p: tuple[float
         "mean", 0.0, no_interval(), greater, less, equal, (9, 9),
         p_far_greater=far_greater, p_far_less=far_less,
     )  # fmt: skip
-    assert is_false(decide(own, claimed, 60).verdict, own, truth, claimed) == wrong
+    assert is_false(decide(own, claimed, 60)[0], own, truth, claimed) == wrong
 
 
 def test_lists_on_one_arm_are_judged_falsely_no_more_often_than_they_may() -> None:
