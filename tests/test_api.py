@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -114,15 +113,3 @@ def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps
     assert [len(observations) for observations in seen] == [14] * 30  # none is bitten to death that soon
     assert row["length"] == 30
     assert len({observations.tobytes() for observations in seen}) > 1  # each is as it was when it was shown
-
-
-@pytest.mark.parametrize(
-    ("agent", "options", "told"),
-    [
-        (lambda seen: np.zeros(len(seen)), {}, "must be 12 whole numbers from 0 to 4"),
-        (POLICY, {"settings": {"perceive": "nearest:3"}}, "was trained on 60 features; these settings make"),
-    ],
-)
-def test_what_cannot_be_evaluated_is_told(agent: Any, options: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
-        evaluate(agent, **{"episodes": 12, **options})

@@ -9,8 +9,6 @@ import pytest
 from pneuma import doctor
 from pneuma.doctor import BROKEN, GOOD, Finding, examine
 
-from .cli.calls import call
-
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,19 +32,6 @@ def test_missing_and_old_packages_and_an_unknown_python_are_broken_and_named(
     assert found.state == BROKEN and found.told.startswith("no-such: not installed, needed is no-such")
     assert "numpy" in found.told and "pytest" not in found.told and "x:" not in found.told
     assert _find("python", tmp_path).state == BROKEN
-
-
-def test_the_command_ends_with_1_only_where_something_needed_is_broken(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(doctor, "EXTRAS", {"no_such_module": ("none", "nothing")})
-    code, out, _ = call("doctor", "--results", tmp_path)
-    assert code == 0 and "All that Pneuma needs is here" in out and "pip install '.[none]'" in out
-    monkeypatch.setattr(doctor, "TRIAL", "raise SystemExit(3)")
-    called = call("doctor", "--json", "--results", tmp_path)
-    assert (called.code, called.document["schema"], called.document["ok"]) == (1, 1, False)
-    (trial,) = [row for row in called.document["checks"] if row["state"] == "broken"]
-    assert trial["mend"] and set(trial) == {"check", "state", "told", "mend"}
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Point estimates against SciPy, and against rliable's published formulas written out again."""
+"""Estimates and intervals against SciPy, rliable's published formulas and laws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis import estimates
+from pneuma.analysis import estimates, intervals
+from pneuma.analysis.estimates import interquartile_mean, mean, median
+from pneuma.analysis.intervals import Interval
 
 ESTIMATES = (estimates.mean, estimates.median, estimates.interquartile_mean, estimates.deviation)
 
@@ -50,3 +52,76 @@ def test_equal_runs_have_no_deviation_at_all() -> None:
     assert np.std(np.full(10, 0.3), ddof=1) > 0
     assert estimates.deviation(np.full(10, 0.3)) == 0
     np.testing.assert_array_equal(estimates.deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
+
+
+# --- Intervals ------------------------------------------------------------------------------------
+
+RUNS = np.random.default_rng(1).gamma(2, size=12)
+OTHERS = np.random.default_rng(2).normal(3, 2, size=7)
+
+
+def ends(interval: Interval) -> tuple[float, float]:
+    return interval.low, interval.high
+
+
+def test_t_intervals_are_those_of_scipy() -> None:
+    one = stats.ttest_1samp(RUNS, 0).confidence_interval(0.9)
+    assert ends(intervals.mean_interval(RUNS, 0.9)) == pytest.approx((one.low, one.high), rel=1e-12)
+    two = stats.ttest_ind(RUNS, OTHERS, equal_var=False).confidence_interval(0.95)
+    assert ends(intervals.difference_interval(RUNS, OTHERS)) == pytest.approx((two.low, two.high), rel=1e-12)
+
+
+@pytest.mark.parametrize(("count", "runs"), [(0, 4), (1, 4), (4, 4), (3, 10), (17, 50)])
+def test_intervals_of_shares_are_those_of_scipy(count: int, runs: int) -> None:
+    exact = stats.binomtest(count, runs).proportion_ci(0.95, "exact")
+    own = intervals.incidence_interval(count, runs)
+    assert ends(own) == pytest.approx((exact.low, exact.high), abs=1e-9)
+
+
+def test_newcombes_own_example() -> None:
+    """Newcombe (1998), Table II: 56/70 − 48/80 by method 10 is 0.0524 to 0.3339."""
+    own = intervals.incidence_difference_interval(56, 70, 48, 80)
+    assert ends(own) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+
+
+def test_bca_is_close_to_scipys_with_resamples_of_its_own() -> None:
+    def drawn(statistic: object) -> tuple[float, float]:
+        theirs = stats.bootstrap(
+            (RUNS,),
+            statistic,
+            method="BCa",
+            n_resamples=20_000,
+            rng=np.random.default_rng(5),
+            vectorized=True,
+        ).confidence_interval
+        return float(theirs.low), float(theirs.high)
+
+    for statistic in (mean, interquartile_mean):
+        own = intervals.bootstrap_interval(RUNS, statistic, np.random.default_rng(6), resamples=20_000)
+        assert ends(own) == pytest.approx(drawn(lambda x, axis, s=statistic: s(x)), abs=0.03)
+
+
+def test_intervals_of_deviations_cover_of_normal_runs() -> None:
+    generator = np.random.default_rng(8)
+    alone = [intervals.deviation_interval(runs) for runs in generator.normal(size=(600, 20))]
+    assert np.mean([own.low <= 1 <= own.high for own in alone]) > 0.92
+
+
+@pytest.mark.parametrize("runs", [[], [3.0], [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]])
+def test_too_few_or_equal_runs_have_no_interval(runs: list[float]) -> None:
+    generator = np.random.default_rng(0)
+    for own in (
+        intervals.mean_interval(runs),
+        intervals.difference_interval(runs, runs),
+        intervals.deviation_interval(runs),
+        intervals.bootstrap_interval(runs, mean, generator),
+    ):
+        assert own.method == "none" and np.isnan([own.low, own.high]).all() and not own.exists
+    assert not intervals.incidence_interval(0, 0).exists
+
+
+def test_a_median_of_runs_that_are_nearly_all_equal_has_no_interval() -> None:
+    """Of six runs of seven at 0, hardly a resample's median is anything else: [0, 0] would claim too much."""
+    runs = [0.0] * 6 + [0.5]
+    assert not intervals.bootstrap_interval(runs, median, np.random.default_rng(0)).exists
+    assert intervals.bootstrap_interval(runs, mean, np.random.default_rng(0)).exists

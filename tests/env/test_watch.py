@@ -63,15 +63,6 @@ def test_gymnasium_gets_frames_of_every_environment(name: str, arena: str) -> No
     env.close()
 
 
-def test_each_slot_of_a_vector_environment_gets_a_frame_of_its_own_player(arena: str) -> None:
-    env = PneumaVectorEnv(4, players=2, level=arena, render_mode="rgb_array", camera="follow")
-    env.reset(seed=0)
-    env.step(np.array([ATTACK, RIGHT, RIGHT, RIGHT]))
-    painter = Renderer(env.state, "follow")
-    for slot, frame in enumerate(env.render()):
-        assert np.array_equal(frame, painter.frame(slot // 2, slot % 2))
-
-
 @pytest.mark.parametrize(
     ("make", "action"),
     [

@@ -8,7 +8,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.engines.base import Progress
-from pneuma.engines.records import Checkpoint, CheckpointError, Records
+from pneuma.engines.records import Checkpoint, Records
 from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
 from pneuma.study.provenance import Attempt
@@ -100,16 +100,6 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) 
     checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
     assert begin(store).latest() is None  # it starts anew
     assert steps(store) == []
-
-
-def test_one_that_the_engine_refuses_is_given_up_aloud(store: Store) -> None:
-    for step in (256, 512):
-        tell(begin(store), step, at_once=True)
-    said: list[str] = []
-    own = begin(store, said=said)
-    assert own.give_up(CheckpointError("another layout"))
-    assert steps(store) == [256] and said == ["the checkpoint at step 512 is given up: another layout"]
-    assert own.give_up(CheckpointError("another layout")) and not own.give_up(CheckpointError("none"))
 
 
 def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
