@@ -21,8 +21,8 @@ from pneuma.config import as_fields, env_config, make_run
 from pneuma.errors import UserError
 from pneuma.search.space import Space
 from pneuma.search.spec import Budget
-from pneuma.search.storage import Outcomes, Searched
-from pneuma.search.trials import Task, Told, objective_value
+from pneuma.search.storage import Searched
+from pneuma.search.trials import Outcomes, Task, Told, objective_value
 from pneuma.study.plan import Plan
 from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store

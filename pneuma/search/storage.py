@@ -1,4 +1,4 @@
-"""A search in a results folder: its outcomes, its record, and the lock that keeps a second process out.
+"""A search in a results folder: its record, and the lock that keeps a second process out.
 
 The record results/searches/NAME.json is rewritten after every generation. A copy of it in
 results/published/searches is for version control, and is read wherever the search was not run. A record
@@ -14,19 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.analysis.run_index import open_study
 from pneuma.config import Run, read_fields
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.optuna_study import ended_study, frozen_trials, new_journal
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
-from pneuma.search.trials import Task, Told, Train, best_number, conduct, make_trial_plan
-from pneuma.study.execute import check_environments, selection_record
+from pneuma.search.trials import Outcomes, Task, Told, Train, best_number, conduct
+from pneuma.study.execute import check_environments
 from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.locks import RunLock
-from pneuma.study.plan import Cell
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, check_world, in_world, split_world
 
@@ -85,41 +80,6 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
 def journal_path(store: Store, name: str) -> Path:
     """Return the file of a search that optuna-dashboard reads."""
     return store.root / FOLDER / f"{name}.journal"
-
-
-class Outcomes:
-    """Outcomes of stored runs as a search counts them.
-
-    A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
-    there is such a bound, and with its last recorded value where there is none.
-    """
-
-    def __init__(self, task: Task, store: Store) -> None:
-        self._task = task
-        self._store = store
-        self._values: dict[tuple[str, str], float] = {}
-
-    def read(self, cell: Cell, name: str) -> float:
-        """Return an outcome of a finished run; NaN where it has none."""
-        key = (cell.run_id, name)
-        if key not in self._values:
-            self._values[key] = self._measure(cell, name)
-        return self._values[key]
-
-    def diverged(self, cell: Cell) -> bool:
-        """Tell whether a finished run diverged."""
-        return self._store.status(cell.run_id).name == "diverged"
-
-    def _measure(self, cell: Cell, name: str) -> float:
-        if self.diverged(cell):
-            sought = [own for own in self._task.search.objectives if own.over_seeds != "deviation"]
-            minimized = any((own.outcome, own.direction) == (name, "minimize") for own in sought)
-            worst = find_outcome(name).bounds[minimized]
-            if np.isfinite(worst):
-                return float(worst)
-        record = selection_record(make_trial_plan(self._task, [cell]))
-        data = open_study(self._store, record, "none")
-        return outcome(data, data.runs[0], name)
 
 
 # --- The record ------------------------------------------------------------------------------------

@@ -13,33 +13,26 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import optuna
 
 from pneuma.analysis.estimates import interquartile_mean
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.outcomes import find_outcome, outcome
+from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import Budget, Objective, Search
+from pneuma.study.execute import selection_record
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
+from pneuma.study.store import Store
 
 Train = Callable[[Plan], None]
 """Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
-
-
-class Outcomes(Protocol):
-    """What finished runs came to."""
-
-    def read(self, cell: Cell, name: str) -> float:
-        """Return an outcome of a run; NaN where it has none."""
-
-    def diverged(self, cell: Cell) -> bool:
-        """Tell whether a run diverged."""
 
 
 class Unfinished(Exception):
@@ -129,6 +122,41 @@ class _Asked:
         """Return the cells of its longest training."""
         longest = max((cell.run.steps for cell in self.cells), default=0)
         return [cell for cell in self.cells if cell.run.steps == longest]
+
+
+class Outcomes:
+    """Outcomes of stored runs as a search counts them.
+
+    A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
+    there is such a bound, and with its last recorded value where there is none.
+    """
+
+    def __init__(self, task: Task, store: Store) -> None:
+        self._task = task
+        self._store = store
+        self._values: dict[tuple[str, str], float] = {}
+
+    def read(self, cell: Cell, name: str) -> float:
+        """Return an outcome of a finished run; NaN where it has none."""
+        key = (cell.run_id, name)
+        if key not in self._values:
+            self._values[key] = self._measure(cell, name)
+        return self._values[key]
+
+    def diverged(self, cell: Cell) -> bool:
+        """Tell whether a finished run diverged."""
+        return self._store.status(cell.run_id).name == "diverged"
+
+    def _measure(self, cell: Cell, name: str) -> float:
+        if self.diverged(cell):
+            sought = [own for own in self._task.search.objectives if own.over_seeds != "deviation"]
+            minimized = any((own.outcome, own.direction) == (name, "minimize") for own in sought)
+            worst = find_outcome(name).bounds[minimized]
+            if np.isfinite(worst):
+                return float(worst)
+        record = selection_record(make_trial_plan(self._task, [cell]))
+        data = open_study(self._store, record, "none")
+        return outcome(data, data.runs[0], name)
 
 
 def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]]:

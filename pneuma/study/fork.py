@@ -186,21 +186,17 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
             f"--at {at}: run {parent} ends at step {whole.steps}, so nothing would be left to train"
         )
     files = checkpoint_files(store.run_folder(parent))
-    if not files and whole.parent:
-        raise UserError(
-            f"run {parent} keeps no checkpoints, as it is a fork: fork run {whole.parent} with both changes"
-        )
     if not files:
-        raise UserError(
-            f"run {parent} kept no checkpoints: remove {store.run_folder(parent)} and run a study of it "
-            "whose file has keep_checkpoints = 20 at the top; it ends with the same bits"
+        mend = (
+            f"remove {store.run_folder(parent)} and run a study of it with keep_checkpoints = 20 at the top"
         )
-    before = [file for file in files if file.step <= at]
-    if not before:
-        raise UserError(f"--at {at}: the first checkpoint of run {parent} is at step {files[-1].step}")
-    sound = next((file.step for file in before if read_checkpoint(file)), None)
+        if whole.parent:
+            mend = f"as it is a fork: fork run {whole.parent} with both changes"
+        raise UserError(f"run {parent} kept no checkpoints: {mend}")
+    sound = next((file.step for file in files if file.step <= at and read_checkpoint(file)), None)
     if sound is None:
-        raise UserError(f"--at {at}: the checkpoints of run {parent} up to there are damaged")
+        told = f"the first checkpoint of run {parent} is at step {files[-1].step}"
+        raise UserError(f"--at {at}: none is sound up to there; {told}")
     return sound
 
 

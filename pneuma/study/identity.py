@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields, read_field
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_field
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
@@ -22,6 +22,7 @@ _FILES = {
     WRAPPERS: ("pneuma.engines.gymnasium_env", "wrapper_files"),
 }
 """What tells, of a user's own, the files to hash."""
+_DEEDS = {REWARD: "run the reward", MODULE: "run the module", WRAPPERS: "run the wrapper"}
 
 
 def run_id(run: Run) -> str:
@@ -80,11 +81,5 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
     """
     keys = (key for key in _FILES if fields.get(key) is not None)
     own = own_names({key: read_field(Run, key, fields[key]) for key in keys})
-    found = {REWARD: f"run the reward {', '.join(own[REWARD])}"} if REWARD in own else {}
-    if MODULE in own:
-        found[MODULE] = f"run the module {own[MODULE]}"
-    if WRAPPERS in own:
-        found[WRAPPERS] = f"run the wrapper {', '.join(own[WRAPPERS])}"
-    if fields.get("env") == GODOT and fields.get("env_kwargs"):
-        found["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
-    return found | {key: f"read the {key} {own[key]}" for key in (LEVEL, CHARACTERS) if key in own}
+    told = {key: value if isinstance(value, str) else ", ".join(value) for key, value in own.items()}
+    return {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in told.items()}

@@ -135,7 +135,7 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
         return found
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
-    return {condition: study.preset(name).of(condition) for condition in study.conditions}
+    return {condition: study.presets[name].of(condition) for condition in study.conditions}
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}

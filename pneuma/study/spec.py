@@ -135,19 +135,9 @@ class Study:
     @property
     def own_path(self) -> str | None:
         """The path of a user's own file; None for a shipped study, and for one that is no file."""
-        if self.path is None or is_shipped_file(self.path):
+        if self.path is None or self.path.resolve().parent == studies_folder().resolve():
             return None
         return str(self.path.resolve())
-
-    def preset(self, name: str) -> Preset:
-        """Return a preset by its name.
-
-        Raises:
-            UserError: when the study has none of that name.
-        """
-        if name not in self.presets:
-            raise unknown_name(f"preset of study {self.name}", name, self.presets)
-        return self.presets[name]
 
 
 def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
@@ -282,11 +272,6 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
         raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
     if (world := split_world(path.stem)[1]) != TEXT:
         raise UserError(f"{path}: a name with -{world} stands for the world; give yours another file name")
-
-
-def is_shipped_file(path: Path) -> bool:
-    """Tell whether a study's file is one of the toolkit's own, however its path is given."""
-    return path.resolve().parent == studies_folder().resolve()
 
 
 def run_command(name: str, path: object = None) -> str:

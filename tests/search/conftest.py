@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.trials import Task, Told, conduct
+from pneuma.search.trials import Outcomes, Task, Told, conduct
 from pneuma.study.plan import Cell, Plan
 
 SPACE = """
@@ -51,7 +51,7 @@ def height(cell: Cell, outcome: str) -> float:
     return 1 - 0.2 * distance - 0.1 * (run.activation == "relu") + 0.01 * (run.seed % 2)
 
 
-class Formula:
+class Formula(Outcomes):
     """Outcomes of runs that nobody trained."""
 
     def __init__(self, read: ReadOutcome = height, diverged: bool = False) -> None:

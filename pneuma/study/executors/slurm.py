@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
@@ -183,7 +183,7 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
         _put_away(store, queued(store))
 
 
-# --- What was submitted -------------------------------------------------------------------------------
+# --- The queue, and what was submitted to it ----------------------------------------------------------
 
 
 def _folder(store: Store) -> Path:
@@ -207,11 +207,7 @@ def _put_away(store: Store, live: Iterable[str]) -> None:
                 shutil.rmtree(_folder(store) / name, ignore_errors=True)
 
 
-# --- The queue ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """A job as the queue has it: its id and state, and the node that it runs on or why it does not."""
 
     id: str
