@@ -1,6 +1,7 @@
-"""Train CartPole-v1 by Stable-Baselines3 alone, as rl-baselines3-zoo tuned its PPO, to set beside `cartpole.toml`.
+"""Train CartPole-v1 by Stable-Baselines3 alone, as rl-baselines3-zoo tuned its PPO.
 
-Prints the return of 20 episodes with drawn actions after 100,000 steps, for each of ten seeds, and their mean.
+Prints the return of 20 episodes with drawn actions after 100,000 steps, for each of ten seeds, and the mean:
+something to set beside `cartpole.toml`.
 """
 
 from statistics import mean
