@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pneuma.analysis import intervals, pvalues
-from pneuma.analysis.estimates import finite
-from pneuma.analysis.intervals import Interval, no_interval
+from pneuma.analysis.intervals import Interval, finite, no_interval
 from pneuma.analysis.pvalues import PValues
 
 LEVEL = 0.05
@@ -161,7 +160,7 @@ def compare_effects(
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
     tails = pvalues.student_tails(shifted, np.full(shifted.shape, error), freedom)
     make = partial(intervals.around, effect, error, freedom, method="Welch t, four arms")
-    return _contrast("mean", effect, make, level, pvalues.by_shift(*tails, 1), seeds, (0.0, 0.0))
+    return _contrast("mean", effect, make, level, pvalues.p_values(*tails, 1), seeds, (0.0, 0.0))
 
 
 def undecided(

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
-from pneuma.analysis.estimates import finite
 from pneuma.analysis.frames import StudyData, common_step
+from pneuma.analysis.intervals import finite
 from pneuma.analysis.outcomes import (
     find_outcome,
     outcome_values,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.estimates import finite
+from pneuma.analysis.intervals import finite
 from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
 
 MOST_SEEDS = 10_000

@@ -1,4 +1,8 @@
-"""Intervals: between what bounds an estimate over runs lies.
+"""Estimates and intervals: what one number per run comes to, over runs, and between what bounds it lies.
+
+The seed is the unit. Estimates take finite values with the runs along the last axis and give one number for
+each row, NaN of no runs. A value that is not finite is refused, so that the caller drops it, counts it and
+says so.
 
 Every interval has its level and its method. Where there are too few runs, or none that differ, there is
 none: its ends are NaN and its method is "none". What each covers at which number of runs is printed by
@@ -15,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis.estimates import finite, welch_error
-
+TRIMMED = 0.25
+"""The share of runs that an interquartile mean leaves out at each end."""
 LEVEL = 0.95
 LEAST_RESAMPLED = 3
 """Runs of which there is a bootstrap interval."""
@@ -25,6 +29,98 @@ SIGNIFICANT = 2
 """Digits of the half width of an interval that are shown."""
 ALONE = 3
 """Digits of a number without an interval."""
+
+
+# --- Estimates -------------------------------------------------------------------------------------
+
+
+def finite(values: ArrayLike) -> np.ndarray:
+    """Return values as an array of floats, at least one-dimensional.
+
+    Raises:
+        ValueError: if one is not finite; its caller should have dropped and counted it.
+    """
+    array = np.atleast_1d(np.asarray(values, dtype=float))
+    if not np.isfinite(array).all():
+        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} values are not finite")
+    return array
+
+
+def mean(values: ArrayLike) -> np.ndarray:
+    """Return the mean over the last axis, (…, runs) to (…)."""
+    runs = finite(values)
+    return runs.mean(axis=-1) if runs.shape[-1] else _nothing(runs)
+
+
+def median(values: ArrayLike) -> np.ndarray:
+    """Return the median over the last axis, (…, runs) to (…)."""
+    runs = finite(values)
+    return np.median(runs, axis=-1) if runs.shape[-1] else _nothing(runs)
+
+
+def interquartile_mean(values: ArrayLike) -> np.ndarray:
+    """Return the mean of the middle half over the last axis, (…, runs) to (…).
+
+    A quarter of the runs, rounded down, is left out at each end, as in rliable (Agarwal et al. 2021)
+    and SciPy's `trim_mean`: of three runs or fewer it is the mean.
+    """
+    runs = finite(values)
+    cut = int(TRIMMED * runs.shape[-1])
+    return mean(np.sort(runs, axis=-1)[..., cut : runs.shape[-1] - cut])
+
+
+def deviation(values: ArrayLike) -> np.ndarray:
+    """Return the sample standard deviation over the last axis, NaN of fewer than two runs.
+
+    Of equal runs it is 0, which the mean's last bit would hide.
+    """
+    runs = finite(values)
+    if runs.shape[-1] < 2:
+        return _nothing(runs)
+    return np.where(np.ptp(runs, axis=-1) > 0, runs.std(axis=-1, ddof=1), 0.0)
+
+
+def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> np.ndarray:
+    """Return the share of runs above each threshold, (runs,) and (thresholds,) to (thresholds,).
+
+    Source: rliable's `create_performance_profile`: strictly above.
+    """
+    runs, levels = finite(values), finite(thresholds)
+    return mean((runs > levels[:, None]).astype(float))
+
+
+def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
+    """Return the chance that a run of a is above a run of b; a tie counts one half.
+
+    Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U over both counts.
+    """
+    first, second = finite(a), finite(b)
+    if not first.size or not second.size:
+        return float("nan")
+    difference = first[:, None] - second[None, :]
+    return float(((difference > 0) + 0.5 * (difference == 0)).mean())
+
+
+def _nothing(runs: np.ndarray) -> np.ndarray:
+    return np.full(runs.shape[:-1], np.nan)[()]
+
+
+def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard error of a difference of means and its degrees of freedom.
+
+    Source: Welch (1947). Arms that do not spread have an error of 0, and 1 degree.
+
+    Args:
+        a: (..., runs) of one arm.
+        b: (..., runs) of the other.
+    """
+    part_a, part_b = (arm.var(axis=-1, ddof=1) / arm.shape[-1] for arm in (a, b))
+    squared = np.asarray(part_a + part_b)
+    below = part_a**2 / (a.shape[-1] - 1) + part_b**2 / (b.shape[-1] - 1)
+    return np.sqrt(squared), np.divide(squared**2, below, out=np.ones_like(squared), where=below > 0)
+
+
+# --- Intervals -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -146,7 +242,7 @@ def bootstrap_interval(
 
     Args:
         values: (runs,).
-        statistic: works along the last axis, as those of `pneuma.analysis.estimates` do.
+        statistic: works along the last axis, as `mean` and `median` do.
         generator: draws the resamples.
         level: how often it is to cover. With few runs it covers less: see docs/evidence.md.
         resamples: how many to draw.

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis.estimates import welch_error
+from pneuma.analysis.intervals import welch_error
 
 MOST_COUNTED = 200_000
 """More relabelings than this are drawn and not counted out; of ten runs against ten there are 184,756."""
@@ -60,23 +60,16 @@ class PValues(NamedTuple):
     far_less: np.ndarray
 
 
-def p_values(at_zero: OneSided, at_margin: OneSided | None = None, below: OneSided | None = None) -> PValues:
-    """Combine p-values of an effect being above, and below, zero, the margin, and minus the margin."""
-    if at_margin is None or below is None:
-        none = np.ones_like(at_zero[0])
-        return PValues(*at_zero, none, none, none)
-    equivalent = np.maximum(at_margin[1], below[0])
-    return PValues(*at_zero, equivalent, at_margin[0], below[1])
-
-
-def by_shift(p_greater: np.ndarray, p_less: np.ndarray, samples: int) -> PValues:
-    """Sort p-values of samples that were shifted by nothing, down by the margin, and up by it."""
-    greater, less = p_greater.reshape(-1, samples), p_less.reshape(-1, samples)
-    return p_values(*zip(greater, less, strict=True))
+def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> PValues:
+    """Combine p-values of an effect being above, and below, zero, and either margin if there is one."""
+    greater, less = np.reshape(p_greater, (-1, samples)), np.reshape(p_less, (-1, samples))
+    if len(greater) == 1:
+        return PValues(greater[0], less[0], *np.ones((3, samples)))
+    return PValues(greater[0], less[0], np.maximum(less[1], greater[2]), greater[1], less[2])
 
 
 def shifts(margin: float | None) -> list[float]:
-    """Return what `by_shift` expects the first arm to be shifted by."""
+    """Return what the first arm is shifted by, so that an effect of zero, or of either margin, is at zero."""
     return [0.0] if margin is None else [0.0, -margin, margin]
 
 
@@ -158,7 +151,7 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np
     arm_a, arm_b = np.split(scaled(rows), [a.shape[1]], axis=1)
     by_student = student_tails(arm_a.mean(axis=1) - arm_b.mean(axis=1), *welch_error(arm_a, arm_b))
     p_greater, p_less = map(np.maximum, relabeled, by_student)
-    return by_shift(p_greater, p_less, len(a))
+    return p_values(p_greater, p_less, len(a))
 
 
 def _welch(samples: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -201,7 +194,7 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
     errors = np.tile(deviation, len(rows) // len(samples)) / np.sqrt(samples.shape[1]) / size
     by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
     p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
-    return by_shift(p_greater, p_less, len(samples))
+    return p_values(p_greater, p_less, len(samples))
 
 
 # --- Shares ----------------------------------------------------------------------------------------
@@ -218,10 +211,8 @@ def incidence_p_values(
     def below(difference: float) -> np.ndarray:  # a below b by more: b above a by more
         return share_table(runs_b, runs_a, difference)[counts_b, counts_a]
 
-    at_zero = above(0.0), below(0.0)
-    if margin is None or margin >= 1:
-        return p_values(at_zero)
-    return p_values(at_zero, (above(margin), below(-margin)), (above(-margin), below(margin)))
+    at = [0.0] if margin is None or margin >= 1 else [0.0, margin, -margin]
+    return p_values([above(own) for own in at], [below(-own) for own in at], len(counts_a))
 
 
 @lru_cache(maxsize=256)
@@ -273,9 +264,9 @@ def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: floa
         above = np.where(counts > 0, special.bdtrc(np.maximum(counts - 1, 0), runs, share), 1.0)
         return above, special.bdtr(counts, runs, share)
 
-    if margin is None:
-        return p_values(one_sided(value))
-    return p_values(one_sided(value), one_sided(value + margin), one_sided(value - margin))
+    at = [value] if margin is None else [value, value + margin, value - margin]
+    sided = np.array([one_sided(own) for own in at])  # (shares, 2, samples)
+    return p_values(sided[:, 0], sided[:, 1], len(counts))
 
 
 # --- Many tests at once ----------------------------------------------------------------------------

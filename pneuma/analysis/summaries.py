@@ -13,13 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.estimates import (
-    deviation,
-    interquartile_mean,
-    mean,
-    median,
-    probability_of_improvement,
-)
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.intervals import (
     LEAST_RESAMPLED,
@@ -27,11 +20,16 @@ from pneuma.analysis.intervals import (
     RESAMPLES,
     Interval,
     bootstrap_interval,
+    deviation,
     deviation_interval,
     difference_interval,
     incidence_interval,
+    interquartile_mean,
+    mean,
     mean_interval,
+    median,
     no_interval,
+    probability_of_improvement,
 )
 from pneuma.analysis.outcomes import (
     PRIMARY,

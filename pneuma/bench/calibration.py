@@ -18,7 +18,7 @@ from scipy import special
 from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.curves import BANDS
-from pneuma.analysis.estimates import mean
+from pneuma.analysis.intervals import mean
 from pneuma.analysis.judgement import INCONCLUSIVE, decide, found
 from pneuma.analysis.pvalues import PValues
 

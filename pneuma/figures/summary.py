@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, shared_levels
-from pneuma.analysis.estimates import performance_profile
 from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.intervals import performance_profile
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import optuna
 
-from pneuma.analysis.estimates import interquartile_mean
+from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run

@@ -8,22 +8,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis import estimates, intervals
-from pneuma.analysis.estimates import interquartile_mean, mean, median
-from pneuma.analysis.intervals import Interval
+from pneuma.analysis import intervals
+from pneuma.analysis.intervals import Interval, interquartile_mean, mean, median
 
-ESTIMATES = (estimates.mean, estimates.median, estimates.interquartile_mean, estimates.deviation)
+ESTIMATES = (intervals.mean, intervals.median, intervals.interquartile_mean, intervals.deviation)
 
 
 @pytest.mark.parametrize("runs", [1, 2, 3, 4, 5, 8, 10, 17, 50])
 def test_estimates_are_those_of_scipy_and_rliable(runs: int) -> None:
     values = np.random.default_rng(runs).standard_t(2, runs)
     trimmed = stats.trim_mean(values, proportiontocut=0.25)  # rliable's aggregate_iqm is this call
-    assert estimates.interquartile_mean(values) == pytest.approx(trimmed, rel=1e-12)
-    assert estimates.mean(values) == pytest.approx(math.fsum(values) / runs, rel=1e-12)
-    assert estimates.median(values) == pytest.approx(stats.scoreatpercentile(values, 50), rel=1e-12)
+    assert intervals.interquartile_mean(values) == pytest.approx(trimmed, rel=1e-12)
+    assert intervals.mean(values) == pytest.approx(math.fsum(values) / runs, rel=1e-12)
+    assert intervals.median(values) == pytest.approx(stats.scoreatpercentile(values, 50), rel=1e-12)
     if runs > 1:
-        assert estimates.deviation(values) == pytest.approx(stats.tstd(values), rel=1e-12)
+        assert intervals.deviation(values) == pytest.approx(stats.tstd(values), rel=1e-12)
 
 
 def test_each_row_is_estimated_for_itself() -> None:
@@ -36,9 +35,9 @@ def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None
     generator = np.random.default_rng(3)
     a, b = generator.integers(0, 5, 9), generator.integers(1, 6, 14)
     u = stats.mannwhitneyu(a, b).statistic  # rliable divides it by both counts
-    assert estimates.probability_of_improvement(a, b) == pytest.approx(u / (9 * 14), rel=1e-12)
-    assert estimates.probability_of_improvement([1, 1], [1]) == 0.5
-    assert math.isnan(estimates.probability_of_improvement([], [1]))
+    assert intervals.probability_of_improvement(a, b) == pytest.approx(u / (9 * 14), rel=1e-12)
+    assert intervals.probability_of_improvement([1, 1], [1]) == 0.5
+    assert math.isnan(intervals.probability_of_improvement([], [1]))
 
 
 def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
@@ -50,8 +49,8 @@ def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
 def test_equal_runs_have_no_deviation_at_all() -> None:
     """Ten times 0.3 have a mean of 0.29999999999999993, from which NumPy's deviation is 6e-17."""
     assert np.std(np.full(10, 0.3), ddof=1) > 0
-    assert estimates.deviation(np.full(10, 0.3)) == 0
-    np.testing.assert_array_equal(estimates.deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
+    assert intervals.deviation(np.full(10, 0.3)) == 0
+    np.testing.assert_array_equal(intervals.deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
 
 
 # --- Intervals ------------------------------------------------------------------------------------
