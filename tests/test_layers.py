@@ -36,6 +36,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study": (),
     # what runs in the worker's own process:
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
+    "pneuma.study.live": ("pneuma.engines.base", "pneuma.engines.records"),
     # what says that programs have to be compiled:
     "pneuma.study.checkpoints": (
         "pneuma.engines.base", "pneuma.engines.records",

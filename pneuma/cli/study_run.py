@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import command, print_json, print_table, say
-from pneuma.errors import UserError
+from pneuma.cli.output import check_folder, command, print_json, print_table, say
+from pneuma.errors import UserError, install_extra
 from pneuma.reading import read_whole
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
@@ -83,6 +86,9 @@ def run(
         float,
         typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
     ] = 15.0,
+    tensorboard: Annotated[
+        Path | None, opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train.")
+    ] = None,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
     json: opt.Json = False,
@@ -96,6 +102,7 @@ def run(
         workers=opt.most_workers(workers, place),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
+        logs=_log_folders(planned, tensorboard) if tensorboard else {},
     )
     return train(planned, store, how, retry_failed, json, quiet)
 
@@ -145,6 +152,16 @@ def train(
                 rows.append({**_cell(cell), "status": status.name, "trained": trained})
         print_json({"study": planned.study.name, "runs": rows})
     return code
+
+
+def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
+    """Return where the TensorBoard log of each run is to lie, by names that `pneuma import` reads."""
+    if find_spec("tensorboard") is None:
+        raise UserError(f"--tensorboard needs the tensorboard package: {install_extra('tensorboard')}")
+    check_folder(folder)
+    of_study = folder.resolve() / planned.study.name
+    names = {name: re.sub(r"[^\w.=-]", "-", name) for name in planned.conditions}
+    return {cell.run_id: str(of_study / f"{names[cell.condition]}_{cell.seed}") for cell in planned.cells}
 
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:

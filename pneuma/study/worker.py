@@ -19,8 +19,8 @@ import threading
 import time
 import traceback
 from collections.abc import Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -31,6 +31,7 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.identity import run_id
+from pneuma.study.live import LiveLog
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import Status, Store, run_document, to_json
 
@@ -48,6 +49,7 @@ class Job:
         checkpoint_seconds: time between two checkpoints of a run.
         keep: how many checkpoints of each run to keep when it has ended.
         last_try: whether a crash counts, and is stored.
+        logs: folders of TensorBoard logs by run, of those that are to have one.
     """
 
     store: Store
@@ -55,6 +57,7 @@ class Job:
     checkpoint_seconds: float = 15.0
     keep: int = 0
     last_try: bool = True
+    logs: Mapping[str, str] = field(default_factory=dict)
 
 
 def main() -> int:
@@ -159,6 +162,7 @@ def _train_once(
     start = checkpoints.latest()
     first = start.step if start else 0
     attempt = Attempt(first)
+    log = LiveLog(job.logs[name], first) if name in job.logs else None
     reporter.send("step", name, step=first)
     reporter.send("passing", name, text=BEGINS)
 
@@ -167,9 +171,17 @@ def _train_once(
         reporter.step(name, progress.step)
         stopping = stop.is_set()
         checkpoints.update(progress, attempt, stopping)
+        if log:
+            with suppress(OSError):  # a full disk: training goes on
+                log.update(progress)
         return not stopping
 
-    (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+    try:
+        (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+    finally:
+        if log:
+            with suppress(OSError):
+                log.close()
     status = Status(result.status, result.step)
     if status.name != "stopped":
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])

@@ -20,7 +20,7 @@ need. Whatever one does, it keeps these promises:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Protocol, cast
 
@@ -43,6 +43,7 @@ class Supervision:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
         keep_checkpoints: how many of each run to keep for forks.
+        logs: folders of TensorBoard logs by run, of those that are to have one.
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
         slurm: what each job asks Slurm for, as pairs of an option of sbatch and its value.
@@ -52,6 +53,7 @@ class Supervision:
     workers: int = 1
     checkpoint_seconds: float = 15.0
     keep_checkpoints: int = 0
+    logs: Mapping[str, str] = field(default_factory=dict)
     executor: str = LOCAL
     address: str | None = None
     slurm: tuple[tuple[str, str], ...] = ()

@@ -205,6 +205,7 @@ class Supervisor:
                 "checkpoint_seconds": self._how.checkpoint_seconds,
                 "keep": self._how.keep_checkpoints,
                 "last_try": task.tries == TRIES,
+                "logs": {name: folder for name, folder in self._how.logs.items() if name in task.group},
             }
             worker = _Worker(self._start(job), task)
             self._selector.register(worker.process.events, selectors.EVENT_READ, worker)

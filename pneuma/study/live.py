@@ -1,0 +1,79 @@
+"""A TensorBoard log of a run while it trains, with the tags of Stable-Baselines3 and CleanRL.
+
+    records of an update → events in DIR/STUDY/CONDITION_SEED, beside what the run itself leaves
+
+It reads what the run wrote down and changes nothing of it; TensorBoard's writer has a thread of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from pneuma.engines.base import Progress
+from pneuma.engines.records import Row
+
+FLUSH_SECONDS = 5
+TRAILING_EPISODES = 100
+"""Over which Stable-Baselines3 averages returns and lengths."""
+
+EPISODE_TAGS = {"return": "charts/episodic_return", "length": "charts/episodic_length"}
+TRAILING_TAGS = {"return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"}
+UPDATE_TAGS = {"policy_loss": "train/policy_gradient_loss", "entropy": "train/entropy_loss"}
+"""Other columns of the metrics are called train/COLUMN. Stable-Baselines3 logs entropy as a loss: negated."""
+EVALUATION_TAGS = {"return": "eval/mean_reward", "length": "eval/mean_ep_length"}
+
+
+class LiveLog:
+    """Writes the log of one run, from the step where it begins or goes on."""
+
+    def __init__(self, folder: str, first: int) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+        self._event = Event
+        self._writer = EventFileWriter(folder, flush_secs=FLUSH_SECONDS)
+        self._first = first
+        self._seen: dict[str, int] = {}
+        if first:  # what was logged from there on before a kill is replaced
+            started = SessionLog(status=SessionLog.START)
+            self._writer.add_event(Event(wall_time=time.time(), step=first + 1, session_log=started))
+
+    def update(self, progress: Progress) -> None:
+        """Write what an update added."""
+        records = progress.records
+        for row in self._new("episodes", records.episodes):
+            self._write(row["step"], {tag: row[name] for name, tag in EPISODE_TAGS.items()})
+        if recent := records.episodes[-TRAILING_EPISODES:]:
+            means = {
+                tag: sum(row[name] for row in recent) / len(recent) for name, tag in TRAILING_TAGS.items()
+            }
+            self._write(progress.step, means)
+        for row in self._new("metrics", records.metrics):
+            self._write(row["step"], _tagged(row, "train", UPDATE_TAGS))
+        for row in self._new("evaluations", records.evaluations):
+            self._write(row["step"], _tagged(row, "eval", EVALUATION_TAGS))
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._writer.close()
+
+    def _new(self, table: str, rows: list[Row]) -> list[Row]:
+        """Return the rows of a table that were not written yet, of this attempt alone."""
+        seen, self._seen[table] = self._seen.get(table, 0), len(rows)
+        return [row for row in rows[seen:] if row["step"] > self._first]
+
+    def _write(self, step: int, values: Mapping[str, float | None]) -> None:
+        event = self._event(wall_time=time.time(), step=step)
+        for tag, value in values.items():
+            if value is not None and math.isfinite(value):
+                event.summary.value.add(tag=tag, simple_value=value)
+        if event.summary.value:
+            self._writer.add_event(event)
+
+
+def _tagged(row: Row, group: str, tags: Mapping[str, str]) -> dict[str, Any]:
+    own = {name: -value if name == "entropy" else value for name, value in row.items() if name != "step"}
+    return {tags.get(name, f"{group}/{name}"): value for name, value in own.items()}

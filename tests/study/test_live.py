@@ -1,0 +1,53 @@
+"""`study run --tensorboard`: what is logged while runs train, which stay the same to the last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.api import open_data
+from pneuma.study.imported import read_event_file
+
+from ..cli.calls import TINY, described
+
+
+TABLES = ("episodes", "metrics")
+
+
+def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_path: Path) -> None:
+    run = ("study", "run", "activation", *TINY, "--seeds", "5,", "--quiet", "--json")
+    plain, logged = tmp_path / "plain", tmp_path / "logged"
+    described(*run, "--results", plain)
+    described(*run, "--results", logged, "--tensorboard", tmp_path / "logs")
+    files = [
+        {
+            path.relative_to(root): path.read_bytes()
+            for path in root.glob("runs/*/*")
+            if path.name not in ("provenance.json", "status.json")
+        }
+        for root in (plain, logged)
+    ]
+    assert files[0] == files[1] and len(files[0]) == 10
+    (logs,) = (tmp_path / "logs").iterdir()
+    data = open_data(logs.name, logged)
+    described("import", "tensorboard", logs, "--name", "again", "--results", logged, "--json")
+    again = open_data("again", logged)
+    for condition in ("tanh", "relu"):
+        (path,) = (logs / f"{condition}_5").iterdir()
+        scalars, damage = read_event_file(path)
+        points: dict[str, list[tuple[int, float]]] = {}
+        for tag, step, value, _ in scalars:
+            points.setdefault(tag, []).append((step, value))
+        tables = {name: dict([*data.table(name).groupby("condition")])[condition] for name in TABLES}
+        returns = tables["episodes"]["return"]
+        steps = tables["episodes"]["step"]
+        assert not damage and [step for step, _ in points["charts/episodic_return"]] == list(steps)
+        assert [value for _, value in points["charts/episodic_return"]] == pytest.approx(list(returns))
+        assert points["rollout/ep_rew_mean"][-1] == (256, pytest.approx(returns[-100:].mean()))
+        entropy = [-value for _, value in points["train/entropy_loss"]]
+        assert entropy == pytest.approx(list(tables["metrics"]["entropy"]))
+        assert len(points["eval/mean_reward"]) == 4
+        (back,), (own,) = again.of_condition(condition), data.of_condition(condition)
+        ends = [held.curve(run, "return", "trailing-100")[-1] for held, run in ((again, back), (data, own))]
+        assert back.seed == 5 and ends[0] == pytest.approx(ends[1])
