@@ -11,7 +11,6 @@ from pneuma.study.imported import read_event_file
 
 from ..cli.calls import TINY, described
 
-
 TABLES = ("episodes", "metrics")
 
 
