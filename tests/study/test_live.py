@@ -43,7 +43,8 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         steps = tables["episodes"]["step"]
         assert not damage and [step for step, _ in points["charts/episodic_return"]] == list(steps)
         assert [value for _, value in points["charts/episodic_return"]] == pytest.approx(list(returns))
-        assert points["rollout/ep_rew_mean"][-1] == (256, pytest.approx(returns[-100:].mean()))
+        step, value = points["rollout/ep_rew_mean"][-1]
+        assert step == 256 and value == pytest.approx(returns[-100:].mean())
         entropy = [-value for _, value in points["train/entropy_loss"]]
         assert entropy == pytest.approx(list(tables["metrics"]["entropy"]))
         assert len(points["eval/mean_reward"]) == 4
