@@ -53,7 +53,8 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code; people's mistakes become one line."""
     try:
-        code = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        words = None if arguments is None else list(arguments)
+        code = app(args=words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:
         return _refuse(str(error))
     except typer.TyperException as error:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, print_json, print_table
 from pneuma.errors import UserError, unknown_name
@@ -27,7 +28,14 @@ ABOUT = {
 
 CAMERAS = ("map", "follow")
 
-EnvName = Annotated[str, typer.Argument(metavar="ID", help="An environment's id, as in `pneuma env list`.")]
+EnvName = Annotated[
+    str,
+    typer.Argument(
+        metavar="ID",
+        help="An environment's id, as in `pneuma env list`.",
+        autocompletion=complete.environments,
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
 
 
@@ -54,7 +62,10 @@ def list_(json: opt.Json = False) -> None:
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[
-        str | None, typer.Argument(metavar="[ID]", help="The environment; left out: all.")
+        str | None,
+        typer.Argument(
+            metavar="[ID]", help="The environment; left out: all.", autocompletion=complete.environments
+        ),
     ] = None,
     all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID and --set.")] = False,
     set_: opt.Settings = None,

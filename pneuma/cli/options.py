@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+from pneuma.cli import complete
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
@@ -24,9 +25,15 @@ from pneuma.worlds import TEXT, WORLDS
 # --- How options are declared ----------------------------------------------------------------------
 
 
-def option(name: str, metavar: str, told: str, read: Callable[[str], Any] | None = None) -> Any:
-    """Return an option; `read` makes its value of its text."""
-    return typer.Option(name, metavar=metavar, help=told, parser=read)
+def option(
+    name: str,
+    metavar: str,
+    told: str,
+    read: Callable[[str], Any] | None = None,
+    offer: complete.Complete | None = None,
+) -> Any:
+    """Return an option; `read` makes its value of its text, and `offer` completes it in a shell."""
+    return typer.Option(name, metavar=metavar, help=told, parser=read, autocompletion=offer)
 
 
 def flag(name: str, told: str) -> Any:
@@ -43,7 +50,7 @@ def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> A
             raise UserError(f"{name} {text}: {unknown_name('value', text, names)}")
         return text
 
-    return option(name, metavar or "|".join(names), told, read)
+    return option(name, metavar or "|".join(names), told, read, complete.offering(lambda typed: names))
 
 
 def count(name: str, told: str) -> Any:
@@ -121,10 +128,20 @@ Several = list[str] | None
 """An option that may be repeated."""
 
 StudyName = Annotated[
-    str, typer.Argument(metavar="NAME", help="A study's name, or the path of a study file (….toml).")
+    str,
+    typer.Argument(
+        metavar="NAME",
+        help="A study's name, or the path of a study file (….toml).",
+        autocompletion=complete.studies,
+    ),
 ]
 RunName = Annotated[
-    str, typer.Argument(metavar="RUN_ID", help="A stored run's id, or its first digits (4 at least).")
+    str,
+    typer.Argument(
+        metavar="RUN_ID",
+        help="A stored run's id, or its first digits (4 at least).",
+        autocompletion=complete.runs,
+    ),
 ]
 Results = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
@@ -134,7 +151,9 @@ Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.
 Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 _AMOUNT = "How much to run: quick for plan and run, else as last run"
-Preset = Annotated[Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.")]
+Preset = Annotated[
+    Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.", offer=complete.presets)
+]
 Seeds = Annotated[
     Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
 ]
@@ -143,10 +162,19 @@ EngineName = Annotated[
     Text, option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
 ]
 Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
-Conditions = Annotated[Several, option("--condition", "NAME", "Only this condition (may be repeated).")]
+Conditions = Annotated[
+    Several,
+    option("--condition", "NAME", "Only this condition (may be repeated).", offer=complete.conditions),
+]
 Settings = Annotated[
     list[Any] | None,
-    option("--set", "KEY=VALUE", "Set a field of the run, or of the world (may be repeated).", _read_setting),
+    option(
+        "--set",
+        "KEY=VALUE",
+        "Set a field of the run, or of the world (may be repeated).",
+        _read_setting,
+        complete.fields,
+    ),
 ]
 """Pairs of a field and its value; for a command `dict(set_ or ())`."""
 WorldName = Annotated[
@@ -161,10 +189,21 @@ FigureFolder = Annotated[Path | None, option("--out", "DIR", "Draw a figure into
 PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
 Outcome = Annotated[
     str | None,
-    option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return)."),
+    option(
+        "--outcome",
+        "NAME",
+        "One of docs/outcomes.md (default: monsters killed, or return).",
+        offer=complete.outcomes,
+    ),
 ]
 Outcomes = Annotated[
-    Several, option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
+    Several,
+    option(
+        "--outcome",
+        "NAME",
+        "One of docs/outcomes.md, instead of the usual (repeatable).",
+        offer=complete.outcomes,
+    ),
 ]
 
 # --- Options that come together --------------------------------------------------------------------

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli import study_files, study_results, study_run, study_verify
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
 from pneuma.cli.study_records import each_study, is_shipped, known_studies, run_states, study_record
 from pneuma.config import as_fields, make_run
@@ -136,7 +136,10 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
 def status(
     chosen: opt.Chosen,
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="A study; left out: all that were run.")
+        str | None,
+        typer.Argument(
+            metavar="[NAME]", help="A study; left out: all that were run.", autocompletion=complete.studies
+        ),
     ] = None,
     json: opt.Json = False,
 ) -> None:

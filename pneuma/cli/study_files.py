@@ -23,6 +23,7 @@ from pneuma.analysis import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
+from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, draw_files, print_json, read_formats, say, tell_written, write_file
 from pneuma.cli.study_records import (
@@ -51,7 +52,10 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 def plot(
     chosen: opt.Chosen,
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]…", help="Studies; left out: all that were run.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME]…", help="Studies; left out: all that were run.", autocompletion=complete.studies
+        ),
     ] = None,
     figure: Annotated[
         str, opt.choice("--figure", FIGURE_KINDS, "Curves over steps, or what the runs came to.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     command,
@@ -156,8 +157,18 @@ def _lack(data: StudyData, condition: str, outcome: str) -> str:
 @opt.grouped
 def compare(
     name: opt.StudyName,
-    a: Annotated[str, typer.Argument(metavar="A", help="A condition.", show_default=False)],
-    b: Annotated[str, typer.Argument(metavar="B", help="The condition that A is held against.")],
+    a: Annotated[
+        str,
+        typer.Argument(
+            metavar="A", help="A condition.", show_default=False, autocompletion=complete.conditions
+        ),
+    ],
+    b: Annotated[
+        str,
+        typer.Argument(
+            metavar="B", help="The condition that A is held against.", autocompletion=complete.conditions
+        ),
+    ],
     chosen: opt.Chosen,
     outcome: opt.Outcomes = None,
     json: opt.Json = False,

@@ -1,0 +1,88 @@
+"""What a shell offers when TAB is pressed: names of studies, conditions, fields, outcomes and the like.
+
+Typer calls these while a line is half typed, so they load nothing heavy and never fail: what cannot be read
+is not offered. `pneuma --install-completion` sets a shell up.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from pneuma.study import spec
+from pneuma.study.store import Store
+from pneuma.worlds import split_world
+
+Names = Callable[[Mapping[str, Any]], Iterable[str]]
+Complete = Callable[[typer.Context, str], list[str]]
+
+
+def offering(names: Names) -> Complete:
+    """Return a completion: of the names for what has been typed, those that begin as the word does."""
+
+    def complete(ctx: typer.Context, incomplete: str) -> list[str]:
+        typed = {**ctx.params, "rest": ctx.args}  # arguments, where the word is an option's value
+        try:
+            return sorted({name for name in names(typed) if name.startswith(incomplete)})
+        except Exception:  # a folder or file that cannot be read: nothing is offered
+            return []
+
+    return complete
+
+
+def _store(typed: Mapping[str, Any]) -> Store:
+    return Store(typed.get("results") or os.environ.get("PNEUMA_RESULTS") or "results")
+
+
+def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the file of the study that was typed, unchecked; a file of one's own by its path or name."""
+    name = typed.get("name") or (typed.get("names") or typed["rest"])[0]
+    own = split_world(name)[0]
+    shipped = spec.studies_folder() / f"{own}.toml"
+    path = Path(name) if name.endswith(".toml") else shipped if shipped.exists() else Path(f"{own}.toml")
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def _studies(typed: Mapping[str, Any]) -> list[str]:
+    texts = {path.name: path.read_text(encoding="utf-8", errors="ignore") for path in Path().glob("*.toml")}
+    own = [name for name, text in texts.items() if "[conditions" in text]
+    return [*spec.list_studies(), *_store(typed).studies(), *own]
+
+
+def _conditions(typed: Mapping[str, Any]) -> list[str]:
+    return [*_study(typed).get("conditions", {})]
+
+
+def _presets(typed: Mapping[str, Any]) -> list[str]:
+    return [*_study(typed).get("presets", {}), spec.CLAIMS]
+
+
+def _fields(typed: Mapping[str, Any]) -> list[str]:
+    from pneuma.config import Run
+
+    return [f"{name}=" for name in Run.__dataclass_fields__]
+
+
+def _outcomes(typed: Mapping[str, Any]) -> Iterable[str]:
+    found = find_spec("pneuma.analysis.outcomes")  # whose libraries take seconds to load
+    text = Path(found.origin).read_text(encoding="utf-8") if found and found.origin else ""
+    return re.findall(r'^    "([\w-]+)": Outcome\(', text, re.MULTILINE)
+
+
+def _environments(typed: Mapping[str, Any]) -> Iterable[str]:
+    from pneuma.env import REGISTERED
+
+    return REGISTERED
+
+
+studies, conditions, presets, fields, outcomes, environments = map(
+    offering, (_studies, _conditions, _presets, _fields, _outcomes, _environments)
+)
+runs = offering(lambda typed: _store(typed).runs())
