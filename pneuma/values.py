@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -95,6 +96,23 @@ def shown_level(value: object) -> str:
     """Return a field's value where others stand beside it, between commas: a list in brackets."""
     shown = shown_value(value)
     return f"[{shown}]" if "," in shown else shown
+
+
+def shown_settings(settings: Mapping[str, Any]) -> str:
+    """Return changed fields as people read them."""
+    return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
+
+
+LONGEST_NAME = 100
+
+
+def settings_name(settings: Mapping[str, Any], *more: str) -> str:
+    """Return what files of changed fields are called; a checksum stands for what would be too long."""
+    told = "-".join([*(f"{key}={shown_value(value)}" for key, value in settings.items()), *more])
+    name = re.sub(r"[^\w.=+-]+", "-", told).strip("-")
+    if len(name) > LONGEST_NAME:
+        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(told.encode(errors='replace')).hexdigest()[:6]}"
+    return name
 
 
 def as_tuple(value: Any) -> Any:

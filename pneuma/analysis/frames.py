@@ -26,7 +26,8 @@ from pneuma.analysis.published import PublishedRecords
 from pneuma.analysis.records import Records, Series
 from pneuma.analysis.series import make_grid
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.spec import list_studies, run_command
+from pneuma.study.spec import VARIANT, list_studies, run_command
+from pneuma.values import shown_settings
 from pneuma.worlds import in_world, split_world
 
 SLACK = 1 / 40
@@ -98,13 +99,16 @@ class StudyData:
         self.record = record
         self._where = where
         self.study: str = record["study"]
-        self.title: str = record["title"]
+        self.changed: dict[str, Any] = dict(record.get("selection", {}).get("settings") or {})
+        told = shown_settings(self.changed)
+        self.title: str = record["title"] + (f" ({told})" if told else "")
         for key in ("study", "figure"):
             if not re.fullmatch(r"(?!\.+$)[^/\\\0]+", record[key]):
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
-        self.own_name, self.world = split_world(self.study)
+        name, self.world = split_world(self.study)
+        self.own_name = name.partition(VARIANT)[0]
         self.figure = in_world(record["figure"], self.world)  # each has figures
         self.same: list[list[str]] = record["same"]
         planned = record["runs"]

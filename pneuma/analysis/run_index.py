@@ -45,12 +45,12 @@ class RunIndex:
         self._others = cache(self._read_others)
 
     def record(self, study: str) -> dict[str, Any] | None:
-        """Return what a study's name stands for: its latest selection, or else what is published of it.
+        """Return what a study's name stands for: the selection of most finished runs, or what is published.
 
         Raises:
             UserError: when the published table is damaged.
         """
-        own = self.store.selection(study) if self._stored else None
+        own = self.store.shown_selection(study) if self._stored else None
         table = None if own else self.table(study)
         return table.record if table else own
 

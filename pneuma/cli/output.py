@@ -100,13 +100,19 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
 
     tables = {path.stem: read_toml(path).data for path in sorted(folder.glob("*.toml"))}
     rows = [
-        {kind: name, "title": own["title"], "section": own.get("section", "")}
+        {
+            kind: name,
+            "title": own["title"],
+            "section": own.get("section", ""),
+            "figure": own.get("figure", ""),
+        }
         for name, own in tables.items()
         if "title" in own
     ]
     if json:
         return print_json({many: rows})
-    return print_table((kind, "title", "thesis section"), [(*row.values(),) for row in rows])
+    told = [(*own.values(),) if own["figure"].startswith("fig-") else (*own.values(),)[:-1] for own in rows]
+    return print_table((kind, "title", "thesis section", "figure")[: max(map(len, told))], told)
 
 
 # --- Files ----------------------------------------------------------------------------------------

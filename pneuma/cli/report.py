@@ -24,7 +24,7 @@ from pneuma.figures.verdicts import Verdicts, judged_claims
 from pneuma.study import execute, plan, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import default_settings
-from pneuma.values import shown_value
+from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS, in_world, split_world, world_option
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
@@ -68,7 +68,8 @@ def _own_name(name: str) -> str:
 
 def _place(study: str) -> tuple[bool, str, str]:
     """Return what sorts studies: by section of the thesis, those without one last."""
-    section = spec.load_study(study).section if study in spec.list_studies() else ""
+    own = study.partition(spec.VARIANT)[0]
+    section = spec.read_head(own)["section"] if own in spec.list_studies() else ""
     return (not section, section, study)
 
 
@@ -80,6 +81,7 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     told = {key: getattr(shipped, key, "") for key in ("section", "about")}
     own = (store.selection(in_world(study, name)) or {} for name in worlds)
     title = shipped.title if shipped else next((record["title"] for record in own if record), study)
+    title += f", variant {study.partition(spec.VARIANT)[2]}" if spec.VARIANT in study else ""
     return {"study": study, "title": title, **told, "parts": [_part(store, study, name) for name in worlds]}
 
 
@@ -109,6 +111,8 @@ def _part(store: Store, study: str, world: str) -> Part:
     part.notes = [
         f"{' = '.join(same)} are one configuration: comparing them is A/A." for same in record["same"]
     ]
+    if changed := (record.get("selection") or {}).get("settings"):
+        part.notes.append(f"Changed by --set: {shown_settings(changed)}.")
     part.extent, part.conditions = _extent(record), _conditions(study, name, record)
     part.runs = [
         (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status.name,

@@ -12,12 +12,20 @@ import typer
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
-from pneuma.cli.study_records import each_study, is_shipped, known_studies, run_states, study_record
+from pneuma.cli.study_records import (
+    each_study,
+    is_shipped,
+    known_studies,
+    run_states,
+    shipped_name,
+    study_record,
+    tell_shown,
+)
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
-from pneuma.values import shown_value
+from pneuma.values import shown_settings, shown_value
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -74,6 +82,7 @@ def show(
     json: opt.Json = False,
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
+    name = shipped_name(name)
     if not is_shipped(name) and name in known_studies(Store(results)):
         return _show_record(study_record(Store(results), name, world=world), json)
     study = spec.load_study(name, world)
@@ -149,6 +158,7 @@ def status(
 
     def standing(study: str) -> dict[str, Any]:
         record = study_record(store, study, chosen.selection, chosen.world)
+        tell_shown(store, record)
         states = run_states(store, record)
         ids = [own.run["run_id"] for own in states]
         runs = [
@@ -161,7 +171,8 @@ def status(
         queued = {run_id: jobs[run_id] for run_id in ids if run_id in jobs}
         if not json:
             counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in states).items())
-            say(f"{record['study']}: {counts}")
+            changed = shown_settings(record.get("selection", {}).get("settings") or {})
+            say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []
             for own in states:
                 run_id, job = own.run["run_id"], queued.get(own.run["run_id"])

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pneuma.cli.options import Chosen
+from pneuma.cli.options import Chosen, selecting_words
 from pneuma.cli.output import say
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study import execute, plan, spec
+from pneuma.study.identity import own_things
 from pneuma.study.store import FINISHED, Status, Store
-from pneuma.worlds import split_world
+from pneuma.worlds import chosen_world, in_world, split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -20,18 +24,80 @@ Read = TypeVar("Read")
 NOTHING = plan.Selection()
 
 
+def find_study(
+    store: Store, name: str, selection: plan.Selection = NOTHING, world: str | None = None
+) -> tuple[spec.Study, plan.Selection]:
+    """Return the study that a name stands for, to be planned, and the selection with what a variant changes.
+
+    A name is a shipped study's, its figure's or section's, a path, or what a study of this folder or a file
+    of the current one is called. Of a record, which may be untrusted, nothing is taken that names a user's
+    own code or files.
+
+    Raises:
+        UserError: for a study that is nowhere, or whose file has to be named.
+    """
+    if name.endswith(".toml"):
+        return spec.load_study(name, world), selection
+    name = shipped_name(name)
+    own, world = chosen_world(name, world)
+    own, _, variant = own.partition(spec.VARIANT)
+    if variant:
+        record = store.selection(spec.name_in_world(f"{own}{spec.VARIANT}{variant}", world))
+        if record is None:
+            raise _unknown(store, name, name, world)
+        held = execute.recorded_selection(record)
+        _refuse_own(held.settings or {}, f"variant {name}", "repeat its --set")
+        if not selection.settings:
+            selection = replace(selection, settings=held.settings, variant=variant)
+    if own in spec.list_studies():
+        return spec.load_study(own, world), selection
+    path = (store.selection(spec.name_in_world(own, world)) or {}).get("path")
+    if not isinstance(path, str) or not os.path.isfile(path):
+        raise _unknown(store, name, own, world)
+    study = spec.load_study(path, world)
+    for condition in study.conditions:
+        _refuse_own(study.fields(condition), f"study {own}", f"give its file: {path}")
+    return study, selection
+
+
+def _refuse_own(fields: Mapping[str, Any], what: str, mend: str) -> None:
+    """Refuse fields that a record leads to where they name a user's own code or files."""
+    if own := own_things(fields):
+        raise UserError(f"{what} would {' and '.join(own.values())}; if you trust it, {mend}")
+
+
+def shipped_name(name: str) -> str:
+    """Return the shipped study that a figure or section stands for, as fig-6-4 or 6.1; or the name itself.
+
+    Raises:
+        UserError: naming the studies, where they are several.
+    """
+    figure, world = split_world(name)
+    if not re.fullmatch(r"(fig|table)-[\w-]+|\d(\.\d+)?", figure):
+        return name
+    tables = {own: spec.read_head(own) for own in spec.list_studies()}
+    numbered = (figure, f"fig-{figure.replace('.', '-')}")
+    found = [own for own, head in tables.items() if head["figure"] in numbered]
+    found = found or [own for own, head in tables.items() if figure in head["section"].split(" and ")]
+    if len(found) > 1:
+        raise UserError(f"{name} is of several studies: name one of {', '.join(found)}")
+    return in_world(found[0], world) if found else name
+
+
 def study_record(
     store: Store, name: str, selection: plan.Selection = NOTHING, world: str | None = None
 ) -> dict[str, Any]:
-    """Return a study's latest record, the runs that a selection picks from it, or those that it plans anew.
+    """Return what is held of a study, the runs that a selection picks of it, or those that it plans anew.
 
-    Conditions and seeds alone pick; a preset, steps, an engine or fields plan what `study run` would train.
-    A study that was never run here is the published one, where there is one. A world has records of its own;
-    where none is named and the usual one has no record, another's is shown, and said to be.
+    Of several amounts that were run it is the one of most finished runs. Conditions and seeds pick; a
+    preset, steps, an engine or fields plan what `study run` would train, and stand for what was run of
+    that. A study that was never run here is the published one, where there is one. A world has records of
+    its own; where none is named and the usual one has no record, another's is shown, and said to be.
 
     Raises:
         UserError: for a study that is nowhere, or a selection or world that it does not have.
     """
+    name = shipped_name(name)
     if is_shipped(name):
         stem = spec.load_study(name, world).name
     else:
@@ -43,13 +109,26 @@ def study_record(
         "--set": selection.settings,
     }
     given = [option for option, value in planning.items() if value]
-    record = _latest(store, name, stem)
-    if given and _may_be_loaded(name) and (record or {}).get("source") != "tensorboard":
-        return execute.selection_record(plan.make_plan(spec.load_study(name, world), selection))
+    record = _stored(store, name, stem)
+    if given and _plannable(name, record):
+        study, wanted = find_study(store, name, selection, world)
+        fewer = all(own in study.conditions for own in wanted.conditions)
+        planned = plan.make_plan(study, wanted if fewer else replace(wanted, conditions=()))
+        anew = execute.selection_record(planned)
+        stored = [own for own in store.selections(planned.study.name) if execute.alike(own, anew)]
+        if not (selection.preset or selection.steps or selection.engine):
+            stored = [own for own in [store.shown_selection(planned.study.name)] if own]
+        return _pick(anew if selection.preset or not stored else stored[0], selection)
     elsewhere = dict(split_world(own) for own in known_studies(store) if own != stem)
     if record is None and world is None and stem in elsewhere:
         say(f"Note: {stem} has no runs in its usual world; shown is {elsewhere[stem]}.", aside=True)
         return study_record(store, name, selection, elsewhere[stem])
+    variants = _variants(store, stem)
+    if record is None and len(variants) == 1:
+        say(f"Note: {stem} has no runs as it stands; shown is the variant {variants[0]}.", aside=True)
+        return study_record(store, variants[0], selection)
+    if record is None and variants:
+        raise UserError(f"study {stem} has no runs as it stands; name one of {', '.join(variants)}")
     if record is None:
         raise _unknown(store, name, stem, world)
     if given:
@@ -57,9 +136,37 @@ def study_record(
     return _pick(record, selection)
 
 
+def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
+    """Say what is shown of a study where more is stored: other amounts, and variants."""
+    study, others = record["study"], []
+    for own in store.selections(study):
+        if not execute.alike(own, record) and (count := store.finished(own)):
+            asked = {key: own["selection"].get(key) for key in ("preset", "steps", "engine")}
+            words = selecting_words(plan.Selection(**asked))
+            others.append(f"{_runs_told(own, count)} ({' '.join(words) or '--preset quick'})")
+    if variants := _variants(store, study):
+        others.append(f"the variant{'s' * (len(variants) > 1)} {', '.join(variants)}")
+    if others:
+        shown = _runs_told(record, len(record["runs"]))
+        say(f"Note: shown of {study}: {shown}. Stored too: {'; '.join(others)}.", aside=True)
+
+
+def _variants(store: Store, study: str) -> list[str]:
+    """Return the names of a study's variants in its world; a variant has none."""
+    own, world = split_world(study)
+    names = (name for name in known_studies(store, world) if name.startswith(f"{own}{spec.VARIANT}"))
+    return [name for name in names if spec.VARIANT not in own]
+
+
+def _runs_told(record: Mapping[str, Any], count: int) -> str:
+    steps = max(run["run"]["steps"] for run in record["runs"])
+    return f"{counted(count, 'run')} of {steps:,} steps"
+
+
 def open_data(chosen: Chosen, name: str, published: bool = True) -> StudyData:
     """Open a study's data, published or not, and say how many runs of the selection are left out."""
     record = study_record(chosen.store, name, chosen.selection, chosen.world)
+    tell_shown(chosen.store, record)
     from pneuma.analysis.run_index import open_study
 
     data = open_study(chosen.store, record, "all" if published else "none")
@@ -156,13 +263,13 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     return [RunState(run, states[run["run_id"]], run["run_id"] in published) for run in record["runs"]]
 
 
-def _latest(store: Store, name: str, stem: str) -> dict[str, Any] | None:
+def _stored(store: Store, name: str, stem: str) -> dict[str, Any] | None:
     """Return the record of what was run here, or else of what is published; None without either.
 
     Raises:
         UserError: where it is the record of another file of the same name, or the table is damaged.
     """
-    record, table = store.selection(stem), store.published_path(stem)
+    record, table = store.shown_selection(stem), store.published_path(stem)
     if record is not None and name.endswith(".toml"):
         execute.check_same_file(record, Path(name), store)
     if record is not None or not table.exists():
@@ -175,12 +282,10 @@ def _latest(store: Store, name: str, stem: str) -> dict[str, Any] | None:
     return read_published(store, stem).record
 
 
-def _may_be_loaded(name: str) -> bool:
-    """Tell whether a name is a study that may be loaded: a shipped one, or a file that a person names.
-
-    A file that a record names may be untrusted, and loading it would run the reward that it names.
-    """
-    return name.endswith(".toml") or is_shipped(name)
+def _plannable(name: str, record: Mapping[str, Any] | None) -> bool:
+    """Tell whether a study can be planned: a shipped one, a file, or recorded with its file."""
+    own = split_world(name)[0].partition(spec.VARIANT)[0]
+    return name.endswith(".toml") or own in spec.list_studies() or bool((record or {}).get("path"))
 
 
 def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any]:
@@ -208,9 +313,9 @@ def _pick(record: Mapping[str, Any], selection: plan.Selection) -> dict[str, Any
 def _unknown(store: Store, name: str, stem: str, world: str | None) -> UserError:
     told = f"`pneuma study run {name}{f' --world {world}' if world else ''}`"
     if store.selection_path(stem).exists():
-        anew = f"{told} writes it" if _may_be_loaded(name) else "import or fork its runs"
+        anew = f"{told} writes it" if _plannable(name, None) else "import or fork its runs"
         return UserError(f"{store.selection_path(stem)}: damaged; {anew} anew")
-    if not _may_be_loaded(name):
+    if not _plannable(name, None):
         known = sorted({*spec.list_studies(), *store.studies(), *spec.files_called(name)})
         return unknown_name("study", name, known)
     return UserError(

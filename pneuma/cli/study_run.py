@@ -14,12 +14,14 @@ import typer
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_folder, command, print_json, print_table, say
+from pneuma.cli.study_records import find_study
 from pneuma.errors import UserError, install_extra
 from pneuma.reading import read_whole
-from pneuma.study import execute, plan, spec
+from pneuma.study import execute, plan
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.progress import ProgressDisplay, duration
 from pneuma.study.store import Status, Store
+from pneuma.worlds import TEXT, split_world
 
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that a cell should not have when a study has been run."""
@@ -91,11 +93,16 @@ def run(
     ] = None,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
+    as_: Annotated[opt.Text, opt.option("--as", "NAME", "What to call the variant that --set makes.")] = None,
     json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> int:
     """Train a study's runs that are not stored yet, going on where they were stopped."""
     store = chosen.store
+    if as_:
+        if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT or not chosen.selection.settings:
+            raise UserError(f"--as {as_}: names what --set changes, in letters, digits, - and _")
+        chosen = replace(chosen, selection=replace(chosen.selection, variant=as_))
     planned = _plan(chosen, name, unpublished)
     how = replace(
         place,
@@ -166,7 +173,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
-    study, selection = spec.load_study(name, chosen.world), chosen.selection
+    study, selection = find_study(chosen.store, name, chosen.selection, chosen.world)
     told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
     rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
     for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):
@@ -230,5 +237,8 @@ def _tell_results(
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):
-        drawn = command("study", "plot", planned.study.name, "--results", store.root)
+        asked = replace(planned.selection, seeds=None, conditions=(), settings=None)
+        drawn = command(
+            "study", "plot", planned.study.name, *opt.selecting_words(asked), "--results", store.root
+        )
         say(f"Draw it with: {drawn}", as_json, quiet)

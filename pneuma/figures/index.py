@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError
-from pneuma.figures.panels import changed_fields, title_of
+from pneuma.figures.panels import title_of
 from pneuma.reading import read_whole
 
 INDEX, CONTENTS = "index.json", "README.md"
@@ -29,7 +29,7 @@ def index_entries(
         "command": command,
         "from": f"study {data.study}",
         "title": title_of(data),
-        "changed": changed_fields(data),
+        "changed": data.changed,
         "environments": data.environments,
         "engines": sorted({str(run["run"].get("engine", "unknown")) for run in data.record["runs"]}),
         **drawn,

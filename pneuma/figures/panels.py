@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,8 +16,9 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import have_one_return
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
-from pneuma.values import shown_value
-from pneuma.worlds import WORLDS
+from pneuma.study.spec import VARIANT
+from pneuma.values import settings_name
+from pneuma.worlds import WORLDS, split_world
 
 FEW_RUNS = 5
 """Runs of a condition below which they are drawn themselves, and no interval: it would set the axis."""
@@ -27,7 +27,6 @@ FAR = 3.0
 BELOW_ZERO = 0.02
 """How far an axis of shares reaches below 0 and above 1, so that what is none or all is seen."""
 CAPTION_LINES = 3
-LONGEST_STEM = 100
 PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -37,26 +36,19 @@ PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 
 def stem_of(data: StudyData, *parts: str) -> str:
     """Return the name of a figure's files without its ending.
 
-    It carries the fields that `--set` changed, so that a variant never replaces the study's own figure;
-    where it would be too long, a checksum stands for what is cut.
+    It carries a variant's name, or the fields that it changed, so that no variant ever replaces the study's
+    own figure.
     """
-    changed = [f"{key}={shown_value(value)}" for key, value in changed_fields(data).items()]
-    told = "-".join([*changed, *filter(None, parts)])
-    slug = re.sub(r"[^\w.=+-]+", "-", told).strip("-")
-    if len(slug) > LONGEST_STEM:
-        slug = f"{slug[:LONGEST_STEM]}-{hashlib.sha256(told.encode(errors='replace')).hexdigest()[:6]}"
+    variant = split_world(data.study)[0].partition(VARIANT)[2]
+    named = [variant] if variant else []
+    slug = settings_name({} if variant else data.changed, *named, *filter(None, parts))
     return "-".join(filter(None, [data.figure, slug]))
-
-
-def changed_fields(data: StudyData) -> dict[str, Any]:
-    """Return the fields that the runs' selection set by `--set`."""
-    return dict((data.record.get("selection") or {}).get("settings") or {})
 
 
 def title_of(data: StudyData) -> str:
     """Return a study's title, the fields that a variant changed, and where it is played."""
-    changed = ", ".join(f"{key} = {shown_value(value)}" for key, value in changed_fields(data).items())
-    told = data.title.removesuffix(f" ({data.world})") + (f" ({changed})" if changed else "")
+    own, changed = data.record["title"], data.title.removeprefix(data.record["title"])
+    told = own.removesuffix(f" ({data.world})") + changed
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
     read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
     titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]

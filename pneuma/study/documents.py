@@ -33,6 +33,16 @@ class _Cell(TypedDict):
     run: _Fields
 
 
+class _Selection(TypedDict):
+    preset: NotRequired[str | None]
+    seeds: NotRequired[list[int] | None]
+    steps: NotRequired[int | None]
+    engine: NotRequired[str | None]
+    conditions: NotRequired[list[str]]
+    settings: NotRequired[dict[str, Any] | None]
+    variant: NotRequired[str]
+
+
 class Record(TypedDict):
     """A study's record, as far as tables and figures are made by it."""
 
@@ -41,6 +51,7 @@ class Record(TypedDict):
     figure: str
     baseline: NotRequired[str | None]
     same: list[list[str]]
+    selection: NotRequired[_Selection]
     runs: list[_Cell]
 
 

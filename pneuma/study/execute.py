@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
@@ -17,8 +17,10 @@ from typing import Any
 from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
+from pneuma.study.files import parse_json, to_json
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.store import Status, Store
+from pneuma.values import shown_settings
 
 
 @dataclass(frozen=True)
@@ -60,11 +62,13 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
     recorded = store.selection(plan.study.name)
     if recorded is not None and plan.study.own_path is not None:
         check_same_file(recorded, Path(plan.study.own_path), store)
+    if recorded is not None:
+        _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(list(todo.values()))
     store.check_writable()
-    store.save_selection(plan.study.name, selection_record(plan))
+    store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
     return todo, _notes(plan, statuses, todo)
 
 
@@ -184,6 +188,50 @@ def selection_record(plan: Plan) -> dict[str, Any]:
             for cell in plan.cells
         ],
     }
+
+
+def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the record of a plan and of what was selected before.
+
+    Runs of other seeds or conditions, else alike, join it; others stay beside it as they are.
+    """
+    record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
+    conditions, apart = list(plan.study.conditions), []
+    for own in earlier:
+        if not alike(own, record):
+            apart.append({key: own[key] for key in ("selection", "same", "runs", "saved") if key in own})
+            continue
+        known = {(run["condition"], run["seed"]) for run in record["runs"]}
+        more = [run for run in own["runs"] if (run["condition"], run["seed"]) not in known]
+        more = [run for run in more if run["condition"] in conditions]
+        if more:
+            runs = [*record["runs"], *more]
+            runs.sort(key=lambda run: (run["seed"], conditions.index(run["condition"])))
+            asked = [set(each["selection"]["conditions"]) for each in (own, record)]
+            some = [name for name in conditions if all(asked) and name in set.union(*asked)]
+            seeds = sorted({run["seed"] for run in runs})
+            record["selection"] |= {"seeds": seeds, "conditions": some}
+            groups = [set(names) for names in own["same"] if names not in record["same"]]
+            record |= {"runs": runs, "same": [*record["same"], *map(sorted, groups)]}
+    return {**record, "earlier": apart}
+
+
+def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Tell whether two selections are one but for seeds and conditions."""
+    first, second = (
+        {run["condition"]: {**run["run"], "seed": 0} for run in own["runs"]} for own in (one, other)
+    )
+    keys = ("preset", "steps", "engine", "settings")
+    asked = [[own["selection"].get(key) or None for key in keys] for own in (one, other)]
+    shared = first.keys() & second.keys()
+    return (bool(shared) or asked[0] == asked[1]) and all(first[name] == second[name] for name in shared)
+
+
+def _check_same_variant(recorded: Mapping[str, Any], plan: Plan) -> None:
+    """Refuse to call two variants by one name."""
+    held, asked = (own.get("settings") or {} for own in (recorded["selection"], asdict(plan.selection)))
+    if plan.selection.variant and held != parse_json(to_json(asked)):
+        raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(held)}")
 
 
 def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None:

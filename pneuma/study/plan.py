@@ -5,15 +5,18 @@ study, preset and options → Plan of cells (condition × seed → Run and its i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import product
 from typing import Any
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, unread_fields
+from pneuma.values import settings_name
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,9 @@ class Selection:
         steps: agent steps of each run.
         engine: name of the engine.
         conditions: names; empty for all.
-        settings: fields of the run set in every condition, over everything else.
+        settings: fields of the run set in every condition, over everything else. Of one with several
+            values, each makes conditions of its own.
+        variant: name of what the settings make of the study; made of them when left out.
     """
 
     preset: str | None = None
@@ -35,6 +40,7 @@ class Selection:
     engine: str | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
+    variant: str = ""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ class Plan:
 
 
 def make_plan(study: Study, selection: Selection) -> Plan:
-    """Resolve a selection of a study.
+    """Resolve a selection of a study; with `settings`, the plan's study is a variant of it.
 
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
@@ -88,16 +94,19 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
     wanted = selection.conditions or amounts
-    names = [name for name in study.conditions if name in wanted]
     settings = selection.settings or {}
     for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
-    over = {key: read_field(Run, key, value) for key, value in settings.items()}
+    over, swept = _read_settings(settings)
     if selection.engine:
         over["engine"] = read_field(Run, "engine", selection.engine)
-    steps = {name: selection.steps or amounts[name].steps for name in names}
-    seeds = {name: selection.seeds or amounts[name].seeds for name in names}
+    if settings:
+        study = study.variant(selection.variant or settings_name(settings))
+    study, origins = _sweep(study, swept)
+    names = [name for name, origin in origins.items() if origin in wanted]
+    steps = {name: selection.steps or amounts[origins[name]].steps for name in names}
+    seeds = {name: selection.seeds or amounts[origins[name]].seeds for name in names}
     runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
     for key in unread_fields(runs.values(), settings):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
@@ -114,6 +123,39 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     same = tuple(tuple(own) for own in alike.values() if len(own) > 1)
     left_open = [name for name in names if "engine" not in study.fields(name, over)]
     return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
+
+
+def _read_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """Return the fields that settings give one value, and those that they give several."""
+    over, swept = {}, {}
+    for key, value in settings.items():
+        several = value.split(",") if isinstance(value, str) else value
+        try:
+            over[key] = read_field(Run, key, value)
+        except UserError:
+            if key not in Run.__dataclass_fields__ or not isinstance(several, list | tuple):
+                raise
+            if len(several) < 2:
+                raise
+            swept[key] = [read_field(Run, key, own) for own in several]
+    return over, swept
+
+
+def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dict[str, str]]:
+    """Cross a study's conditions with fields of several values; return also which condition each is of."""
+    if not swept:
+        return study, {name: name for name in study.conditions}
+    from pneuma.study.study_file import MOST_CONDITIONS, short
+
+    crossed, origins = {}, {}
+    if (count := math.prod(map(len, [study.conditions, *swept.values()]))) > MOST_CONDITIONS:
+        raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
+    for *values, origin in product(*swept.values(), study.conditions):
+        own = dict(zip(swept, values, strict=True))
+        name = ", ".join([*(f"{key}={short(value)}" for key, value in own.items()), origin])
+        crossed[name], origins[name] = {**study.conditions[origin], **own}, origin
+    baseline = next(name for name, origin in origins.items() if origin == study.baseline)
+    return replace(study, conditions=crossed, baseline=baseline), origins
 
 
 def differing_fields(plan: Plan) -> dict[str, dict[str, Any]]:

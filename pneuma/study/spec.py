@@ -44,6 +44,9 @@ CLAIMS = "claims"
 CLAIMS_FILE = "claims.toml"
 """Beside studies, and none itself."""
 
+VARIANT = "+"
+"""Between a study's name and that of a variant, in which `--set` changed fields."""
+
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
@@ -131,6 +134,11 @@ class Study:
             title=f"{self.title} ({world})",
             figure=in_world(self.figure, world),
         )
+
+    def variant(self, name: str) -> Study:
+        """Return the study under the name that it has with fields changed: STUDY+NAME."""
+        own, world = split_world(self.name)
+        return replace(self, name=in_world(f"{own}{VARIANT}{name}", world))
 
     @property
     def own_path(self) -> str | None:
@@ -222,10 +230,16 @@ def list_studies() -> list[str]:
     return shipped_names(studies_folder())
 
 
+def read_head(name: str) -> dict[str, Any]:
+    """Return what a shipped study's file says, as it stands."""
+    return tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8"))
+
+
 def name_in_world(name: str, world: str | None) -> str:
     """Return what the records of a shipped study, or any, are called in a world; None is the usual one."""
-    if name in list_studies():
-        worlds = tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8")).get("worlds")
+    own = name.partition(VARIANT)[0]
+    if own in list_studies():
+        worlds = read_head(own).get("worlds")
         if worlds and TEXT not in worlds and world == next(each for each in WORLDS if each in worlds):
             return name
     return in_world(name, world or TEXT)
@@ -270,6 +284,8 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
     """Refuse a user's own file that is called as a shipped one is, or as one in a world."""
     if shipped.is_file() and path.resolve() != shipped.resolve():
         raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
+    if VARIANT in path.stem:
+        raise UserError(f"{path}: a name with {VARIANT} stands for a variant; give yours another file name")
     if (world := split_world(path.stem)[1]) != TEXT:
         raise UserError(f"{path}: a name with -{world} stands for the world; give yours another file name")
 
@@ -277,5 +293,5 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 def run_command(name: str, path: object = None) -> str:
     """Return the command that trains a study, by its file where an untrusted record names one."""
     own, world = split_world(name)
-    asked = shlex.quote(path if isinstance(path, str) else own)
+    asked = shlex.quote(path if isinstance(path, str) and VARIANT not in own else own)
     return " ".join(["pneuma study run", asked, *world_option(world)])

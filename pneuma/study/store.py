@@ -7,7 +7,7 @@
                             error.txt        a crash's traceback
                             status.json      status, step, and the checksum of every other file
                             checkpoints/     where a run that has not ended goes on from
-    results/studies/NAME.json  the latest selection of a study and its run ids
+    results/studies/NAME.json  what was selected of a study, and its run ids
 
 Every file appears whole or not at all, and status.json comes last: a run that it does not vouch
 for, checksum by checksum, is not there. A stranger's folder is safe to read: names that would lead
@@ -245,12 +245,32 @@ class Store:
         self.write(self.root / "studies" / f"{study}.json", seal(record))
 
     def selection(self, study: str) -> dict[str, Any] | None:
-        """Return a study's latest record, or None when it was never run here, is damaged, or another's."""
+        """Return a study's latest selection, or None when it was never run here, is damaged, or another's."""
         record = read_sealed(self.selection_path(study)) or {}
         from pneuma.study.documents import Record, fits
 
         sound = fits(record, Record) and isinstance(record.get("selection"), dict)
         return record if sound and record["study"] == study else None
+
+    def selections(self, study: str) -> list[dict[str, Any]]:
+        """Return a study's selections, of unlike amounts, engines or files, the latest first."""
+        from pneuma.study.documents import Record, fits
+
+        latest = self.selection(study) or {}
+        earlier = latest.pop("earlier", [])
+        others = ({**latest, **own} for own in earlier if isinstance(own, dict)) if latest else ()
+        return [*([latest] if latest else []), *(own for own in others if fits(own, Record))]
+
+    def shown_selection(self, study: str) -> dict[str, Any] | None:
+        """Return that of a study's selections of which most runs have finished, the latest of several."""
+        selections = self.selections(study)
+        if len(selections) < 2:
+            return next(iter(selections), None)
+        return max(selections, key=self.finished)
+
+    def finished(self, record: Mapping[str, Any]) -> int:
+        """Return how many runs of a selection have finished here."""
+        return sum(self.status(run["run_id"], quick=True).finished for run in record["runs"])
 
     def selection_path(self, study: str) -> Path:
         """Return where a study's record is, if it was run here."""

@@ -117,7 +117,7 @@ def _held(store: Store) -> dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]
     """Return which studies hold each run, and the configuration on record, by run id."""
     held: dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]]] = {}
     for study in store.studies():
-        for row in (store.selection(study) or {"runs": []})["runs"]:
+        for row in (row for selection in store.selections(study) for row in selection["runs"]):
             earlier, _ = held.get(row["run_id"], ((), {}))
             holder = Holder(study, row["condition"], row["seed"])
             held[row["run_id"]] = (*earlier, holder), row["run"]

@@ -47,7 +47,7 @@ PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromk
 # --- What the file may hold ------------------------------------------------------------------------
 
 
-def _short(value: object) -> str:
+def short(value: object) -> str:
     """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]; no two have the same name."""
     if isinstance(value, float):
         digits, _, power = f"{value:e}".partition("e")
@@ -71,7 +71,7 @@ def _named_values(factors: Any) -> Any:
         if isinstance(values, tuple) and any(own in values[:place] for place, own in enumerate(values)):
             raise wrong(f"{told}a list of different values", factor)
         table = isinstance(values, Mapping)
-        named[factor] = values if table else {f"{factor}={_short(own)}": {factor: own} for own in values}
+        named[factor] = values if table else {f"{factor}={short(own)}": {factor: own} for own in values}
     return named
 
 

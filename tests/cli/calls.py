@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pneuma.cli import main
 from pneuma.engines.policy import Policy
+from pneuma.study.store import Store
 
 SMALL_RUN = """
 [run]
@@ -54,6 +56,16 @@ def call(*arguments: object) -> Called:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(argument) for argument in arguments])
     return Called(code, data.getvalue().decode(), err.getvalue())
+
+
+def as_it_stands(results: Path, study: str) -> None:
+    """Let the one variant of a study be the study itself: a tiny one to read."""
+    store = Store(results)
+    (name,) = (own for own in store.studies() if own.startswith(f"{study}+"))
+    record = store.selection(name) or {}
+    selection = {**record["selection"], "settings": {}}
+    store.save_selection(study, {**record, "study": study, "selection": selection})
+    store.selection_path(name).unlink()
 
 
 def printed(*arguments: object) -> str:

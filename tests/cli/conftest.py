@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from .calls import TINY, printed
+from .calls import TINY, as_it_stands, printed
 
 
 @pytest.fixture(scope="session")
@@ -14,4 +14,5 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with two conditions of two seeds, which no test changes."""
     results = tmp_path_factory.mktemp("trained") / "results"
     printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
+    as_it_stands(results, "activation")
     return results

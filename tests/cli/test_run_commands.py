@@ -50,7 +50,7 @@ def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
     """The results of that plan, and two runs of no study."""
     monkeypatch.setenv("PNEUMA_RESULTS", str(tmp_path / "results"))
     store = Store(tmp_path / "results")
-    store.save_selection("activation", selection_record(plan))
+    store.save_selection(plan.study.name, selection_record(plan))
     for cell in plan.cells:
         save(store, cell.run_id, cell.run)
     for name in (ALONE, ALIKE):
@@ -66,7 +66,7 @@ def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, t
     assert [line.split()[0] for line in printed("run", "list").splitlines()] == [tanh, relu, ALONE, ALIKE]
     (store.run_folder(ALONE) / "policy.safetensors").unlink()
     documents = {row.pop("run_id"): row for row in described("run", "list", "--json")["runs"]}
-    held = [{"study": "activation", "condition": "tanh", "seed": 7}]
+    held = [{"study": plan.study.name, "condition": "tanh", "seed": 7}]
     assert documents[tanh] == {"status": "done", "step": 640, "seed": 7, "studies": held}
     assert (documents[ALONE]["status"], documents[ALIKE]["status"]) == ("damaged", "done")
     assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")

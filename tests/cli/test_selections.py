@@ -1,0 +1,59 @@
+"""What is shown of a study that was run in several ways: variants apart, else the amount of most runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pneuma.api import open_data
+from pneuma.study.execute import prepare
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Status, Store
+
+from .calls import call, printed, refused
+
+
+def _run(store: Store, **selection: Any) -> list[str]:
+    """Plan and record some of activation as `study run` does, and have its runs end; return their ids."""
+    plan = make_plan(load_study("activation"), Selection(conditions=("tanh", "relu"), **selection))
+    prepare(plan, store)
+    for cell in plan.cells:
+        store.save_run(cell.run_id, Status("done", cell.run.steps), {})
+    return [cell.run_id for cell in plan.cells]
+
+
+def _shown(store: Store, name: str, *options: str) -> list[str]:
+    told = json.loads(printed("study", "status", name, *options, "--json", "--results", store.root))
+    return [run["run_id"] for run in told["runs"]]
+
+
+def test_a_variant_stands_under_its_own_name_and_beside_its_study(tmp_path: Path) -> None:
+    store, changed = Store(tmp_path), {"learning_rate": 0.001}
+    plain = _run(store, seeds=(0, 1), steps=512)
+    quick = _run(store, seeds=(0, 1), steps=512, settings=changed)
+    slow = _run(store, seeds=(0, 1, 2), steps=512, settings={"learning_rate": 1e-5}, variant="slow")
+    assert _shown(store, "activation") == plain
+    assert _shown(store, "activation+learning_rate=0.001") == quick
+    assert _shown(store, "activation", "--set", "learning_rate=1e-3") == quick
+    assert _shown(store, "activation+slow") == slow
+    head = printed("study", "status", "activation+slow", "--results", store.root)
+    assert head.startswith("activation+slow (learning_rate = 1e-05): 6 done")
+    again = ("study", "run", "activation", "--set", "gamma=0.5", "--as", "slow", "--results", store.root)
+    assert "learning_rate = 1e-05" in refused(*again)
+
+
+def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    first = _run(store, seeds=(0, 1), steps=512)
+    other = _run(store, seeds=(0,), steps=1024)
+    code, out, told = call("study", "status", "activation", "--results", store.root)
+    assert (code, "4 done" in out) == (0, True)
+    assert "4 runs of 512 steps. Stored too: 2 runs of 1,024 steps (--steps 1024)" in told
+    assert _shown(store, "activation", "--steps", "1024") == other
+    more = _run(store, seeds=(2,), steps=512)
+    assert _shown(store, "activation") == [*first, *more]
+    record = store.shown_selection("activation") or {}
+    assert record["selection"]["seeds"] == [0, 1, 2]
+    assert open_data("activation", tmp_path).record["runs"] == record["runs"]
