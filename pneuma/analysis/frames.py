@@ -108,7 +108,7 @@ class StudyData:
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
         name, self.world = split_world(self.study)
-        self.own_name = name.partition(VARIANT)[0]
+        self.own_name, _, self.variant = name.partition(VARIANT)
         self.figure = in_world(record["figure"], self.world)  # each has figures
         self.same: list[list[str]] = record["same"]
         planned = record["runs"]

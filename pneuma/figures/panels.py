@@ -16,9 +16,8 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import have_one_return
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
-from pneuma.study.spec import VARIANT
 from pneuma.values import settings_name
-from pneuma.worlds import WORLDS, split_world
+from pneuma.worlds import WORLDS
 
 FEW_RUNS = 5
 """Runs of a condition below which they are drawn themselves, and no interval: it would set the axis."""
@@ -39,9 +38,8 @@ def stem_of(data: StudyData, *parts: str) -> str:
     It carries a variant's name, or the fields that it changed, so that no variant ever replaces the study's
     own figure.
     """
-    variant = split_world(data.study)[0].partition(VARIANT)[2]
-    named = [variant] if variant else []
-    slug = settings_name({} if variant else data.changed, *named, *filter(None, parts))
+    named = {} if data.variant else data.changed
+    slug = settings_name(named, *filter(None, [data.variant, *parts]))
     return "-".join(filter(None, [data.figure, slug]))
 
 
