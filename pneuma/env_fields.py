@@ -22,6 +22,7 @@ ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
+DASH = "dash"
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
 """Agent steps that an episode may last."""
@@ -56,6 +57,8 @@ class EnvConfig:
     )
     magic: bool = False
     """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
+    dash: bool = False
+    """Whether there is one more action, the last: a burst straight ahead (thesis chapter 7)."""
     reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
     """A formula, or a list of one a player."""
     observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
@@ -119,6 +122,11 @@ OBSERVATION_FIELDS = {
     "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
 }
 """What each layout perceives unless told otherwise."""
+
+
+def action_names(magic: bool, dash: bool) -> tuple[str, ...]:
+    """Name the actions of a world, in order."""
+    return ACTION_NAMES + (SPELL_NAMES if magic else ()) + ((DASH,) if dash else ())
 
 
 # --- Resolving -----------------------------------------------------------------------------------

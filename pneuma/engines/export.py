@@ -20,13 +20,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import ACTION_NAMES, REWARDS, SPELL_NAMES, Run, env_config, is_gymnasium_id
+from pneuma.config import REWARDS, Run, env_config, is_gymnasium_id
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import are_own_characters, is_own_level
+from pneuma.env_fields import action_names, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 
 IN_ZIP = ("ppo", "a2c")
@@ -150,8 +150,9 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
     made = {"producer_name": "pneuma", "ir_version": ONNX_IR_VERSION}
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
-    known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else ACTION_NAMES + SPELL_NAMES
-    named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known[:actions])}
+    known = action_names(magic=actions >= 7, dash=actions % 2 == 0)  # a world of Pneuma's has 5 to 8
+    known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else known
+    named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known)}
     helper.set_model_props(model, {**about, **named})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)

@@ -24,6 +24,8 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
+DASH_PACE, DASH_TICKS, DASH_REST = 3.0, 8, 60
+"""Of a dash: its speed in walking speeds, and the ticks that it lasts, then until the next."""
 
 DATA = Path(__file__).parent / "data"
 FACINGS = ("down", "left", "up", "right")
@@ -239,7 +241,10 @@ def monster_stats(
 def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return how far from its centre, on either axis, any body can reach within one tick."""
     knock = players["knock_speed"].max()
-    reach = [max(row["half_width"], row["half_height"]) + row["speed"] for row in players]
+    speeds = np.maximum(players["speed"], players["dash_speed"])
+    reach = [
+        max(row["half_width"], row["half_height"]) + speed for row, speed in zip(players, speeds, strict=True)
+    ]
     for row in monsters:
         fastest = max(row["speed"], knock, row["knock_speed"])
         reach.append(max(row["half_width"], row["half_height"]) + fastest)
@@ -247,9 +252,9 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return the greatest speed of anybody who walks or flies, in pixels a tick."""
+    """Return the greatest speed of anybody who walks, dashes or flies, in pixels a tick."""
     speeds = [stats[name] for stats in (players, monsters) for name in ("speed", "knock_speed")]
-    return float(max(each.max(initial=0.0) for each in speeds))
+    return float(max(each.max(initial=0.0) for each in (*speeds, players["dash_speed"])))
 
 
 def crowd(players: np.ndarray, monsters: np.ndarray) -> float:
@@ -349,4 +354,5 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
         x = np.abs(x) + players[f"{name}_half_width"]
         y = np.abs(y) + players[f"{name}_half_height"]
         furthest.append(float(np.hypot(x, y).max()) + furthest[0])
-    return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
+    fastest_player = max(players["speed"].max(), players["dash_speed"].max())
+    return max(furthest) + float(fastest_player) * TICKS_PER_STEP + 1.0

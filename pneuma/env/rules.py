@@ -36,6 +36,8 @@ from pneuma.env.state import (
 )
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
+BLADE, DASHING = 1, 2
+"""How a busy player is armed: with a sword, or with its pace."""
 OPEN, SOLID, COAST = 0, 1, 2
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
@@ -199,6 +201,7 @@ def _place_player(player: Array, stats: Array, settings: Array) -> None:
     player.attack = 0
     player.safe = 0
     player.kills = 0
+    player.rest = 0
 
 
 @part
@@ -339,8 +342,12 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         _act(s, w, p, player, stats, action)
     if player.busy > 0:
         player.busy -= 1
-        if player.armed:
+        if player.armed == BLADE:
             _raise_sword(player, stats, tick)
+        elif player.armed == DASHING:
+            _dash(s, w, p)
+    if player.rest > 0:
+        player.rest -= 1
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
     if settings.deadly_coast and _at_sea(s, s.worlds[w].level, player):
         tick.there = 0
@@ -353,10 +360,15 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
 
 @part
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
-    """Let an idle player walk one tick, or begin an attack or a spell that he can pay."""
-    if action == ATTACK:
+    """Let an idle player walk one tick, or begin an attack, a dash, or a spell that he can pay."""
+    if action == s.settings[0].dash:
+        if player.rest == 0:
+            player.busy = s.settings[0].dash_ticks
+            player.rest = s.settings[0].dash_ticks + s.settings[0].dash_rest
+            player.armed = DASHING
+    elif action == ATTACK:
         player.busy = stats.swing
-        player.armed = 1
+        player.armed = BLADE
         player.attack += 1
     elif action == FLAME:
         if player.energy >= stats.flame_cost:
@@ -379,6 +391,16 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
         player.x, player.y = _moved(
             s, w, s.monsters.shape[1] + p, player.x, player.y, stats, dx, dy, stops, s.tick[p].crowded
         )
+
+
+@kernel
+def _dash(s: State, w: int, p: int) -> None:
+    """Take a player one tick of a dash further, the way it faces."""
+    player = s.players[w, p]
+    stats = s.player_stats[p]
+    dx, dy = _walk(stats.dash_speed, player.facing)
+    me, stops, crowded = s.monsters.shape[1] + p, s.settings[0].player_stops, s.tick[p].crowded
+    player.x, player.y = _moved(s, w, me, player.x, player.y, stats, dx, dy, stops, crowded)
 
 
 @part
@@ -977,8 +999,9 @@ def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: fl
 def _mask_actions(s: State, w: int, p: int) -> None:
     """Write which actions would do anything in the next step.
 
-    Nothing does while an attack lasts through it; only attack then counts as allowed. Walking against
-    a wall that one faces already does nothing, nor does a spell that cannot be paid.
+    Nothing does while an attack lasts through it; only attack then counts as allowed. Walking or dashing
+    against a wall that one faces already does nothing, nor does a spell that cannot be paid, nor a dash too
+    soon after the last one.
     """
     player = s.players[w, p]
     stats = s.player_stats[p]
@@ -990,6 +1013,10 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     if free and hemmed_in:
         s.masks[w, p, player.facing] = _may_walk(s, w, p, player.facing)
     s.masks[w, p, ATTACK] = 1
+    dash = s.settings[0].dash
+    if dash >= 0:
+        ready = free and player.rest < s.settings[0].ticks  # at the latest in the step's last tick
+        s.masks[w, p, dash] = ready and (not hemmed_in or _may_walk(s, w, p, player.facing))
     if s.masks.shape[2] > HEAL:
         energy = player.energy
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin as late as the step's last tick

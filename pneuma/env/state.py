@@ -44,10 +44,11 @@ PLAYER = _record(
     ("energy", "f8"),
     ("facing", "i4"),
     ("busy", "i4"),  # ticks that the current attack or spell still lasts
-    ("armed", "i4"),  # whether it is an attack, whose sword strikes
+    ("armed", "i4"),  # 1: it is an attack, whose sword strikes; 2: it is a dash
     ("attack", "i4"),  # number of the latest attack of this episode
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),
+    ("rest", "i4"),  # ticks until the player can dash again
 )
 MONSTER = _record(  # what every step looks at comes first: it shares a line of cache
     ("x", "f8"),
@@ -98,6 +99,7 @@ PLAYER_STATS = _record(
     ("flame_half_height", "f8", (4,)),
     ("heal", "f8"),
     ("heal_cost", "f8"),
+    ("dash_speed", "f8"),  # 0 where nobody dashes
     ("reward", "i4"),  # which formula
     ("hp_scale", "f8"),  # of an observation
     ("energy_scale", "f8"),
@@ -141,6 +143,9 @@ SETTINGS = _record(
     ("player_stops", "i4"),  # bit 1 << code: tiles of this code stop players
     ("monster_stops", "i4"),
     ("bodies_block", "i4"),
+    ("dash", "i4"),  # number of this action; -1: there is none
+    ("dash_ticks", "i4"),  # that it lasts
+    ("dash_rest", "i4"),  # ticks from its end until the next one may begin
     ("crowd", "f8"),  # on an axis, bodies further apart than this cannot meet within one step
     ("bite_while_knocked", "i4"),
     ("healing_cap", "i4"),  # whether the HP of a kill stop at full HP

@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 from PIL.GifImagePlugin import getdata
 
-from pneuma.config import ACTION_NAMES, SPELL_NAMES
+from pneuma.config import ACTION_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.players import Hunter
 from pneuma.env.render import CAMERAS, Renderer
@@ -37,7 +37,7 @@ SECONDS_AFTER_LAST_KILL = 2
 
 KEYS = {
     "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
-    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "leave": ("ESCAPE",),
+    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "leave": ("ESCAPE",),
 }  # fmt: skip
 """What a window is asked for, and the keys that do it, by pygame's names."""
 
@@ -220,8 +220,8 @@ def smooth(worlds: Worlds) -> None:
 def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
     """Let a person play player 0 with the keyboard until the window closes.
 
-    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, escape leaves; the
-    world waits while no key is held. The other players stand and strike.
+    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can,
+    escape leaves; the world waits while no key is held. The other players stand and strike.
 
     Returns:
         Kills and length, in steps of 8 ticks, of every episode that ended.
@@ -229,7 +229,7 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     smooth(worlds)
     renderer = Renderer(worlds, camera)
     window = Window(renderer.size, title)
-    names = ACTION_NAMES + (SPELL_NAMES if worlds.config.magic else ())
+    names = worlds.action_names
     scores: list[tuple[int, int]] = []
     while not window.closed:
         window.show(renderer.frame(0), FRAMES_PER_SECOND)

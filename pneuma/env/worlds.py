@@ -17,12 +17,13 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from pneuma.config import ACTION_NAMES, SPELL_NAMES, EnvConfig, make_env_config
+from pneuma.config import EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
 from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.random_level import parse_name
 from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
+from pneuma.env_fields import DASH, action_names
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
@@ -60,6 +61,7 @@ class Worlds:
         observations: (N, P, features) float32, overwritten by every step.
         masks: (N, P, actions) int8, 0 where an action would do nothing in the next step; those of the
             dead are as if they lived.
+        action_names: what each action is called.
         levels: the levels played; one, unless random ones are drawn.
         usual_starts: (N,) the start places unless others are asked for; below zero, drawn at random.
         player_stats, monster_stats: (P,) and (L, M), what the rules read.
@@ -74,6 +76,9 @@ class Worlds:
         self.player_stats = characters.player_stats(
             cast, _one_each(config.classes, config), _one_each(config.weapons, config)
         )
+        if config.dash:
+            self.player_stats["dash_speed"] = characters.DASH_PACE * self.player_stats["speed"]
+        self.action_names = action_names(config.magic, config.dash)
         self.levels = _load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [REWARD_CODES.get(name, rules.REWARD_CUSTOM) for name in rewards]
@@ -93,9 +98,8 @@ class Worlds:
             observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
             for player in self.player_stats
         ]
-        names = ACTION_NAMES + (SPELL_NAMES if config.magic else ())
-        self.action_space = spaces.Discrete(len(names))
-        self._allocate(count, len(names))
+        self.action_space = spaces.Discrete(len(self.action_names))
+        self._allocate(count, len(self.action_names))
         self._fits = self._fingerprint()
         self._try_rewards()
 
@@ -194,6 +198,8 @@ class Worlds:
         row["player_stops"] = trees | (config.coast == "wall") << rules.COAST
         row["monster_stops"] = (trees | 1 << rules.COAST) if config.terrain_stops == "all" else 0
         row["bodies_block"] = config.bodies == "block"
+        row["dash"] = self.action_names.index(DASH) if config.dash else -1
+        row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
         row["crowd"] = characters.crowd(self.player_stats, self.monster_stats.ravel())
         row["bite_while_knocked"] = config.bite_while_knocked
         row["healing_cap"] = config.healing_cap

@@ -45,7 +45,7 @@ OnProgress = Callable[[Cell, Event], None]
 
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
-    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic",
+    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic", "dash",
 )  # fmt: skip
 """Fields by which a run's compiled programs differ."""
 MOST_IN_GROUP = 8

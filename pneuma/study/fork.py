@@ -31,7 +31,7 @@ from pneuma.study.stored_runs import stored_settings
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
-    "magic", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
+    "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
     "critic", "buffer_size", "learning_starts", "seed", "steps",
 )  # fmt: skip
 """Settings that the arrays of a checkpoint, or the steps after it, hang on: a fork cannot change them."""

@@ -101,7 +101,7 @@ class Oracle:
             if not book.settings.keep_xp:
                 player.xp = 0.0
             player.facing = DOWN
-            player.busy = player.armed = player.attack = player.safe = player.kills = 0
+            player.busy = player.armed = player.attack = player.safe = player.kills = player.rest = 0
         for monster, kind in zip(self.monsters, book.kinds[self.level], strict=True):
             monster.kind = kind
             monster.x, monster.y, monster.hp = kind.home_x, kind.home_y, kind.hp
@@ -190,10 +190,13 @@ class Oracle:
 
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
-        stats = player.stats
+        stats, settings = player.stats, self.book.settings
         blow = None
         if player.busy == 0:
-            if action == ATTACK:
+            if action == settings.dash:
+                if player.rest == 0:  # 8 ticks of dashing, then 60 before the next
+                    player.busy, player.rest, player.armed = 8, 68, 2
+            elif action == ATTACK:
                 player.busy, player.armed = stats.swing, 1
                 player.attack += 1
             elif action == FLAME and player.energy >= stats.flame_cost:
@@ -209,8 +212,11 @@ class Oracle:
                 self._walk(player, action)
         if player.busy > 0:
             player.busy -= 1
-            if player.armed:
+            if player.armed == 1:
                 blow = sword_blow(player)
+            if player.armed == 2:
+                player.x, player.y = self.walked(player, player.facing, self._others(player), pace=3)
+        player.rest = max(player.rest - 1, 0)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
         if self.book.settings.deadly_coast and self.ground.is_sea(player.x, player.y):
             player.events.hp_lost += player.hp
@@ -222,10 +228,10 @@ class Oracle:
         player.facing = way
         player.x, player.y = self.walked(player, way, self._others(player))
 
-    def walked(self, player: Player, way: int, others: list[Box]) -> Pair:
-        """Return where one tick of walking takes a player among others."""
+    def walked(self, player: Player, way: int, others: list[Box], pace: int = 1) -> Pair:
+        """Return where one tick of walking takes a player among others; or of dashing, at thrice the pace."""
         stats, stops = player.stats, self.book.settings.player_stops
-        dx, dy = (part * stats.speed for part in WAYS[way])
+        dx, dy = (part * (pace * stats.speed) for part in WAYS[way])
         offset = stats.body_x, stats.body_y
         return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, stops, others)
 

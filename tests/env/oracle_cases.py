@@ -124,6 +124,7 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         "classes": one_each(CLASSES),
         "weapons": one_each(WEAPONS),
         "magic": draw(st.booleans()),
+        "dash": draw(st.booleans()),
         "reward": one_each(REWARDS),
         "observation": draw(st.sampled_from(OBSERVATIONS)),
         "perceive": draw(perceive),
@@ -224,14 +225,16 @@ def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarr
 
 
 def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
-    """Return what a player does: hunts, burns, heals, walks straight on, or anything."""
-    magic = bool(world.book.settings.magic)
+    """Return what a player does: hunts, burns, heals, dashes, walks straight on, or anything."""
+    magic, dash = bool(world.book.settings.magic), world.book.settings.dash
     if mood < 120:
         return hunt(world, player, ATTACK)
     if mood < 150:
         return hunt(world, player, FLAME if magic else ATTACK)
-    if mood < 165:
+    if mood < 160:
         return HEAL if magic else ATTACK
+    if mood < 170:
+        return dash if dash >= 0 else mood % 4
     if mood < 200:
         return mood % 4
     return (mood >> step % STEPS_OF_A_MOOD) % (HEAL + 1 if magic else ATTACK + 1)

@@ -72,6 +72,7 @@ class Player:
     attack: int = 0
     safe: int = 0
     kills: int = 0
+    rest: int = 0
     events: Events = field(default_factory=Events)
 
     @property

@@ -56,10 +56,14 @@ def mask(world: Oracle, player: Player) -> list[int]:
     allowed = dict.fromkeys((*WAYS, ATTACK), 0)
     if settings.magic:
         allowed |= {FLAME: 0, HEAL: 0}
+    if settings.dash >= 0:
+        allowed[settings.dash] = 0
     if player.busy < settings.ticks:
         for way in WAYS:
             gets_on = world.walked(player, way, []) != (player.x, player.y)
             allowed[way] = int(player.facing != way or gets_on)
+            if settings.dash >= 0 and player.facing == way:
+                allowed[settings.dash] = int(gets_on and player.rest < settings.ticks)
         if settings.magic:
             energy = _energy_at_last(player, settings.ticks)
             allowed[FLAME] = int(energy >= stats.flame_cost)

@@ -64,6 +64,42 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     assert monster_at(worlds) == pytest.approx((117.5, -71.5))
 
 
+# --- Dashing -------------------------------------------------------------------------------------
+# Thrice 5 px a tick for 8 ticks; then 60 ticks of rest.
+
+DASH = 5  # the last action, without magic
+
+
+def test_a_dash_goes_120_px_ahead_and_the_next_one_waits_for_60_ticks(arena: str) -> None:
+    worlds = stage(arena, players=((0.0, -200.0),), settings={"dash": True})
+    play(worlds, DASH)
+    assert player_at(worlds) == (120.0, -200.0)
+    assert worlds.masks[0, 0].tolist() == [1] * 5 + [0]
+    play(worlds, *[DASH] * 6)
+    assert (player_at(worlds), worlds.players["rest"][0, 0]) == ((120.0, -200.0), 12)
+    play(worlds, DASH)
+    assert worlds.masks[0, 0, DASH] == 1  # 4 ticks from now
+    play(worlds, DASH)
+    assert player_at(worlds) == (180.0, -200.0)
+    play(worlds, UP)  # the other 4 ticks of the dash, then 4 of walking
+    assert player_at(worlds) == (240.0, -220.0)
+
+
+def test_a_dash_stops_at_a_wall_and_at_a_monster_and_nobody_turns_in_it(arena: str) -> None:
+    worlds = stage(arena, players=((150.0, 30.0),), settings={"dash": True})
+    play(worlds, DASH)
+    assert player_at(worlds) == (234.0, 30.0)
+    worlds.players["rest"] = 0
+    worlds.observe()
+    assert worlds.masks[0, 0].tolist() == [1, 1, 1, 0, 1, 0]
+    worlds = stage(
+        arena, (100.0, -200.0), players=((0.0, -200.0),), ticks=1, still=True, settings={"dash": True}
+    )
+    play(worlds, DASH, UP, ATTACK, LEFT, UP, UP, UP, UP)
+    assert player_at(worlds) == (66.0, -200.0)
+    assert worlds.players["facing"][0, 0] == RIGHT
+
+
 # --- Magic ---------------------------------------------------------------------------------------
 # A base player has magic 4, 60 of energy and recovers 0.6 x 4 / 60 = 0.04 a tick. A flame burns 5 + 4 = 9 HP
 # and costs 20; healing gives 20 HP and costs 10; both take 24 ticks.
