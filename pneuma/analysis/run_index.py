@@ -108,6 +108,23 @@ def open_study(where: Store | RunIndex, record: Mapping[str, Any], tables: Table
     return StudyData(index.of_record(record, tables), record, str(index.store.root))
 
 
+def join_studies(one: StudyData, other: StudyData) -> StudyData:
+    """Return the runs of two studies as one study's; their conditions are called CONDITION, STUDY."""
+    runs = [
+        {**run, "condition": f"{run['condition']}, {data.study}"}
+        for data in (one, other)
+        for run in data.record["runs"]
+    ]
+    about: dict[str, Any] = {
+        "title": f"{one.title}, and {other.title}",
+        "selection": {},
+        "same": [],
+        "baseline": None,
+    }
+    record = {key: value for key, value in one.record.items() if key != "budget"}
+    return StudyData({**one.index, **other.index}, {**record, **about, "runs": runs})
+
+
 def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
     """Return studies by the published tables of a results folder alone; all when none is named.
 

@@ -160,28 +160,63 @@ def compare(
     a: Annotated[
         str,
         typer.Argument(
-            metavar="A", help="A condition.", show_default=False, autocompletion=complete.conditions
-        ),
-    ],
-    b: Annotated[
-        str,
-        typer.Argument(
-            metavar="B", help="The condition that A is held against.", autocompletion=complete.conditions
+            metavar="A",
+            help="A condition; or, alone, another study or a variant.",
+            show_default=False,
+            autocompletion=complete.conditions,
         ),
     ],
     chosen: opt.Chosen,
+    b: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[B]", help="The condition that A is held against.", autocompletion=complete.conditions
+        ),
+    ] = None,
     outcome: opt.Outcomes = None,
+    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
+    out: opt.PlotFolder = None,
+    format: opt.Formats = None,
     json: opt.Json = False,
 ) -> None:
-    """Compare two conditions: the difference of their means, and how likely a run of A is better."""
-    data = open_data(chosen, name)
+    """Compare two conditions: the difference of their means, and how likely a run of A is better.
+
+    Without B, each condition of NAME is compared with that of the same name of the study or variant A.
+    """
+    formats = read_formats(format, out)
+    data, pairs, heads = open_data(chosen, name), [(a, b or "")], [a, b or ""]
+    if b is None:
+        from pneuma.analysis.run_index import join_studies
+
+        other, heads = open_data(chosen, a), [data.study]
+        heads.append(other.study)
+        pairs = [
+            (f"{own}, {data.study}", f"{own}, {other.study}")
+            for own in data.conditions
+            if data.of_condition(own) and own in other.conditions and other.of_condition(own)
+        ]
+        if data.study == other.study or not pairs:
+            raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
+        data = join_studies(data, other)
+    import pandas as pd
+
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
-    table = compare_conditions(data, a, b, outcome or ())
+    tables = [compare_conditions(data, *pair, outcome or ()) for pair in pairs]
+    table = pd.concat(tables, ignore_index=True)
+    files = []
+    if plot:
+        from pneuma.figures.panels import stem_of
+        from pneuma.figures.summary import draw_comparison
+
+        stem = stem_of(data, "compare", *(heads if b else heads[1:]))
+        files = draw_files(
+            chosen.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats)
+        )
     if json:
-        return print_json({"study": data.study, "comparisons": table})
-    say(f"{data.title}: {a} against {b}")
+        return print_json({"study": data.study, "comparisons": table, "figures": files})
+    say(f"{data.title}: {heads[0]} against {heads[1]}")
     _tell_step(data)
     print()
     rows = []
@@ -190,11 +225,14 @@ def compare(
         means = (shown(row[key], decimals(*difference)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
-        rows.append((_with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs))
-    print_table(("outcome", a, b, f"{a} - {b}", "P(better)", "runs", "no value"), rows)
+        of = () if b else (row["a"].removesuffix(f", {heads[0]}"),)
+        told = shown_with_interval(*difference), better, *runs
+        rows.append((*of, _with_unit(row["outcome"]), *means, *told))
+    named = ["outcome", *heads, "difference", "P(better)", "runs", "no value"]
+    print_table(named if b else ["condition", *named], rows)
     print("\nMeans, and their difference with a 95 % interval (Welch). P(better): how likely a run of the")
     print("first is better than one of the second. no value: runs that have none and are left out.")
-    return None
+    return tell_written(files)
 
 
 # --- collapse -------------------------------------------------------------------------------------

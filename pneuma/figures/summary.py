@@ -94,6 +94,39 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
         return style.save_figure(figure, folder, panels.stem_of(data, "summary"), formats)
 
 
+def draw_comparison(
+    data: StudyData, table: pd.DataFrame, folder: Path, stem: str, formats: tuple[str, ...]
+) -> list[Path]:
+    """Draw differences of means with their intervals: a panel for each outcome, a row for each comparison.
+
+    Args:
+        data: the study.
+        table: as `pneuma.analysis.summaries.compare_conditions` makes it, of several pairs one below another.
+        folder: where to write.
+        stem: name of the files without its ending.
+        formats: of `FIGURE_FORMATS`.
+    """
+    outcomes = list(dict.fromkeys(table["outcome"]))
+    with style.house_style():
+        figure = Figure(layout="constrained")
+        grid = figure.subplots(1, len(outcomes), squeeze=False).ravel()
+        for axes, name in zip(grid, outcomes, strict=True):
+            rows = table[table["outcome"] == name].to_dict("records")
+            for place, row in enumerate(rows):
+                _draw_interval(axes, {**row, "value": row["difference"]}, place, "D", INK, 4)
+            axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
+            axes.set(title=name, xlabel=find_outcome(name).unit)
+            axes.xaxis.set_major_locator(panels.round_ticks(3))
+            labels = [f"{row['a']} -\n{row['b']} (n = {row['seeds_a']} and {row['seeds_b']})" for row in rows]
+            panels.label_rows(axes, labels if axes is grid[0] else [""] * len(rows), 2 * ROW_INCHES)
+        caption = ["Differences of means of runs, with Welch's 95 % intervals.", *panels.notes_of(data)]
+        if step := common_step(data):
+            caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
+        inches = 2 * ROW_INCHES * len(rows) + 0.7
+        panels.put_texts(figure, inches, panels.headline_of(data, "differences"), caption=caption)
+        return style.save_figure(figure, folder, stem, formats)
+
+
 def _set_outcome(axes: Axes, outcome: str) -> None:
     """Set a horizontal axis of what is drawn."""
     axes.set_xlabel("Share killed" if outcome == PRIMARY else "Return of an episode")

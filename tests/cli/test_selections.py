@@ -57,3 +57,23 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     record = store.shown_selection("activation") or {}
     assert record["selection"]["seeds"] == [0, 1, 2]
     assert open_data("activation", tmp_path).record["runs"] == record["runs"]
+
+
+def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
+    study, several = load_study("activation"), {"learning_rate": [1e-4, 3e-4], "betas": [0.9, 0.9]}
+    plan = make_plan(study, Selection(seeds=(0,), steps=512, conditions=("relu",), settings=several))
+    assert plan.conditions == ("learning_rate=1e-4, relu", "learning_rate=3e-4, relu")
+    assert [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells] == [
+        (1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9)),
+    ]  # fmt: skip
+
+
+def test_a_study_that_was_run_by_its_path_is_found_by_its_name(tmp_path: Path) -> None:
+    path, store = tmp_path / "mine.toml", Store(tmp_path / "results")
+    text = 'title = "M"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
+    path.write_text(text)
+    prepare(make_plan(load_study(str(path)), Selection()), store)
+    told = printed("study", "plan", "mine", "--json", "--results", store.root)
+    assert [run["condition"] for run in json.loads(told)["runs"]] == ["a"]
+    path.write_text(text.replace("[conditions.a]", '[conditions.a]\nreward = "evil:pay"'))
+    assert "would run the reward evil:pay" in refused("study", "plan", "mine", "--results", store.root)
