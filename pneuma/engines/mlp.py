@@ -87,3 +87,15 @@ def sample(logits: Any, draw: Any) -> int:
         if left < 0:
             return j
     return len(logits) - 1
+
+
+@kernel
+def draw_actions(
+    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, scratch: Any, chosen: Any
+) -> None:
+    """Draw an action for every row of observations, (count, features), into `chosen`, (count,)."""
+    count = observations.shape[0]
+    scratch[0, :count, : widths[0]] = observations
+    logits = forward(weights, widths, activation, count, scratch)
+    for k in range(count):
+        chosen[k] = sample(logits[k], draws[k])

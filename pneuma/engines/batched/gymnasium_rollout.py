@@ -11,12 +11,9 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.rollout import ENDED, Rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
-from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
+from pneuma.engines.mlp import ACTIVATION_CODES, draw_actions
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
-from pneuma.env.compiled import cached
-
-kernel: Any = cached(error_model="numpy")
 
 
 class Collector:
@@ -52,7 +49,7 @@ class Collector:
             observations[:, step] = slots.observations
             starts[:, step] = self._begins
             chosen = actions[:, step]
-            _choose(weights, widths, activation, slots.observations, draws[step], scratch, chosen)
+            draw_actions(weights, widths, activation, slots.observations, draws[step], scratch, chosen)
             rewards[:, step], terminated, truncated = slots.step(chosen)
             self._begins[:] = over = terminated | truncated
             for slot in np.flatnonzero(over):
@@ -83,15 +80,3 @@ class Collector:
     def fork(self) -> None:
         """Go on with random streams of the run's own, each from its next episode on."""
         self.slots.reseed(slot_seeds(self._run))
-
-
-@kernel
-def _choose(
-    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, scratch: Any, chosen: Any
-) -> None:
-    """Draw an action for every row of observations."""
-    count = observations.shape[0]
-    scratch[0, :count, : widths[0]] = observations
-    logits = forward(weights, widths, activation, count, scratch)
-    for k in range(count):
-        chosen[k] = sample(logits[k], draws[k])
