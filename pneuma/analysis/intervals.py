@@ -27,6 +27,8 @@ LEAST_RESAMPLED = 3
 RESAMPLES = 2_000
 SIGNIFICANT = 2
 """Digits of the half width of an interval that are shown."""
+MOST = 6
+"""Places after the point at most, where runs are all but equal."""
 ALONE = 3
 """Digits of a number without an interval."""
 
@@ -277,7 +279,7 @@ def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int
     """Return to how many places after the point a number is shown; fewer than 0 for tens and more."""
     half = (high - low) / 2
     if math.isfinite(half) and half > 0:
-        return SIGNIFICANT - 1 - math.floor(math.log10(half))
+        return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half)))
     if not math.isfinite(value) or value == 0:
         return 0
     return ALONE - 1 - math.floor(math.log10(abs(value)))
