@@ -138,11 +138,11 @@ def find_runs(store: Store, claims: ClaimList) -> Iterator[ClaimRuns]:
 
     Claims on one study and of the same steps are read through one study, so that their runs lie on one grid.
     """
-    index, load = RunIndex(store, shipped=False), cache(load_study)
+    index, read_study = RunIndex(store, shipped=False), cache(load_study)
 
     @cache
     def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:
-        study = load(name, world)
+        study = read_study(name, world)
         selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
         return make_plan(study, selection).cells
 
@@ -170,7 +170,7 @@ def find_runs(store: Store, claims: ClaimList) -> Iterator[ClaimRuns]:
             for each in cells_of(own, world).values()
             for cell in each
         }
-        study = load(name, world)
+        study = read_study(name, world)
         runs = [
             {"condition": cell.condition, "seed": cell.seed, "run_id": run_id, "run": as_fields(cell.run)}
             for run_id, cell in cells.items()
@@ -191,7 +191,7 @@ def find_runs(store: Store, claims: ClaimList) -> Iterator[ClaimRuns]:
                 name: tuple(finished[cell.run_id] for cell in own if cell.run_id in finished)
                 for name, own in cells.items()
             }
-            command = training_command(load(study_of(claim), world), claims.path)
+            command = training_command(read_study(study_of(claim), world), claims.path)
             mend = f"{TRAIN_WITH} {command}{rest}" if command else ""
             yield ClaimRuns(claim.in_world(world), world, cells, found, data, mend, index.damaged)
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, read_field
+from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields, read_field
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
@@ -82,4 +82,7 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
     keys = (key for key in _FILES if fields.get(key) is not None)
     own = own_names({key: read_field(Run, key, fields[key]) for key in keys})
     told = {key: value if isinstance(value, str) else ", ".join(value) for key, value in own.items()}
-    return {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in told.items()}
+    deeds = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in told.items()}
+    if fields.get("env") == GODOT and fields.get("env_kwargs"):
+        deeds["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
+    return deeds
