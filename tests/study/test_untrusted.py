@@ -84,7 +84,7 @@ def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Sto
 RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml"}
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
-READS_TEXT = {"tomllib.load", "json.load"}
+UNPICKLES_NOTHING = {"tomllib.load", "json.load", "entry.load"}  # the last imports from an installed package
 
 
 def test_no_module_can_unpickle() -> None:
@@ -97,7 +97,9 @@ def test_no_module_can_unpickle() -> None:
         called = [node.func for node in tree if isinstance(node, ast.Call)]
         assert not {"eval", "exec"} & {func.id for func in called if isinstance(func, ast.Name)}, path
         last = [(getattr(func, "attr", getattr(func, "id", "")), func) for func in called]
-        loads = {ast.unparse(func) for name, func in last if name in ("load", "read_pickle")} - READS_TEXT
+        loads = {
+            ast.unparse(func) for name, func in last if name in ("load", "read_pickle")
+        } - UNPICKLES_NOTHING
         assert loads <= ({"load"} if "safetensors.numpy" in imported else set()), path
 
 
