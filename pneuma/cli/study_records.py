@@ -232,16 +232,19 @@ class RunState(NamedTuple):
         run: its entry in the record.
         status: of the run here, or else as it is published.
         published: whether the status is the published one.
+        damaged: whether what lies here of the run is.
     """
 
     run: dict[str, Any]
     status: Status
     published: bool
+    damaged: bool
 
     @property
     def told(self) -> str:
         """How it stands, for people."""
-        return f"{self.status.name} as published" if self.published else self.status.name
+        here = ", damaged here" if self.damaged else ""
+        return f"{self.status.name} as published{here}" if self.published else self.status.name
 
     @property
     def reached(self) -> str:
@@ -259,8 +262,13 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
 
         found = RunIndex(store).of_record(record)
         published = {run_id: own.status for run_id, own in found.items() if own.published}
+    damaged = {run_id for run_id, status in states.items() if status.name == "damaged"}
     states |= published
-    return [RunState(run, states[run["run_id"]], run["run_id"] in published) for run in record["runs"]]
+    ids = (run["run_id"] for run in record["runs"])
+    return [
+        RunState(run, states[run_id], run_id in published, run_id in damaged)
+        for run, run_id in zip(record["runs"], ids, strict=True)
+    ]
 
 
 def _stored(store: Store, name: str, stem: str) -> dict[str, Any] | None:
