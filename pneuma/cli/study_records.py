@@ -264,10 +264,9 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
         published = {run_id: own.status for run_id, own in found.items() if own.published}
     damaged = {run_id for run_id, status in states.items() if status.name == "damaged"}
     states |= published
-    ids = (run["run_id"] for run in record["runs"])
     return [
-        RunState(run, states[run_id], run_id in published, run_id in damaged)
-        for run, run_id in zip(record["runs"], ids, strict=True)
+        RunState(run, states[run["run_id"]], run["run_id"] in published, run["run_id"] in damaged)
+        for run in record["runs"]
     ]
 
 

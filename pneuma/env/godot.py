@@ -87,6 +87,8 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                 message = receive(connection)
             except (EOFError, ConnectionError):
                 return steps
+            except ValueError as error:
+                raise UserError(f"port {port}: the trainer sent what is no message: {error}") from None
             kind = message.get("type")
             if kind == "close":
                 return steps
