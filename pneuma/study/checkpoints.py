@@ -62,6 +62,9 @@ class RunCheckpoints:
         self.attempts: list[dict[str, Any]] = []
         for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
             _remove(left)  # a temporary file of a process that was killed
+        for path in self._folder.glob("*"):
+            if path.is_dir() and path.name != CHECKPOINTS:
+                _remove(path)  # a folder in the place of a file
 
     def latest(self) -> Checkpoint | None:
         """Return the latest whole checkpoint, saying which were damaged; None to start anew."""

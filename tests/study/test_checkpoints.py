@@ -110,3 +110,14 @@ def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
     own = begin(store)
     own.latest()
     assert [attempt["step"] for attempt in own.attempts] == [256, 512]
+
+
+def test_folders_in_the_place_of_files_are_swept(store: Store) -> None:
+    folder = store.run_folder(NAME)
+    checkpoint = "0000000000256-0123456789abcdef.safetensors"
+    for place in (".x.y", "metrics.parquet", f"checkpoints/{checkpoint}", "checkpoints/.x.y"):
+        (folder / place / "within").mkdir(parents=True)
+    own = begin(store)
+    assert own.latest() is None
+    own.finish()
+    assert list(folder.iterdir()) == []
