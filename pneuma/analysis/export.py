@@ -13,7 +13,7 @@ from pneuma.analysis.curves import curves_table, evaluation_curves, training_cur
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.summaries import summary_table
-from pneuma.errors import UserError
+from pneuma.errors import UserError, plain
 
 
 def encode_table(
@@ -76,8 +76,11 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
 
 
 def _as_text(cell: object) -> object:
-    """Return a cell, with a quotation mark before a text that would be a formula."""
-    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+    """Return a cell without unseen characters, and with a quotation mark before what would be a formula."""
+    if not isinstance(cell, str):
+        return cell
+    cell = plain(cell)
+    if not cell.startswith(("=", "+", "-", "@")):
         return cell
     return cell if re.fullmatch(r"[+-][\d.]+(e[+-]?\d+)?", cell) else "'" + cell
 

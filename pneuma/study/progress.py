@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from pneuma.config import Run
+from pneuma.errors import plain
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
 from pneuma.study.plan import Cell, Plan
@@ -63,7 +64,9 @@ class ProgressDisplay:
         self._tasks = {}
         for name, runs in {**self._runs_of, "all": [*to_train]}.items():
             total, done = sum(to_train[own].steps for own in runs), sum(self._steps[own] for own in runs)
-            self._tasks[name] = self._bars.add_task(name, total=total, completed=done, runs=self._count(runs))
+            self._tasks[name] = self._bars.add_task(
+                plain(name), total=total, completed=done, runs=self._count(runs)
+            )
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
@@ -112,4 +115,4 @@ class ProgressDisplay:
 def _print(line: str) -> None:
     """Print a line on standard error, above the bars; if nobody reads that any more, training goes on."""
     with suppress(OSError):
-        print(line, file=sys.stderr, flush=True)
+        print(plain(line), file=sys.stderr, flush=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,13 @@ def test_training_outlives_its_terminal(monkeypatch: pytest.MonkeyPatch, tmp_pat
         display.update(plan.cells[0], {"event": "note", "text": "goes on from step 256"})
         display.update(plan.cells[0], {"event": "end", "step": 50_176, "status": "done"})
     say("Stopped.", aside=True)
+
+
+def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A condition's name may be an escape sequence that sets the window's title."""
+    plan = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",)))
+    cell = replace(plan.cells[0], condition="\x1b]0;a\x07")
+    plan = replace(plan, cells=(cell,))
+    with ProgressDisplay(plan, {cell.run_id: cell.run}, Store(tmp_path), quiet=False) as display:
+        display.update(cell, {"event": "note", "text": "begins"})
+    assert capsys.readouterr().err == "\\u001b]0;a\\u0007 seed 0: begins\n"
