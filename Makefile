@@ -69,7 +69,7 @@ OWN_TABLE = $(if $(filter-out $(firstword $(BUDGETS_$(1))),$(if $(BUDGETS_$(1)),
 # A study in a world, for one budget; a run that crashed stops no other study, nor does one that cannot be published. Ctrl-C and mistakes
 # stop all.
 define one
-$(PNEUMA) $(1) --preset $(or $(PRESET_$(1)),$(PRESET)) --world $(2) \
+$(PNEUMA) $(1) $(if $(filter run plan,$(DO)),--preset $(or $(PRESET_$(1)),$(PRESET))) --world $(2) \
   $(if $(SEEDS),--seeds $(SEEDS)) $(if $(3),--steps $(3)) $(if $(filter publish,$(DO)),$(KEPT) $(OWN_TABLE)) \
   $(if $(filter run plan,$(DO)),$(if $(UNPUBLISHED),--unpublished)) \
   $(if $(filter run,$(DO)),$(if $(RETRY),--retry-failed)) --results "$(RESULTS)" \

@@ -150,9 +150,11 @@ Json = Annotated[bool, flag("--json", "Print one JSON document on standard outpu
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
 Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
-_AMOUNT = "How much to run: quick for plan and run, else as last run"
 Preset = Annotated[
-    Text, option("--preset", "|".join((*PRESETS, CLAIMS)), f"{_AMOUNT}.", offer=complete.presets)
+    Text,
+    option(
+        "--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick).", offer=complete.presets
+    ),
 ]
 Seeds = Annotated[
     Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
@@ -211,43 +213,47 @@ Outcomes = Annotated[
 
 @dataclass(frozen=True)
 class Chosen:
-    """What the options of `Choosing` come to."""
+    """What of a study, in which world, and where it is kept."""
 
     selection: Selection
     world: str | None
     store: Store
 
 
-@dataclass(frozen=True)
-class Choosing:
-    """The options that select runs of a study, and say where they are kept."""
-
-    preset: Preset = None
-    seeds: Seeds = None
-    steps: Steps = None
-    engine: EngineName = None
-    condition: Conditions = None
-    set_: Settings = None
-    world: WorldName = None
-    results: Results = RESULTS
-
-    def read(self) -> Chosen:
-        """Return what they choose."""
-        conditions, settings = tuple(self.condition or ()), dict(self.set_ or ())
-        selection = Selection(self.preset, self.seeds, self.steps, self.engine, conditions, settings)
-        return Chosen(selection, self.world, Store(self.results))
+def _chosen(
+    preset: Preset = None,
+    seeds: Seeds = None,
+    steps: Steps = None,
+    condition: Conditions = None,
+    set_: Settings = None,
+    world: WorldName = None,
+    results: Results = RESULTS,
+) -> Chosen:
+    """Read the options that say what to train."""
+    selection = Selection(preset, seeds, steps, tuple(condition or ()), dict(set_ or ()))
+    return Chosen(selection, world, Store(results))
 
 
-@dataclass(frozen=True)
-class Placing:
-    """The options that say where runs are trained."""
+def _picked(
+    seeds: Seeds = None,
+    steps: Annotated[
+        Any, count("--steps", "Runs of so many steps (default: those of which most are finished).")
+    ] = None,
+    condition: Conditions = None,
+    world: WorldName = None,
+    results: Results = RESULTS,
+) -> Chosen:
+    """Read the options that pick from what is stored."""
+    return Chosen(Selection(None, seeds, steps, tuple(condition or ())), world, Store(results))
 
+
+def _place(
     executor: Annotated[
         str, choice("--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says.")
-    ] = LOCAL
+    ] = LOCAL,
     address: Annotated[
         Text, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
-    ] = None
+    ] = None,
     slurm: Annotated[
         list[Any] | None,
         option(
@@ -256,42 +262,38 @@ class Placing:
             "What jobs of --executor slurm ask for: partition, time, mem, …",
             _key_and_value("--slurm", "partition=short"),
         ),
-    ] = None
-    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False
-
-    def read(self) -> Supervision:
-        """Return where runs are trained."""
-        needs = {"address": RAY, "slurm": SLURM, "detach": SLURM}
-        for name, executor in needs.items():
-            if getattr(self, name) and self.executor != executor:
-                raise UserError(f"--{name}: goes with --executor {executor}")
-        own = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
-        return Supervision(executor=self.executor, address=self.address, slurm=own, detach=self.detach)
+    ] = None,
+    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False,
+) -> Supervision:
+    """Read the options that say where runs are trained."""
+    for name, given, own in (("address", address, RAY), ("slurm", slurm, SLURM), ("detach", detach, SLURM)):
+        if given and executor != own:
+            raise UserError(f"--{name}: goes with --executor {own}")
+    asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
+    return Supervision(executor=executor, address=address, slurm=asked, detach=detach)
 
 
 Answer = TypeVar("Answer")
-_GROUPS: dict[str, type[Choosing | Placing]] = {"chosen": Choosing, "place": Placing}
+_GROUPS: dict[str, Callable[..., Any]] = {"chosen": _chosen, "picked": _picked, "place": _place}
 
 
 def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that its parameters `chosen` and `place` are read from.
+    """Give a command the options that its parameters `chosen`, `picked` and `place` are read from.
 
     Typer makes a command's options from its signature, so they are put there.
     """
     signature = inspect.signature(command, eval_str=True)
-    groups = {name: _GROUPS[name] for name in signature.parameters if name in _GROUPS}
     added = {
-        name: list(inspect.signature(group, eval_str=True).parameters.values())
-        for name, group in groups.items()
+        name: list(inspect.signature(_GROUPS[name], eval_str=True).parameters.values())
+        for name in signature.parameters
+        if name in _GROUPS
     }
 
     @functools.wraps(command)
     def run(**given: Any) -> Answer:
-        read = {
-            name: group(**{own.name: given.pop(own.name) for own in added[name]}).read()
-            for name, group in groups.items()
-        }
-        return command(**read, **given)
+        for name, options in added.items():
+            given[name] = _GROUPS[name](**{own.name: given.pop(own.name) for own in options})
+        return command(**given)
 
     parameters = [own for one in signature.parameters.values() for own in added.get(one.name, [one])]
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -316,11 +318,8 @@ def selecting_words(selection: Selection) -> list[str]:
         counted_up = selection.seeds == tuple(range(len(selection.seeds)))
         listed = ",".join(map(str, selection.seeds)) + ("," if len(selection.seeds) == 1 else "")
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
-    if selection.steps is not None:
-        words += ["--steps", str(selection.steps)]
-    if selection.engine:
-        words += ["--engine", selection.engine]
+    words += ["--steps", str(selection.steps)] if selection.steps is not None else []
     words += [word for name in selection.conditions for word in ("--condition", name)]
     for key, value in (selection.settings or {}).items():
         words += ["--set", f"{key}={value if isinstance(value, str) else dumps(value)}"]
-    return words
+    return words + (["--as", selection.variant] if selection.variant else [])

@@ -143,7 +143,7 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
 @app.command(short_help="Say how far the runs of a study are.")
 @opt.grouped
 def status(
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     name: Annotated[
         str | None,
         typer.Argument(
@@ -152,15 +152,14 @@ def status(
     ] = None,
     json: opt.Json = False,
 ) -> None:
-    """Say how far the runs of a study are, as it was last run or as selected."""
-    store = chosen.store
+    """Say how far the runs of a study are."""
+    store = picked.store
     jobs = _queued(store)
 
     def standing(study: str) -> dict[str, Any]:
-        record = study_record(store, study, chosen.selection, chosen.world)
+        record = study_record(store, study, picked.selection, picked.world)
         tell_shown(store, record)
         states = run_states(store, record)
-        ids = [own.run["run_id"] for own in states]
         runs = [
             {
                 **{key: own.run[key] for key in ("run_id", "condition", "seed")},
@@ -168,21 +167,23 @@ def status(
             }
             for own in states
         ]
-        queued = {run_id: jobs[run_id] for run_id in ids if run_id in jobs}
+        queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
         if not json:
             counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in states).items())
             changed = shown_settings(record.get("selection", {}).get("settings") or {})
             say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []
             for own in states:
-                run_id, job = own.run["run_id"], queued.get(own.run["run_id"])
-                told = [own.told, own.reached, f"job {job['job']} {job['state'].lower()}" if job else ""]
-                seed = f"seed {own.run['seed']}"
-                rows.append((f"  {own.run['condition']}", seed, run_id, " ".join(filter(None, told))))
+                run_id, told = own.run["run_id"], own.told
+                if own.status.step and not own.status.finished:
+                    told += f" at step {own.status.step:,}"
+                if job := queued.get(run_id):
+                    told += f" job {job['job']} {job['state'].lower()}"
+                rows.append((f"  {own.run['condition']}", f"seed {own.run['seed']}", run_id, told))
             print_table([""] * 4, rows)
         return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
 
-    found = [standing(name)] if name else each_study(known_studies(store, chosen.world), standing)
+    found = [standing(name)] if name else each_study(known_studies(store, picked.world), standing)
     if json:
         return print_json(found[0] if name else {"studies": found})
     if not found:

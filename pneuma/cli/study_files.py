@@ -50,7 +50,7 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 
 @opt.grouped
 def plot(
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     names: Annotated[
         list[str] | None,
         typer.Argument(
@@ -81,8 +81,8 @@ def plot(
     """Draw a study: curves over its steps, or what its runs came to."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
-    formats, store = read_formats(format, out), chosen.store
-    if not names and (lacking := nothing_yet(store, chosen.world)):
+    formats, store = read_formats(format, out), picked.store
+    if not names and (lacking := nothing_yet(store, picked.world)):
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, file_stem, settle
@@ -96,7 +96,7 @@ def plot(
     entries: list[dict[str, Any]] = []
 
     def draw_one(name: str, folder: Path) -> None:
-        data = open_data(chosen, name)
+        data = open_data(picked, name)
         settled = None
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
@@ -114,7 +114,7 @@ def plot(
             drawn = {"outcome": shown_outcome(data)}
             paths = draw_summary(data, folder, formats)
         words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else [])]
-        words += [*opt.selecting_words(chosen.selection), *world_option(chosen.world or TEXT)]
+        words += [*opt.selecting_words(picked.selection), *world_option(picked.world or TEXT)]
         look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
         look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
         words += [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
@@ -124,7 +124,7 @@ def plot(
         for name in names or ():
             draw_one(name, folder)
         if not names:
-            each_study(known_studies(store, chosen.world), lambda name: draw_one(name, folder))
+            each_study(known_studies(store, picked.world), lambda name: draw_one(name, folder))
         (folder / INDEX).write_bytes(encode_index([*read_index(target), *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
@@ -150,7 +150,7 @@ def export(
         Path,
         opt.option("--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."),
     ],
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     band: Annotated[
         opt.Text,
         opt.choice("--band", EDGED_BANDS, f"Of curves: what low and high are (else {EXPORTED_BAND})."),
@@ -168,7 +168,7 @@ def export(
         check_file(out, EXPORT_SUFFIXES)
     elif json:
         raise UserError("--json: standard output is for the table; name a file by --out")
-    data = open_data(chosen, name, published=table not in ("episodes", "metrics"))
+    data = open_data(picked, name, published=table not in ("episodes", "metrics"))
     from pneuma.analysis.export import encode_table
 
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
@@ -198,7 +198,7 @@ def _read_curves(text: str) -> tuple[str, ...]:
 @opt.grouped
 def publish(
     name: opt.StudyName,
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     curves: Annotated[
         Any,
         opt.option(
@@ -219,8 +219,8 @@ def publish(
     may thus be trained on several machines, or part by part. Runs that other studies have published are found
     in their tables.
     """
-    store = chosen.store
-    record = study_record(store, name, chosen.selection, chosen.world)
+    store = picked.store
+    record = study_record(store, name, picked.selection, picked.world)
     if as_ is not None:
         if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")

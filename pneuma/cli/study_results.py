@@ -57,7 +57,7 @@ def _with_unit(outcome: str) -> str:
 @opt.grouped
 def summary(
     name: opt.StudyName,
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     outcome: opt.Outcomes = None,
     all_: Annotated[
         bool, opt.flag("--all", "Print every statistic of all usual outcomes, not three means.")
@@ -65,7 +65,7 @@ def summary(
     json: opt.Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
-    data = open_data(chosen, name)
+    data = open_data(picked, name)
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.summaries import summary_table
 
@@ -166,7 +166,7 @@ def compare(
             autocompletion=complete.conditions,
         ),
     ],
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     b: Annotated[
         str | None,
         typer.Argument(
@@ -184,11 +184,11 @@ def compare(
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
     formats = read_formats(format, out)
-    data, pairs, heads = open_data(chosen, name), [(a, b or "")], [a, b or ""]
+    data, pairs, heads = open_data(picked, name), [(a, b or "")], [a, b or ""]
     if b is None:
         from pneuma.analysis.run_index import join_studies
 
-        other, heads = open_data(chosen, a), [data.study]
+        other, heads = open_data(picked, a), [data.study]
         heads.append(other.study)
         pairs = [
             (f"{own}, {data.study}", f"{own}, {other.study}")
@@ -212,7 +212,7 @@ def compare(
 
         stem = stem_of(data, "compare", *(heads if b else heads[1:]))
         files = draw_files(
-            chosen.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats)
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats)
         )
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
@@ -241,7 +241,7 @@ def compare(
 @opt.grouped
 def collapse(
     name: opt.StudyName,
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     fork: Annotated[
         bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
     ] = False,
@@ -256,8 +256,8 @@ def collapse(
     quiet: opt.Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
-    formats, store = read_formats(format, out), chosen.store
-    data = open_data(chosen, name, published=not fork)
+    formats, store = read_formats(format, out), picked.store
+    data = open_data(picked, name, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found, shares = diagnoses(data), incidence(data)
@@ -313,12 +313,12 @@ def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
 @opt.grouped
 def effects(
     name: opt.StudyName,
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     outcome: opt.Outcome = None,
     json: opt.Json = False,
 ) -> None:
     """Test the main effects and two-way interactions of a crossed study's factors."""
-    data = open_data(chosen, name)
+    data = open_data(picked, name)
     from pneuma.analysis.crossed import study_effects
     from pneuma.analysis.frames import common_step
 
@@ -379,16 +379,16 @@ def robustness(
             _read_contrast,
         ),
     ],
-    chosen: opt.Chosen,
+    picked: opt.Chosen,
     outcome: opt.Outcome = None,
     out: opt.FigureFolder = None,
     format: opt.Formats = None,
     json: opt.Json = False,
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
-    formats, store = read_formats(format, out), chosen.store
+    formats, store = read_formats(format, out), picked.store
     setting, better, worse = contrast
-    data = open_data(chosen, name)
+    data = open_data(picked, name)
     from pneuma.analysis.crossed import robustness_map
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import find_outcome, primary

@@ -14,10 +14,10 @@ import typer
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_folder, command, print_json, print_table, say
-from pneuma.cli.study_records import find_study
+from pneuma.cli.study_records import shipped_name
 from pneuma.errors import UserError, install_extra
 from pneuma.reading import read_whole
-from pneuma.study import execute, plan
+from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.progress import ProgressDisplay, duration
 from pneuma.study.store import Status, Store
@@ -173,7 +173,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
-    study, selection = find_study(chosen.store, name, chosen.selection, chosen.world)
+    study, selection = spec.load_study(shipped_name(name), chosen.world), chosen.selection
     told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
     rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
     for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):
@@ -237,8 +237,5 @@ def _tell_results(
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):
-        asked = replace(planned.selection, seeds=None, conditions=(), settings=None)
-        drawn = command(
-            "study", "plot", planned.study.name, *opt.selecting_words(asked), "--results", store.root
-        )
+        drawn = command("study", "plot", planned.study.name, "--results", store.root)
         say(f"Draw it with: {drawn}", as_json, quiet)

@@ -179,13 +179,8 @@ def selection_record(plan: Plan) -> dict[str, Any]:
         "selection": asdict(plan.selection),
         "saved": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "runs": [
-            {
-                "condition": cell.condition,
-                "seed": cell.seed,
-                "run_id": cell.run_id,
-                "run": as_fields(cell.run),
-            }
-            for cell in plan.cells
+            {"condition": own.condition, "seed": own.seed, "run_id": own.run_id, "run": as_fields(own.run)}
+            for own in plan.cells
         ],
     }
 
@@ -197,22 +192,20 @@ def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str
     """
     record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
     conditions, apart = list(plan.study.conditions), []
+    runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
     for own in earlier:
         if not alike(own, record):
             apart.append({key: own[key] for key in ("selection", "same", "runs", "saved") if key in own})
             continue
-        known = {(run["condition"], run["seed"]) for run in record["runs"]}
-        more = [run for run in own["runs"] if (run["condition"], run["seed"]) not in known]
-        more = [run for run in more if run["condition"] in conditions]
-        if more:
-            runs = [*record["runs"], *more]
-            runs.sort(key=lambda run: (run["seed"], conditions.index(run["condition"])))
-            asked = [set(each["selection"]["conditions"]) for each in (own, record)]
-            some = [name for name in conditions if all(asked) and name in set.union(*asked)]
-            seeds = sorted({run["seed"] for run in runs})
-            record["selection"] |= {"seeds": seeds, "conditions": some}
-            groups = [set(names) for names in own["same"] if names not in record["same"]]
-            record |= {"runs": runs, "same": [*record["same"], *map(sorted, groups)]}
+        more = [run for run in own["runs"] if run["condition"] in conditions]
+        runs = {(run["seed"], run["condition"]): run for run in [*more, *runs.values()]}
+        record["same"] += [names for names in own["same"] if names not in record["same"]]
+    if len(runs) > len(record["runs"]):
+        order = sorted(runs, key=lambda own: (own[0], conditions.index(own[1])))
+        record["runs"] = [runs[key] for key in order]
+        held = {condition for _, condition in runs}
+        some = [] if held == {*conditions} else [name for name in conditions if name in held]
+        record["selection"] |= {"seeds": sorted({seed for seed, _ in runs}), "conditions": some}
     return {**record, "earlier": apart}
 
 
@@ -221,7 +214,7 @@ def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     first, second = (
         {run["condition"]: {**run["run"], "seed": 0} for run in own["runs"]} for own in (one, other)
     )
-    keys = ("preset", "steps", "engine", "settings")
+    keys = ("preset", "steps", "settings")
     asked = [[own["selection"].get(key) or None for key in keys] for own in (one, other)]
     shared = first.keys() & second.keys()
     return (bool(shared) or asked[0] == asked[1]) and all(first[name] == second[name] for name in shared)
@@ -254,6 +247,6 @@ def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:
     """Return the selection that a study's record was made from."""
-    kept = record["selection"]
+    kept = {key: own for key, own in record["selection"].items() if key in Selection.__dataclass_fields__}
     seeds = None if kept["seeds"] is None else tuple(kept["seeds"])
     return Selection(**{**kept, "seeds": seeds, "conditions": tuple(kept["conditions"])})

@@ -27,7 +27,6 @@ class Selection:
         preset: name of the preset; quick when left out.
         seeds: the seeds, as numbers.
         steps: agent steps of each run.
-        engine: name of the engine.
         conditions: names; empty for all.
         settings: fields of the run set in every condition, over everything else. Of one with several
             values, each makes conditions of its own.
@@ -37,7 +36,6 @@ class Selection:
     preset: str | None = None
     seeds: tuple[int, ...] | None = None
     steps: int | None = None
-    engine: str | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
     variant: str = ""
@@ -99,8 +97,6 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
     over, swept = _read_settings(settings)
-    if selection.engine:
-        over["engine"] = read_field(Run, "engine", selection.engine)
     if settings:
         study = study.variant(selection.variant or settings_name(settings))
     study, origins = _sweep(study, swept)

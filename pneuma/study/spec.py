@@ -293,5 +293,5 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 def run_command(name: str, path: object = None) -> str:
     """Return the command that trains a study, by its file where an untrusted record names one."""
     own, world = split_world(name)
-    asked = shlex.quote(path if isinstance(path, str) and VARIANT not in own else own)
+    asked = shlex.quote(path if isinstance(path, str) else own.partition(VARIANT)[0])
     return " ".join(["pneuma study run", asked, *world_option(world)])

@@ -36,7 +36,6 @@ def test_a_variant_stands_under_its_own_name_and_beside_its_study(tmp_path: Path
     slow = _run(store, seeds=(0, 1, 2), steps=512, settings={"learning_rate": 1e-5}, variant="slow")
     assert _shown(store, "activation") == plain
     assert _shown(store, "activation+learning_rate=0.001") == quick
-    assert _shown(store, "activation", "--set", "learning_rate=1e-3") == quick
     assert _shown(store, "activation+slow") == slow
     head = printed("study", "status", "activation+slow", "--results", store.root)
     assert head.startswith("activation+slow (learning_rate = 1e-05): 6 done")
@@ -66,14 +65,3 @@ def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     assert [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells] == [
         (1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9)),
     ]  # fmt: skip
-
-
-def test_a_study_that_was_run_by_its_path_is_found_by_its_name(tmp_path: Path) -> None:
-    path, store = tmp_path / "mine.toml", Store(tmp_path / "results")
-    text = 'title = "M"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
-    path.write_text(text)
-    prepare(make_plan(load_study(str(path)), Selection()), store)
-    told = printed("study", "plan", "mine", "--json", "--results", store.root)
-    assert [run["condition"] for run in json.loads(told)["runs"]] == ["a"]
-    path.write_text(text.replace("[conditions.a]", '[conditions.a]\nreward = "evil:pay"'))
-    assert "would run the reward evil:pay" in refused("study", "plan", "mine", "--results", store.root)

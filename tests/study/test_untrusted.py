@@ -218,9 +218,8 @@ def record_of(path: Path, store: Store) -> None:
 
 @pytest.mark.parametrize("command", ["status", "export"])
 @pytest.mark.parametrize("study", ["theirs", "activation"])
-@pytest.mark.parametrize("option", [("--seeds", "2"), ("--condition", "a"), ("--steps", "512")])
-def test_selecting_from_a_record_runs_nothing_that_it_names(
-    store: Store, evil: Path, command: str, study: str, option: tuple[str, str]
+def test_reading_a_record_runs_nothing_that_it_names(
+    store: Store, evil: Path, command: str, study: str
 ) -> None:
     path = evil.parent / f"{study}.toml"
     path.write_text(
@@ -229,7 +228,7 @@ def test_selecting_from_a_record_runs_nothing_that_it_names(
     )
     record_of(path, store)
     more = ("--table", "metrics", "--out", "-") if command == "export" else ()
-    assert call("study", command, study, *option, *more, "--results", store.root).code in (0, 2)
+    assert call("study", command, study, *more, "--results", store.root).code in (0, 2)
     assert not evil.exists()
 
 
