@@ -12,6 +12,7 @@ from pneuma.cli.options import Chosen
 from pneuma.cli.output import say
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study import execute, plan, spec
+from pneuma.study.identity import own_things
 from pneuma.study.store import Status, Store
 from pneuma.worlds import chosen_world, in_world, split_world
 
@@ -45,11 +46,13 @@ def study_record(
 ) -> dict[str, Any]:
     """Return the stored runs that a selection picks of a study or a variant, which the name stands for.
 
-    Of several amounts that were run it is the one of `picked.steps`, or of most finished runs.
+    Of several amounts that were run it is the one of `picked.steps`, or of most finished runs. A study that
+    was only run in another world, or with changed settings, is shown as it was run.
 
     Raises:
         UserError: where nothing is stored, or nothing that is picked.
     """
+    asked = world
     own, world = chosen_world(Path(name).stem if name.endswith(".toml") else shipped_name(name), world)
     stem = spec.name_in_world(own, world)
     records = store.selections(stem)
@@ -59,6 +62,13 @@ def study_record(
         from pneuma.analysis.published import read_published
 
         records = [read_published(store, stem).record]
+    otherwise = [] if records or asked else _related(store, stem)
+    if otherwise:
+        say(
+            f"Note: {stem} was not run as it stands; shown is {otherwise[0]}, of {', '.join(otherwise)}.",
+            aside=True,
+        )
+        return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
     fitting = [record for record in records if picked.steps is None or _has_steps(record, picked.steps)]
@@ -66,6 +76,31 @@ def study_record(
         stored = ", ".join(f"{_steps(record):,}" for record in records)
         raise UserError(f"--steps {picked.steps}: study {stem} has runs of {stored} steps")
     return _pick(fitting[0] if len(fitting) == 1 else max(fitting, key=store.finished), picked)
+
+
+def _related(store: Store, study: str) -> list[str]:
+    """Return what else there is of a study: in other worlds, and its variants, those of its world first."""
+    own, world = split_world(study)
+    found = [name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == own]
+    return sorted((name for name in found if name != study), key=lambda name: split_world(name)[1] != world)
+
+
+def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None]:
+    """Return what a study is loaded by, and in which world: the path if it was run by that, else its name.
+
+    Raises:
+        UserError: where the file names a user's own code or files, as the record may be untrusted.
+    """
+    own, asked = chosen_world(name, world)
+    path = (store.selection(spec.name_in_world(own, asked)) or {}).get("path")
+    if name.endswith(".toml") or is_shipped(name) or not isinstance(path, str) or not Path(path).is_file():
+        return name, world
+    study = spec.load_study(path, asked)
+    for condition in study.conditions:
+        if deeds := own_things(study.fields(condition)):
+            does = " and ".join(deeds.values())
+            raise UserError(f"study {own} would {does}; if you trust it, give its file: {path}")
+    return path, asked
 
 
 def _steps(record: Mapping[str, Any]) -> int:
@@ -100,10 +135,8 @@ def _unknown(store: Store, name: str, stem: str) -> UserError:
     if store.selection_path(stem).exists():
         return UserError(f"{store.selection_path(stem)}: damaged; run, import or fork its runs anew")
     if is_shipped(stem) or name.endswith(".toml"):
-        here = ", ".join(own for own in known_studies(store) if own.startswith(split_world(stem)[0]))
-        more = f" (stored are {here})" if here else ""
         ran = f"run `{spec.run_command(stem, name if name.endswith('.toml') else None)}` first"
-        return UserError(f"study {stem} has no runs in {store.root}{more}: {ran}, or give --results")
+        return UserError(f"study {stem} has no runs in {store.root}: {ran}, or give --results")
     return unknown_name("study", name, sorted({*spec.list_studies(), *known_studies(store)}))
 
 
@@ -130,8 +163,8 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
         for steps, own in amounts.items()
         if steps != shown and store.finished(own)
     ]
-    own, world = split_world(study)
-    others += [name for name in known_studies(store, world) if name.startswith(f"{own}{spec.VARIANT}")]
+    world = split_world(study)[1]
+    others += [name for name in _related(store, study) if split_world(name)[1] == world]
     if others:
         told = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
         say(f"Note: shown of {study}: {told}. Stored too: {'; '.join(others)}.", aside=True)

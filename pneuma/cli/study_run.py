@@ -14,7 +14,7 @@ import typer
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_folder, command, print_json, print_table, say
-from pneuma.cli.study_records import shipped_name
+from pneuma.cli.study_records import file_of, shipped_name
 from pneuma.errors import UserError, install_extra
 from pneuma.reading import read_whole
 from pneuma.study import execute, plan, spec
@@ -173,7 +173,8 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
-    study, selection = spec.load_study(shipped_name(name), chosen.world), chosen.selection
+    study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
+    selection = chosen.selection
     told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
     rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
     for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):

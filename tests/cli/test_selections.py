@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from pneuma.api import open_data
 from pneuma.study.execute import prepare
 from pneuma.study.plan import Selection, make_plan
@@ -65,3 +67,26 @@ def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     assert [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells] == [
         (1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9)),
     ]  # fmt: skip
+
+
+def test_a_study_that_was_run_in_another_world_alone_is_shown_there(tmp_path: Path) -> None:
+    plan = make_plan(load_study("activation", "arena"), Selection(seeds=(0,), steps=512))
+    prepare(plan, Store(tmp_path))
+    assert _shown(Store(tmp_path), "activation") == [cell.run_id for cell in plan.cells]
+    assert "no runs" in refused("study", "status", "activation", "--world", "godot", "--results", tmp_path)
+
+
+def test_a_study_that_was_run_by_its_path_is_found_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, store = tmp_path / "own.toml", Store(tmp_path / "results")
+    file.write_text(
+        'title = "Own"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
+    )
+    plan = make_plan(load_study(str(file)), Selection())
+    prepare(plan, store)
+    monkeypatch.chdir(tmp_path.parent)
+    told = json.loads(printed("study", "plan", "own", "--json", "--results", store.root))
+    assert [run["run_id"] for run in told["runs"]] == [plan.cells[0].run_id]
+    file.write_text(file.read_text() + '[run]\nreward = "theirs:reward"\n')
+    assert f"give its file: {file}" in refused("study", "run", "own", "--results", store.root)
