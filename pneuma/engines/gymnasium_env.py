@@ -15,9 +15,10 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -287,22 +288,32 @@ def _register_installed(namespace: str) -> None:
 
 
 def _load(name: str) -> Any:
-    """Import a module by its name, from the current folder too, or by the path of its file."""
-    path = Path(name) if name.endswith(".py") else None
-    folder = str(path.parent.resolve() if path else Path.cwd())
-    if folder not in sys.path:
-        sys.path.append(folder)
+    """Import a module by its name or the path of its file."""
     try:
         with redirect_stdout(sys.stderr):
-            return import_module(path.stem if path else name)
+            return import_module(_importable(name))
     except (Exception, SystemExit) as error:
         raise UserError(f"module {name} cannot be imported: {told(error)}") from None
 
 
+def _importable(name: str) -> str:
+    """Return by which name a module can be imported, from the current folder too, or that of its file."""
+    path = Path(name) if name.endswith(".py") else None
+    folder = str(path.parent.resolve() if path else Path.cwd())
+    if folder not in sys.path:
+        sys.path.append(folder)
+    return path.stem if path else name
+
+
 def module_files(name: str) -> list[Path]:
-    """Return the source files of a module of a user's own, and those that it imports beside it."""
-    module = _load(name)
-    return source_files(module.__name__, Path(module.__file__)) if module.__file__ else []
+    """Return the source files of a module of a user's own, and those that it imports beside it.
+
+    It is not run, and where it is not found there are none: a run in it has a name, and can fail by it.
+    """
+    spec = None
+    with suppress(Exception, SystemExit):  # of a package that it is in
+        spec = find_spec(_importable(name))
+    return source_files(spec.name, Path(spec.origin)) if spec and spec.has_location and spec.origin else []
 
 
 def wrapper_files(names: Sequence[str]) -> list[Path]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack, closing, suppress
@@ -25,8 +26,10 @@ from gymnasium import spaces
 from pneuma.errors import UserError
 
 PORT = 11008
-START_SECONDS = 120
+START_SECONDS = 60
 """How long one end waits for the other to start."""
+SILENT_SECONDS = 5
+"""How long a trainer waits for a game before it says so."""
 ANSWER_SECONDS = 10
 """How long a trainer waits for a game's answer."""
 
@@ -261,9 +264,12 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._set_spaces(self._ask({"type": "env_info"}, "env_info"))
 
     def _accept(self, listening: socket.socket) -> socket.socket:
-        """Wait for the game, as long as it runs."""
+        """Wait for the game, as long as it runs, and say so when it takes long."""
         listening.settimeout(0.1)
-        for _ in range(START_SECONDS * 10):
+        for tenths in range(START_SECONDS * 10):
+            if tenths == SILENT_SECONDS * 10:
+                told = f"has not connected to port {listening.getsockname()[1]} yet: is its Sync node there?"
+                print(f"{self._name}: {told} Waiting for {START_SECONDS} s.", file=sys.stderr)
             try:
                 return listening.accept()[0]
             except TimeoutError:

@@ -19,7 +19,7 @@ from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.optuna_study import ended_study, frozen_trials, new_journal
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import Outcomes, Task, Told, Train, best_number, conduct
-from pneuma.study.execute import check_environments
+from pneuma.study.execute import broken_environments
 from pneuma.study.files import read_sealed, seal, to_json
 from pneuma.study.locks import RunLock
 from pneuma.study.store import Store
@@ -58,7 +58,9 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     """
     search = task.search
     check_budget(search, task.budget)
-    check_environments([run for _, run in search.space.corners()])
+    corners = {str(number): run for number, (_, run) in enumerate(search.space.corners())}
+    for reason in broken_environments(corners).values():
+        raise UserError(reason)
     store.check_writable()
     folder = store.root / FOLDER / f".{search.name}"
     if not folder.resolve().is_relative_to(store.root.resolve()):

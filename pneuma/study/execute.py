@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
+from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config, is_gymnasium_id
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.files import parse_json, to_json
@@ -55,8 +55,10 @@ MOST_IN_GROUP = 8
 def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
     """Check all that can be checked, record the selection; return what is to be trained, by id, and notes.
 
+    Runs in an environment that cannot be made are stored as crashed, where other runs are left to train.
+
     Raises:
-        UserError: before anything is written, for an environment that cannot be made, a results folder
+        UserError: before anything is written, where no environment can be made, or for a results folder
             that cannot be written or has runs of another file of that name.
     """
     recorded = store.selection(plan.study.name)
@@ -66,10 +68,12 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
         _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
-    check_environments(list(todo.values()))
+    broken = broken_environments(todo)
     store.check_writable()
     store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
-    return todo, _notes(plan, statuses, todo)
+    for name, reason in broken.items():
+        store.save_failure(name, todo.pop(name), "crashed", reason)
+    return todo, [*dict.fromkeys(broken.values()), *_notes(plan, statuses, todo)]
 
 
 def execute(
@@ -158,12 +162,26 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     return notes
 
 
-def check_environments(runs: list[Run]) -> None:
-    """Make every environment of the runs once, so that its mistakes show before anything is written."""
+def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
+    """Make every environment of runs by id once; return why it cannot be made, by the ids of its runs.
+
+    Raises:
+        UserError: where none can be made, or one of Pneuma's own cannot, which is a mistake of the file's.
+    """
     told = ("env", *OF_GYMNASIUM, "engine", "algorithm")
-    alike = {(env_config(run), *(getattr(run, key) for key in told)): run for run in runs}
-    for run in alike.values():
-        import_module("pneuma.engines.environment").environment_of(run).check(run)
+    alike: dict[Any, dict[str, Run]] = {}
+    for name, run in runs.items():
+        alike.setdefault((env_config(run), *(getattr(run, key) for key in told)), {})[name] = run
+    broken: dict[str, str] = {}
+    for own in alike.values():
+        run = next(iter(own.values()))
+        try:
+            import_module("pneuma.engines.environment").environment_of(run).check(run)
+        except UserError as error:
+            broken |= dict.fromkeys(own, str(error))
+            if len(broken) == len(runs) or not is_gymnasium_id(run.env):
+                raise
+    return broken
 
 
 def selection_record(plan: Plan) -> dict[str, Any]:

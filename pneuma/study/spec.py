@@ -174,7 +174,7 @@ def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
 
     def found(name: str) -> str:
         module, colon, rest = name.partition(":")
-        beside = (path.parent / f"{module.replace('.', '/')}.py").resolve()
+        beside = (path.parent / f"{module.removesuffix('.py').replace('.', '/')}.py").resolve()
         return f"{beside}{colon}{rest}" if beside.is_file() else name
 
     over: dict[str, Any] = {}

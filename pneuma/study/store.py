@@ -4,7 +4,7 @@
                             provenance.json  what produced it, and how long that took
                             episodes.parquet, metrics.parquet, evaluations.parquet
                             policy.safetensors
-                            error.txt        a crash's traceback
+                            error.txt        why it failed, a crash's traceback
                             status.json      status, step, and the checksum of every other file
                             checkpoints/     where a run that has not ended goes on from
     results/studies/NAME.json  what was selected of a study, and its run ids
@@ -189,6 +189,15 @@ class Store:
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
+
+    def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
+        """Write how a run failed, and why.
+
+        Raises:
+            UserError: when the folder cannot be written.
+        """
+        files = {"run.json": run_document(run, run_id), "error.txt": why.encode()}
+        self.save_run(run_id, Status(status), files)
 
     def read_file(self, run_id: str, name: str) -> bytes:
         """Return one file of a run.

@@ -196,12 +196,10 @@ def _train_once(
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
     """Report a run's crash, and store it if it is not tried again."""
-    trace = traceback.format_exc().encode()
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
     if job.last_try:
         try:
-            files = {"run.json": run_document(run, name), "error.txt": trace}
-            job.store.save_run(name, Status("crashed"), files)
+            job.store.save_failure(name, run, "crashed", traceback.format_exc())
         except UserError as unwritten:
             reason = str(unwritten)
     reporter.end(name, Status("crashed"), reason=reason)

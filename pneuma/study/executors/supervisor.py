@@ -25,7 +25,7 @@ from pneuma.errors import UserError
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.files import parse_json
 from pneuma.study.locks import is_held
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Status, Store
 
 TRIES = 2
 """How often a run is begun or gone on with before a crash counts."""
@@ -265,16 +265,15 @@ class Supervisor:
 
     def _end_lost(self, name: str, run: Run, death: Death) -> None:
         """Store and report how a run ended whose worker went without a word, unless another trains it now."""
-        status = Status("killed" if death.killed else "crashed")
-        text = f"{death.why}\n".encode() + death.last_words
+        status = "killed" if death.killed else "crashed"
         try:
             with self._store.lock(name) as mine:
                 if mine:
-                    files = {"run.json": run_document(run, name), "error.txt": text}
-                    self._store.save_run(name, status, files)
+                    words = death.last_words.decode(errors="replace")
+                    self._store.save_failure(name, run, status, f"{death.why}\n{words}")
         except (UserError, OSError) as error:
             self._note(name, str(error))
-        self._on_event(end_event(name, status))
+        self._on_event(end_event(name, Status(status)))
 
     def _note(self, name: str, text: str) -> None:
         self._on_event({"event": "note", "run_id": name, "text": text})
