@@ -20,6 +20,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
@@ -97,19 +98,6 @@ class Pilot(Table):
     spreads: dict[str, dict[str, Annotated[Finite, Field(ge=0)]]] = {}
 
 
-@dataclass(frozen=True)
-class Event:
-    """What is counted: runs whose outcome is above, or below, a threshold."""
-
-    above: bool
-    threshold: float
-
-    @property
-    def words(self) -> str:
-        """Say it, as 'below 0.05'."""
-        return f"{'above' if self.above else 'below'} {self.threshold:g}"
-
-
 class Claim(ClaimedRuns, Table):
     """A sentence of the thesis as a test; see docs/claims.md. Every one of a is held against every one of b.
 
@@ -151,10 +139,14 @@ class Claim(ClaimedRuns, Table):
     note: Text = ""
 
     @property
-    def event(self) -> Event | None:
-        """What is counted, for an incidence."""
-        threshold = self.below if self.above is None else self.above
-        return None if threshold is None else Event(self.above is not None, threshold)
+    def event(self) -> str:
+        """What is counted, as 'below 0.05'; empty where means are compared."""
+        thresholds = {"above": self.above, "below": self.below}
+        return next((f"{way} {own:g}" for way, own in thresholds.items() if own is not None), "")
+
+    def has_event(self, values: np.ndarray) -> np.ndarray:
+        """Tell of each value of an outcome whether it is what is counted."""
+        return values > self.above if self.above is not None else values < np.array(self.below)
 
     @property
     def pairs(self) -> list[tuple[str, str | None]]:

@@ -87,51 +87,42 @@ def compare(
     Raises:
         ValueError: for values that are not finite, or an incidence of others than 0 and 1.
     """
-    if isinstance(b, int | float):
-        return _compare_with(kind, finite(a), b, margin, generator, level)
-    first, second = finite(a), finite(b)
-    seeds = n, m = first.size, second.size
-    effect = float(first.mean() - second.mean()) if n and m else float("nan")
-    if too_few := _too_few(kind, min(seeds)):
+    first, value = finite(a), b if isinstance(b, int | float) else None
+    second = np.empty(0) if value is not None else finite(b)
+    n, m = seeds = first.size, second.size
+    effect = float("nan")
+    if n and value is not None:
+        effect = float((first - value).mean()) if kind == "mean" else float(first.mean() - value)
+    elif n and m:
+        effect = float(first.mean() - second.mean())
+    if too_few := _too_few(kind, n if value is not None else min(seeds)):
         return undecided(kind, too_few, seeds, effect)
+    make: Callable[[float], Interval]
     if kind == "mean":
-        labels = pvalues.relabel(n, m, generator)
-        found = pvalues.mean_p_values(first[None], second[None], margin, labels)
-        make = partial(intervals.difference_interval, first, second)
-        return _contrast(kind, effect, make, level, found, seeds, (1 / len(labels),) * 2)
+        if value is not None:
+            ways = pvalues.sign_flips(n, generator)
+            found = pvalues.one_mean_p_values((first - value)[None], margin, ways)
+            make = partial(intervals.mean_interval, first - value)
+        else:
+            ways = pvalues.relabel(n, m, generator)
+            found = pvalues.mean_p_values(first[None], second[None], margin, ways)
+            make = partial(intervals.difference_interval, first, second)
+        return _contrast(kind, effect, make, level, found, seeds, (1 / len(ways),) * 2)
     count, other = _count(first), _count(second)
-    found = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
-    extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
-    make = partial(intervals.incidence_difference_interval, count, n, other, m)
+    if value is not None:
+        test = partial(pvalues.one_share_p_values, runs=n, value=value)
+        found, extremes = test(np.array([count]), margin=margin), test(np.array([n, 0]), margin=None)
+        make = partial(_share_interval, count, n, value)
+    else:
+        found = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
+        extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
+        make = partial(intervals.incidence_difference_interval, count, n, other, m)
     return _contrast(kind, effect, make, level, found, seeds, (extremes.greater[0], extremes.less[1]))
 
 
-def _compare_with(
-    kind: str,
-    runs: np.ndarray,
-    value: float,
-    margin: float | None,
-    generator: np.random.Generator,
-    level: float,
-) -> Contrast:
-    seeds, effect = (runs.size, 0), float((runs - value).mean()) if runs.size else float("nan")
-    if too_few := _too_few(kind, runs.size):
-        return undecided(kind, too_few, seeds, effect)
-    if kind == "mean":
-        flips = pvalues.sign_flips(runs.size, generator)
-        found = pvalues.one_mean_p_values((runs - value)[None], margin, flips)
-        make = partial(intervals.mean_interval, runs - value)
-        return _contrast(kind, effect, make, level, found, seeds, (1 / len(flips),) * 2)
-    count = _count(runs)
-    found = pvalues.one_share_p_values(np.array([count]), runs.size, value, margin)
-    extremes = pvalues.one_share_p_values(np.array([runs.size, 0]), runs.size, value, None)
-
-    def shifted(own: float) -> Interval:
-        made = intervals.incidence_interval(count, runs.size, own)
-        return replace(made, low=made.low - value, high=made.high - value)
-
-    effect, smallest = float(runs.mean() - value), (extremes.greater[0], extremes.less[1])
-    return _contrast(kind, effect, shifted, level, found, seeds, smallest)
+def _share_interval(count: int, runs: int, value: float, level: float) -> Interval:
+    made = intervals.incidence_interval(count, runs, level)
+    return replace(made, low=made.low - value, high=made.high - value)
 
 
 def compare_effects(

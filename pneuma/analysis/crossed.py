@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,12 +23,7 @@ from scipy import linalg
 from pneuma.analysis.contrasts import Contrast, compare, undecided
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.intervals import finite
-from pneuma.analysis.outcomes import (
-    find_outcome,
-    outcome_values,
-    primary,
-    refuse_unlike_returns,
-)
+from pneuma.analysis.outcomes import find_outcome, outcome_values, primary, refuse_unlike_returns
 from pneuma.analysis.pvalues import holm
 from pneuma.config import Run, read_field, stream_seed
 from pneuma.errors import UserError, counted
@@ -44,12 +39,10 @@ HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
 # --- Effects ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Effect:
-    """One main effect or interaction.
+class Effect(NamedTuple):
+    """A main effect, of one factor, or the interaction of two.
 
     Attributes:
-        factors: the factors that it joins; one is a main effect.
         degrees: of freedom: its own, and those that the model leaves to the errors.
         statistic: its F; inf where the model leaves no errors.
         p_value: by permutation; NaN where the design cannot tell it from others.
@@ -68,12 +61,10 @@ class Effects:
     """All main effects and two-way interactions of a crossed study.
 
     Attributes:
-        outcome: in what respect.
         means: of each factor, its levels' means, in which each cell counts alike.
         cells: how many combinations of levels there are.
-        runs: how many have a value.
+        runs: how many have a value of the outcome.
         without: how many finished runs have none, and are left out.
-        effects: each with its p-value as it is.
     """
 
     outcome: str
@@ -112,8 +103,7 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
 
     Raises:
         UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed, a
-            cell without a run that has the outcome, an endless value, or no more runs than the effects take
-            up.
+            cell without a run that has the outcome, or no more runs than the effects take up.
     """
     name = name or primary(data)
     refuse_unlike_returns(data, name)
@@ -121,15 +111,12 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
     found: dict[tuple[str, ...], dict[str, float]] = {}
     for condition, cell in levels.items():  # a run that two conditions share counts once
         ids = [run.run_id for run in data.of_condition(condition)]
-        values = _values(data, condition, name)
-        found.setdefault(cell, {}).update(zip(ids, values, strict=True))
-        if np.isnan(values).all():
-            raise UserError(
-                f"outcome {name}: no finished run of {condition} has it, and every cell needs one: "
-                f"{'compare another outcome' if ids else data.how_to_train}"
-            )
+        found.setdefault(cell, {}).update(zip(ids, _values(data, condition, name), strict=True))
     every = [(cell, value) for cell, own in found.items() for value in own.values()]
     known = [(cell, value) for cell, value in every if not np.isnan(value)]
+    means_of = {cell: [value for own, value in known if own == cell] for cell in found}
+    if empty := next((cell for cell, own in means_of.items() if not own), None):
+        raise UserError(f"outcome {name}: no finished run of {', '.join(empty)} has it; every cell needs one")
     columns = {factor: [cell[i] for cell, _ in known] for i, factor in enumerate(factors)}
     generator = np.random.default_rng(stream_seed("effects", name))
     effects = factorial([value for _, value in known], columns, generator)
@@ -138,7 +125,7 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
             f"study {data.study}: {len(known)} runs in {len(found)} cells leave nothing to tell an effect "
             "from chance; run it with more --seeds"
         )
-    cells = {cell: float(np.nanmean([*own.values()])) for cell, own in found.items()}
+    cells = {cell: float(np.mean(own)) for cell, own in means_of.items()}
     means = {
         factor: {level: float(np.mean([cells[cell] for cell in cells if cell[i] == level])) for level in own}
         for i, (factor, own) in enumerate(factors.items())
@@ -154,32 +141,30 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     Raises:
         UserError: where fewer than two factors are crossed, or a combination is missing.
     """
-    settings = [{key: shown_value(value) for key, value in own.items()} for own in _settings(data).values()]
-    groups: list[tuple[str, ...]] = [(key,) for key in _differing(settings)]
+    settings = _settings(data)
 
-    def seen(*keys: str) -> list[tuple[str, ...]]:
-        return list(dict.fromkeys(tuple(own.get(key, "none") for key in keys) for own in settings))
+    def level(own: Mapping[str, Any], keys: Sequence[str]) -> str:
+        return " + ".join(shown_value(own[key]) if key in own else "none" for key in keys)
 
-    def is_crossed(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
-        return len(seen(*one, *other)) == len(seen(*one)) * len(seen(*other))
+    def seen(*keys: str) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(level(own, keys) for own in settings.values()))
 
-    while pair := next((pair for pair in combinations(groups, 2) if not is_crossed(*pair)), None):
+    groups: list[tuple[str, ...]] = [(key,) for key in _differing([*settings.values()])]
+    while pair := next(
+        ((a, b) for a, b in combinations(groups, 2) if len(seen(*a, *b)) < len(seen(*a)) * len(seen(*b))),
+        None,
+    ):
         groups[groups.index(pair[0])] = pair[0] + pair[1]
         groups.remove(pair[1])
-    names = [" + ".join(group) for group in groups]
-    if len(groups) < 2:
-        told = f"its conditions differ in {names[0]} alone" if names else "its conditions do not differ"
+    factors = {" + ".join(group): seen(*group) for group in groups}
+    cells = {name: tuple(level(own, group) for group in groups) for name, own in settings.items()}
+    if len(factors) < 2 or {*product(*factors.values())} - {*cells.values()}:
         raise UserError(
-            f"study {data.study} is not crossed: {told}; take one whose conditions are every "
-            "combination of two factors' values ([factors] in its file), and all of them"
+            f"study {data.study} is not crossed: its conditions differ in {', '.join(factors) or 'nothing'}; "
+            "take one whose conditions are every combination of two factors' values ([factors] in its "
+            "file), and all of them"
         )
-    factors = {name: tuple(map(" + ".join, seen(*group))) for name, group in zip(names, groups, strict=True)}
-    cells = [tuple(" + ".join(own.get(key, "none") for key in group) for group in groups) for own in settings]
-    missing = next((cell for cell in product(*factors.values()) if cell not in cells), None)
-    if missing:
-        told = ", ".join(f"{name} {level}" for name, level in zip(factors, missing, strict=True))
-        raise UserError(f"study {data.study} is not fully crossed: no condition has {told}; add it")
-    return factors, dict(zip(_settings(data), cells, strict=True))
+    return factors, cells
 
 
 def factorial(
@@ -272,13 +257,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Map:
-    """A contrast over all its cells.
+    """A contrast over all its cells, in the study's order.
 
     Attributes:
         setting: what the two conditions of a cell differ in.
         values: of the claimed better, and of the other.
         outcome: by what they are judged.
-        cells: in the study's order.
     """
 
     setting: str

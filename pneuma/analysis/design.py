@@ -14,15 +14,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import special
 
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.intervals import finite
 from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
 
-MOST_SEEDS = 10_000
-"""More than this is answered with None: no number of seeds that anyone trains decides it."""
 POWER = 0.8
 """The chance with which a contrast is to be decided."""
 
@@ -43,7 +39,6 @@ class Plan:
         spread: between runs, from the pilot; of an incidence the share of runs of arm b; None without one.
         detectable: the least difference that is found with 80 % power.
         provable: the least margin within which arms alike are shown to lie with 80 % power.
-        plausible: the largest effect thought possible.
         reason: why it cannot be decided; empty where it can.
     """
 
@@ -57,7 +52,6 @@ class Plan:
     spread: float | None
     detectable: float | None
     provable: float | None
-    plausible: float | None
     reason: str
 
 
@@ -97,7 +91,7 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
     seeds = tuple(len(claim.seeds[name]) for name in names)
     alpha = claims.head.alpha / claims.factor(claim, world)
     spreads = claims.pilot.spreads.get(world, {}) if claims.pilot else {}
-    spread = spreads.get(f"{outcome} {claim.event.words}" if claim.event else outcome)
+    spread = spreads.get(f"{outcome} {claim.event}" if claim.event else outcome)
     detectable = provable = None
     if claim.event:
         spread = UNKNOWN_SHARE if spread is None else spread
@@ -106,14 +100,10 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
         error, freedom = spread * math.sqrt(sum(1 / own for own in seeds)), max(sum(seeds) - len(seeds), 1)
         detectable = float(error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER)))
         provable = float(error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2)))
-    margin, plausible = claim.of("margin", outcome), claim.of("plausible", outcome)
-    least, most, words = (
-        detectable,
-        plausible,
-        "the least difference found is {:.3g}, and {:.3g} is plausible",
-    )
+    least, most = detectable, claim.of("plausible", outcome)
+    words = "the least difference found is {:.3g}, and {:.3g} is plausible"
     if claim.direction == "equal":
-        least, most = provable, margin
+        least, most = provable, claim.of("margin", outcome)
         words = "arms alike are shown to lie within {:.3g}, and the margin is {:.3g}"
     reason = ""
     if least is None:
@@ -123,7 +113,7 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
     elif least > most:
         reason = f"cannot be decided with so many seeds ({sum(seeds)} runs): {words.format(least, most)}"
     told = f"{claim.value:g}" if b is None else b
-    return Plan(claim, world, outcome, a, told, seeds, alpha, spread, detectable, provable, plausible, reason)
+    return Plan(claim, world, outcome, a, told, seeds, alpha, spread, detectable, provable, reason)
 
 
 def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
@@ -145,47 +135,3 @@ def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float
             found = beyond[(chances @ decided >= POWER) & (beyond > 0)]
             least = min(least, float(found.min(initial=math.inf)))
     return least
-
-
-def seeds_needed(
-    kind: str, a: ArrayLike, b: ArrayLike, margin: float | None, alpha: float, direction: str = "different"
-) -> int | None:
-    """Return how many seeds each arm needs, in all, for a contrast to be decided either way.
-
-    Args:
-        kind: mean or incidence.
-        a: (runs,) values seen so far: their means, deviations and shares are taken for the truth.
-        b: the same of the other arm.
-        margin: as for `compare`; decided is also what is shown to lie within it.
-        alpha: the error rate that the two-sided test must reach, after any correction.
-        direction: what is claimed: a claim of no difference, "equal", is not decided by any difference, but
-            by one beyond the margin.
-
-    Returns:
-        The least number of runs per arm, counting those there are, and not below what a permutation test of
-        that alpha takes; None where that is above `MOST_SEEDS`, and where what was seen has no spread to
-        plan with.
-    """
-    arms = finite(a), finite(b)
-    if min(own.size for own in arms) < (1 if kind == "incidence" else 2):
-        return None
-    if kind == "mean":
-        error = math.sqrt(sum(own.var(ddof=1) for own in arms))  # of the difference, with one seed an arm
-    else:
-        shares = [(own.sum() + 0.5) / (own.size + 1) for own in arms]
-        error = math.sqrt(sum(share * (1 - share) for share in shares))
-    if error <= 0:
-        return None
-    effect, within = float(arms[0].mean() - arms[1].mean()), margin or 0.0
-    counts = np.arange(2, MOST_SEEDS + 1)
-    errors, degrees = error / np.sqrt(counts), 2.0 * (counts - 1)
-    deciding = abs(effect) - (within if direction == "equal" else 0.0)
-    different = special.ndtr(deciding / errors - special.stdtrit(degrees, 1 - alpha / 2))
-    above, below = (
-        special.ndtr((within + own) / errors - special.stdtrit(degrees, 1 - alpha))
-        for own in (effect, -effect)
-    )
-    enough = np.maximum(different, above + below - 1) >= POWER
-    fewest = next((n for n in counts if 2 / math.comb(2 * n, n) <= alpha), MOST_SEEDS)
-    decided = counts[enough & (counts >= fewest)]
-    return int(decided[0]) if decided.size else None

@@ -25,7 +25,7 @@ import numpy as np
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, find_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, undecided
-from pneuma.analysis.design import not_admitted, seeds_needed
+from pneuma.analysis.design import not_admitted
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import stream_seed
 from pneuma.errors import counted
@@ -53,7 +53,6 @@ class Comparison:
         contrast: its reason is not empty where nothing can be concluded.
         verdict: of `VERDICTS`.
         p: corrected for the whole list.
-        seeds_needed: per arm, in all, to decide it; None where not known.
     """
 
     a: str
@@ -63,7 +62,6 @@ class Comparison:
     run_ids: tuple[str, ...] = ()
     verdict: str = ""
     p: float = 1.0
-    seeds_needed: int | None = None
 
 
 @dataclass(frozen=True)
@@ -86,16 +84,6 @@ class Verdict:
     def decisive(self) -> Comparison | None:
         """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
         return _decisive(self.comparisons, self.verdict, self.claim.need)
-
-    @property
-    def seeds_needed(self) -> int | None:
-        """Seeds per arm that an open claim needs for its open contrasts, all or any, where known of each."""
-        if self.verdict != INCONCLUSIVE:
-            return None
-        needed = [own.seeds_needed for own in self.comparisons if own.verdict == INCONCLUSIVE]
-        known = [count for count in needed if count is not None]
-        most = max if self.claim.need == "all" else min
-        return most(known) if known and len(known) == len(needed) else None
 
     @property
     def run_ids(self) -> list[str]:
@@ -216,22 +204,19 @@ def _judge_contrast(
         against = (claim.value or 0.0) if b is None else values[1]
         contrast = compare(claim.kind, values[0], against, margin, generator, level)
     verdict, p = decide(contrast, claim.direction, factor, alpha)
-    smallest, needed = smallest_p(contrast, claim.direction), None
     if verdict == INCONCLUSIVE:  # equivalence may be shown by fewer runs than a difference takes
+        smallest = smallest_p(contrast, claim.direction)
         if not contrast.reason and smallest * factor > alpha:
             few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"
             told = f"{few}, and the list has {counted(claims.contrasts, 'contrast')}"
             contrast = replace(contrast, reason=told)
-        if contrast.reason:
-            verdict = UNTESTABLE
-        elif b is not None and not (claim.only or claim.c):  # else nobody knows how many runs will count
-            count = seeds_needed(claim.kind, values[0], values[1], margin, alpha / factor, claim.direction)
-            needed = count if count is not None and count > min(map(len, values)) else None
+        verdict = UNTESTABLE if contrast.reason else INCONCLUSIVE
     if claim.c:
         a, other = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
     counted_ids = tuple(run_id for own in arms.values() for run_id in own.run_ids)
-    run_ids = counted_ids if arms else runs.known_ids(names)
-    return Comparison(a, other, outcome, contrast, run_ids, verdict, p, needed)
+    known_ids = tuple(run.run_id for name in names for run in runs.found(name))
+    run_ids = counted_ids if arms else known_ids
+    return Comparison(a, other, outcome, contrast, run_ids, verdict, p)
 
 
 def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
@@ -244,7 +229,7 @@ def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).supposes_rise for part in outcome.split(MINUS)):
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
-    of_play = _is_of_play(outcome) and claim.event is None
+    of_play = _is_of_play(outcome) and not claim.event
     if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
         return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
     return ""
@@ -256,7 +241,7 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
     the least value are at the floor or not by what they play like.
     """
-    if len(arms) < 2 or claim.event is not None or MINUS in outcome:
+    if len(arms) < 2 or claim.event or MINUS in outcome:
         return ""
     own = find_outcome(outcome)
     near = claim.of("margin", outcome) or own.alike

@@ -75,7 +75,7 @@ def _document(one: Verdict) -> dict[str, Any]:
     return {
         "claim": claim.name,
         "world": one.place,
-        **{key: getattr(one, key) for key in ("verdict", "standing", "reason", "seeds_needed", "run_ids")},
+        **{key: getattr(one, key) for key in ("verdict", "standing", "reason", "run_ids")},
         **{key: decisive.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
         **{key: getattr(claim, key) for key in of_claim},
         "outcome": claim.outcome[0],
@@ -90,7 +90,7 @@ def _contrast(own: Comparison) -> dict[str, Any]:
         return [interval.low, interval.high] if interval.exists else None
 
     return {
-        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict", "p", "seeds_needed")},
+        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict", "p")},
         **{key: getattr(own.contrast, key) for key in ("effect", "reason")},
         "seeds": list(own.contrast.seeds),
         "interval": ends(own.contrast.interval),
@@ -112,13 +112,13 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
         if (not claims or own.claim.name in claims) and world in (None, own.world)
     ]
     if json:
-        limits = ("alpha", "spread", "detectable", "provable", "plausible", "reason")
+        limits = ("alpha", "spread", "detectable", "provable", "reason")
         keys = ("world", "outcome", "a", "b", "seeds", *limits)
         documents = [
             {
                 "claim": own.claim.name,
                 **{key: getattr(own, key) for key in keys},
-                "margin": own.claim.of("margin", own.outcome),
+                **{key: own.claim.of(key, own.outcome) for key in ("margin", "plausible")},
                 "admitted": (own.claim.name, own.world) not in refused,
             }
             for own in plans
@@ -127,7 +127,8 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
         return print_json({**head, "design": documents})
     rows = []
     for own in plans:
-        numbers = (own.detectable, own.plausible, own.provable, own.claim.of("margin", own.outcome))
+        plausible, margin = (own.claim.of(key, own.outcome) for key in ("plausible", "margin"))
+        numbers = (own.detectable, plausible, own.provable, margin)
         cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
         seeds = "/".join(map(str, own.seeds))
         rows.append((own.claim.name, own.world, own.outcome, seeds, *cells, own.reason or "decidable"))
@@ -168,7 +169,7 @@ def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
         if one is None or one.standing == NOT_RUN:
             verdicts.append(NOT_RUN if one else "-")
             continue
-        verdicts.append(one.verdict + (f" ({one.seeds_needed:,} seeds)" if one.seeds_needed else ""))
+        verdicts.append(one.verdict)
         if one.decisive and not one.decisive.contrast.reason and not numbers[0]:
             contrast, interval = one.decisive.contrast, one.decisive.contrast.simultaneous
             between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""

@@ -142,7 +142,7 @@ def compared(claim: Claim) -> str:
     """Say what is compared, as 'monsters killed, last evaluation'."""
     told = (", less ".join(find_outcome(part).words for part in own.split(MINUS)) for own in claim.outcome)
     words = " and ".join(told)
-    return f"share of runs, {words} {claim.event.words}" if claim.event else words
+    return f"share of runs, {words} {claim.event}" if claim.event else words
 
 
 def tested(claim: Claim) -> str:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from pneuma.analysis.crossed import (
     Effects,
     Map,
+    factorial,
     find_crossing,
     robustness_map,
     study_effects,
@@ -183,3 +187,54 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
     assert drawn.name == "fig-mine-activation-tanh-relu.svg" and drawn.read_bytes() == again.read_bytes()
     for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
         assert "must be KEY=A:B" in refused(*contrast, wrong, *at)
+
+
+# --- Factorial designs ------------------------------------------------------------------------------
+
+
+def two_factors(runs: int, **effects: float) -> tuple[np.ndarray, dict[str, list[str]]]:
+    """Return a 2 × 2 design: values, and the levels of x and y."""
+    x, y = np.repeat([1, 1, -1, -1], runs), np.tile(np.repeat([1, -1], runs), 2)
+    noise = np.random.default_rng(4).normal(size=4 * runs)
+    values = effects.get("x", 0) * x + effects.get("y", 0) * y + effects.get("xy", 0) * x * y + noise
+    return values, {"x": [str(i) for i in x], "y": [str(i) for i in y]}
+
+
+def test_a_single_factor_is_the_analysis_of_variance() -> None:
+    generator = np.random.default_rng(5)
+    values, levels = generator.normal(size=21), ["a"] * 5 + ["b"] * 9 + ["c"] * 7
+    (effect,) = factorial(values, {"x": levels}, generator)
+    theirs = stats.f_oneway(values[:5], values[5:14], values[14:])
+    assert effect.statistic == pytest.approx(theirs.statistic)
+    assert effect.p_value == pytest.approx(theirs.pvalue, abs=0.03)
+
+
+def test_effects_are_found_where_they_are_and_only_there() -> None:
+    values, factors = two_factors(8, x=1.0, xy=-1.0)
+    found = {effect.factors: effect for effect in factorial(values, factors, np.random.default_rng(6))}
+    assert found["x",].p_value < 0.001 and found["x", "y"].p_value < 0.001
+    assert found["y",].p_value > 0.05
+    cells = values.reshape(4, 8)
+    error = cells.var(axis=1, ddof=1).mean()  # by hand: F = 32 (contrast of cell means / 4)² / error
+    contrast = cells.mean(axis=1) @ [1, -1, -1, 1] / 4
+    assert found["x", "y"].statistic == pytest.approx(32 * contrast**2 / error)
+
+
+def test_unequal_cells_do_not_lend_one_factors_effect_to_another() -> None:
+    generator = np.random.default_rng(7)
+    x, y = [1] * 12 + [0] * 12, [1] * 10 + [0] * 2 + [1] * 2 + [0] * 10
+    values = 3.0 * np.array(x) + generator.normal(size=24)
+    found = {e.factors: e for e in factorial(values, {"x": map_text(x), "y": map_text(y)}, generator)}
+    assert found["x",].p_value < 0.01 < found["y",].p_value
+
+
+def test_a_factor_that_another_hides_has_no_p_value() -> None:
+    levels = ["a", "a", "b", "b"] * 3
+    found = factorial(np.arange(12.0), {"x": levels, "z": levels}, np.random.default_rng(8))
+    assert all(math.isnan(effect.p_value) for effect in found)
+    constant = factorial(np.ones(12), {"x": levels}, np.random.default_rng(8))
+    assert constant[0].p_value == 1.0
+
+
+def map_text(levels: list[int]) -> list[str]:
+    return [str(level) for level in levels]

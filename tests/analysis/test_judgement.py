@@ -80,13 +80,6 @@ def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: 
     assert one.verdict == "refuted"  # it is not greater: within the margin
 
 
-def test_an_open_claim_says_how_many_seeds_it_needs(store: Store, tmp_path: Path) -> None:
-    save_runs(store, tmp_path, {"high": [share + 0.2 for share in WIDE], "low": WIDE[::-1]})
-    one = judge_one(store, tmp_path)
-    assert one.verdict == "inconclusive"
-    assert one.seeds_needed is not None and one.seeds_needed > SEEDS
-
-
 def test_the_worlds_are_judged_side_by_side(store: Store, tmp_path: Path) -> None:
     claims = changed(('worlds = ["text"]\n', ""))
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
