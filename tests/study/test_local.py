@@ -12,7 +12,7 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
-from pneuma.study.executors.supervisor import Interrupts
+from pneuma.study.executors.local import Interrupts
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 

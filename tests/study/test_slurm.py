@@ -51,7 +51,7 @@ class Queue:
 
     def ask(self, *command: str) -> list[str]:
         return [
-            f"{name}|{i if len(jobs) > 1 else 'N/A'}|7_{i}|RUNNING|node1"  # a single job is no array
+            f"{name}|{i if len(jobs) > 1 else 'N/A'}|RUNNING|7_{i}|node1"  # a single job is no array
             for name, jobs in self.submitted.items()
             for i, job in enumerate(jobs)
             if not self.gone and not (job and job.done())

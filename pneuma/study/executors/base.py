@@ -19,10 +19,11 @@ need. Whatever one does, it keeps these promises:
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 from pneuma.config import Run
 from pneuma.study.store import Status, Store
@@ -101,6 +102,52 @@ class Executor(Protocol):
         Raises:
             KeyboardInterrupt: after Ctrl-C, when every worker has gone; `Detached` where they go on.
         """
+
+
+class Job(NamedTuple):
+    """A job that trains runs elsewhere: its state, its id, and its node or why it has none."""
+
+    state: str
+    id: str = ""
+    where: str = ""
+
+    def __str__(self) -> str:
+        return " ".join(filter(None, ("job", self.id, "is", self.state.lower(), self.where)))
+
+
+def watch(
+    left: set[str],
+    store: Store,
+    on_event: OnEvent,
+    live: Callable[[], Mapping[str, Job]],
+    seconds: float,
+    lost: str,
+) -> None:
+    """Hand on what becomes of runs in jobs until all have ended, which are taken out of `left`.
+
+    Args:
+        left: ids of the runs.
+        store: where they are stored.
+        on_event: is told.
+        live: returns the jobs there still are, by the ids of their runs.
+        seconds: between two looks.
+        lost: what to say of a run that is not stored though its job has gone.
+    """
+    jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
+    while left:
+        before, jobs = jobs, live()
+        for name in sorted(left):
+            status, job = store.status(name), jobs.get(name, before.get(name))
+            if status.finished or job is None:
+                left.discard(name)
+                gone = not (status.finished or status.failed or status.name == "killed")
+                end = end_event(name, Status("killed", status.step) if gone else status)
+                on_event({**end, "reason": lost} if gone else end)
+            elif status.step:
+                on_event({"event": "step", "run_id": name, "step": status.step})
+            elif job != before.get(name):
+                on_event({"event": "passing", "run_id": name, "text": str(job)})
+        time.sleep(seconds if left else 0)
 
 
 def end_event(name: str, status: Status) -> Event:

@@ -1,7 +1,12 @@
-"""The local executor: one fresh process for each group of runs, a few at a time.
+"""The local executor: one fresh process for each group of runs, a few at a time, until every run has ended.
 
-A process of its own can be killed alone and shares no state with its neighbours. It is pinned to
-one thread, so that workers do not fight over cores and results do not depend on their number.
+    groups of runs → `Supervisor` → processes of `pneuma.study.worker` → store
+                                  ← their events
+
+A process of its own can be killed alone and shares no state with its neighbours. It is pinned to one thread,
+so that workers do not fight over cores and results do not depend on their number. What crashes is tried once
+more, what another process trains is waited for, and after Ctrl-C every run comes to a checkpoint. On a node
+of a cluster the other executors train by the same `Supervisor`.
 """
 
 from __future__ import annotations
@@ -9,24 +14,326 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import selectors
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import IO, Any
 
-from pneuma.config import Run
-from pneuma.study.executors.base import OnEvent, Supervision
-from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
+from pneuma.config import Run, as_fields
+from pneuma.errors import UserError
+from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
+from pneuma.study.files import parse_json
+from pneuma.study.locks import is_held
 from pneuma.study.provenance import available_cores, machine
-from pneuma.study.store import Store
+from pneuma.study.store import Status, Store
 
+TRIES = 2
+"""How often a run is begun or gone on with before a crash counts."""
+BUSY_SECONDS = 1.0
+"""How long to wait before looking again for a run that another process holds."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
+"""Which Slurm, or a machine that shuts down, sends to all processes: workers hear of it from their parent."""
 SOURCE = str(Path(__file__).parents[3])
 """On the path of children even where Pneuma is not installed."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def most_workers(how: Supervision) -> int:
+    """Return how many runs may train at once where nobody says it: one a core."""
+    return available_cores()
+
+
+def run_groups(
+    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+) -> None:
+    """Train every group of runs in a process of its own, as the contract says (`base.Executor`).
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
+    """
+    with Interrupts() as interrupts:
+        Supervisor(groups, store, how, on_event, interrupts).work()
+        if interrupts.count:
+            raise KeyboardInterrupt
+
+
+# --- Signals --------------------------------------------------------------------------------------
+
+
+class Interrupts:
+    """Collects signals within a `with` block instead of letting them end it; of the main thread alone.
+
+    Args:
+        signals: which.
+        most: how many of them count.
+
+    Attributes:
+        seen: the signals that came; of SIGHUP, which a closed terminal's shell sends again, at most one.
+        wakeup: a file descriptor that can be read from once one has come, for a selector.
+    """
+
+    def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
+        self.seen: list[int] = []
+        self._signals, self._most = signals, most
+        self.wakeup, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._before: dict[int, Any] = {}
+        self._woken_before = -1
+
+    @property
+    def count(self) -> int:
+        """How many came."""
+        return min(len(self.seen), self._most)
+
+    def __enter__(self) -> Interrupts:
+        """Begin to collect.
+
+        The kernel may hand a signal to a thread of a mathematical library, which does not interrupt the main
+        thread's wait: the interpreter's own wake-up does.
+        """
+        if threading.current_thread() is threading.main_thread():
+            for number in self._signals:
+                if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` lets SIGHUP be
+                    self._before[number] = signal.signal(number, self._note)
+            self._woken_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give the signals back."""
+        if self._before:
+            for number, handler in self._before.items():
+                signal.signal(number, handler)
+            signal.set_wakeup_fd(self._woken_before)
+        os.close(self.wakeup)
+        os.close(self._writer)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if number != signal.SIGHUP or not self.seen:
+            self.seen.append(number)
+
+
+def say_stopping() -> None:
+    """Tell a person that the first Ctrl-C was heard."""
+    with suppress(OSError):  # the terminal was closed
+        print("Stopping after this step; again to stop now.", file=sys.stderr, flush=True)
+
+
+# --- Supervision ----------------------------------------------------------------------------------
+
+
+@dataclass
+class _Task:
+    """Runs by id that one worker is to train, the try, and whether another process was training them."""
+
+    group: Mapping[str, Run]
+    tries: int = 1
+    busy: bool = False
+
+
+class Supervisor:
+    """Keeps workers busy until every group of runs, by id, has ended.
+
+    The first of `interrupts` lets every run come to a checkpoint, the second ends all at once.
+    """
+
+    def __init__(
+        self,
+        groups: Iterable[Mapping[str, Run]],
+        store: Store,
+        how: Supervision,
+        on_event: OnEvent,
+        interrupts: Interrupts,
+    ) -> None:
+        self._tasks = [_Task(group) for group in groups]
+        self._store, self._how, self._on_event = store, how, on_event
+        self._interrupts, self._heeded = interrupts, 0
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
+
+    def work(self) -> None:
+        """Work off all tasks; leaving by an exception ends the workers."""
+        try:
+            while self._tasks or self._workers():
+                self._start_what_may()
+                waits = self._tasks and len(self._workers()) < self._how.workers
+                for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
+                    self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
+                self._heed_interrupts()
+        finally:
+            for worker in self._workers():
+                worker.kill()
+                worker.bury()
+            self._selector.close()
+
+    def _workers(self) -> list[_Worker]:
+        return [key.data for key in self._selector.get_map().values() if key.data is not None]
+
+    def _heed_interrupts(self) -> None:
+        """Ask all workers to stop after the first interrupt, and kill them after the second."""
+        count = self._interrupts.count
+        if count == self._heeded:
+            return
+        if not self._heeded:
+            say_stopping()
+        self._heeded = count
+        self._tasks.clear()
+        for worker in self._workers():
+            worker.kill() if count > 1 else worker.tell("stop")
+
+    def _start_what_may(self) -> None:
+        for task in [*self._tasks]:
+            if len(self._workers()) >= self._how.workers:
+                return
+            if task.busy and is_held(self._store.run_folder(next(iter(task.group)))):
+                continue  # a worker would cost half a second to find that out
+            self._tasks.remove(task)
+            worker = _Worker(task, self._store, self._how)
+            self._selector.register(worker.events, selectors.EVENT_READ, worker)
+
+    def _read(self, worker: _Worker) -> None:
+        """Take one event line of a worker, or note that it has gone."""
+        line = worker.events.readline()
+        if not line:
+            self._selector.unregister(worker.events)
+            self._bury(worker)
+            return
+        try:
+            event = parse_json(line)
+            name, kind = event["run_id"], event["event"]
+            worker.task.group[name]
+        except (ValueError, KeyError, TypeError):
+            worker.kill()  # it has gone astray; reading on finds its end
+            return
+        if kind == "busy":
+            worker.busy.add(name)
+            if not worker.task.busy:
+                lock = self._store.run_folder(name) / ".lock"
+                self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
+        elif kind == "end" and event["status"] == "crashed":  # judged when the worker's lock has gone
+            worker.crashed[name] = event
+        else:
+            if kind == "end":
+                worker.ended.add(name)
+            self._on_event(event)
+
+    def _bury(self, worker: _Worker) -> None:
+        """Reap a worker; see to its runs that were busy, crashed, or went with it."""
+        code, words = worker.bury()
+        group, tries = worker.task.group, worker.task.tries
+        silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
+        begun = {*silent[:1], *worker.crashed}  # a group is trained in its order
+        if not self._interrupts.count:
+            self._tasks += [_Task({name: group[name]}, tries, busy=True) for name in worker.busy]
+        for name in (*silent, *worker.crashed):
+            crash = worker.crashed.get(name)
+            if self._interrupts.count:
+                self._on_event(crash or end_event(name, Status("stopped")))
+            elif name not in begun:
+                self._tasks.append(_Task({name: group[name]}, tries))
+            elif tries < TRIES:  # alone: one that crashes takes no other along again
+                self._tasks.append(_Task({name: group[name]}, tries + 1))
+                why = f"crashed ({crash['reason']})" if crash else _reason(code)
+                self._note(name, f"{why}; tried once more")
+            elif crash:
+                self._on_event(crash)
+            else:
+                self._end_lost(name, group[name], code, words)
+
+    def _end_lost(self, name: str, run: Run, code: int, words: bytes) -> None:
+        """Store and report how a run ended whose worker went without a word, unless another trains it now."""
+        status = "killed" if code < 0 else "crashed"
+        try:
+            with self._store.lock(name) as mine:
+                if mine:
+                    told = words.decode(errors="replace")
+                    self._store.save_failure(name, run, status, f"{_reason(code)}\n{told}")
+        except (UserError, OSError) as error:
+            self._note(name, str(error))
+        self._on_event(end_event(name, Status(status)))
+
+    def _note(self, name: str, text: str) -> None:
+        self._on_event({"event": "note", "run_id": name, "text": text})
+
+
+def _reason(code: int) -> str:
+    """Say how a process ended that has this exit code."""
+    if code >= 0:
+        return f"the worker process ended with code {code}"
+    name = signal.Signals(-code).name
+    hint = " (by hand, or by the system when memory ran out)" if name == "SIGKILL" else ""
+    return f"the worker process was killed by {name}{hint}"
+
+
+# --- Workers --------------------------------------------------------------------------------------
+
+
+class _Worker:
+    """A worker's process, in a session of its own: Ctrl-C reaches its parent alone.
+
+    Attributes:
+        task: what it was started for.
+        ended, crashed, busy: its runs of which it said so.
+        events: its lines.
+    """
+
+    def __init__(self, task: _Task, store: Store, how: Supervision) -> None:
+        self.task = task
+        self.ended, self.busy = set[str](), set[str]()
+        self.crashed: dict[str, Event] = {}
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
+        signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # which it inherits
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "pneuma.study.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                env=one_thread_environment(),
+                start_new_session=True,
+                bufsize=0,
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, NOT_FOR_WORKERS)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._orders: IO[bytes] = self._process.stdin
+        self.events: IO[bytes] = self._process.stdout
+        job = {
+            "parent": os.getpid(),
+            "results": str(store.root.resolve()),
+            "runs": {name: as_fields(run) for name, run in task.group.items()},
+            "checkpoint_seconds": how.checkpoint_seconds,
+            "keep": how.keep_checkpoints,
+            "last_try": task.tries == TRIES,
+            "logs": {name: folder for name, folder in how.logs.items() if name in task.group},
+        }
+        self.tell(json.dumps(job))
+
+    def tell(self, line: str) -> None:
+        """Send a line: the job, or `stop`."""
+        with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
+            self._orders.write(line.encode() + b"\n")
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+    def bury(self) -> tuple[int, bytes]:
+        """Wait until it has gone; return its exit code and what it wrote on standard error."""
+        code = self._process.wait()
+        self._orders.close()
+        self.events.close()
+        self._errors.seek(0)
+        with self._errors:
+            return code, self._errors.read()
 
 
 def one_thread_environment() -> dict[str, str]:
@@ -59,76 +366,3 @@ def prepare_node(gpu: bool = False) -> None:
 
 def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pneuma"
-
-
-def most_workers(how: Supervision) -> int:
-    """Return how many runs may train at once where nobody says it: one a core."""
-    return available_cores()
-
-
-def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
-) -> None:
-    """Train every group of runs in a process of its own, as the contract says (`base.Executor`).
-
-    Raises:
-        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
-    """
-    with Interrupts() as interrupts:
-        Supervisor(groups, store, how, on_event, interrupts, LocalProcess).work()
-        if interrupts.count:
-            raise KeyboardInterrupt
-
-
-class LocalProcess:
-    """A worker's process on this machine, in a session of its own: Ctrl-C reaches its parent alone."""
-
-    def __init__(self, job: Mapping[str, Any]) -> None:
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pneuma.study.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=one_thread_environment(),
-            start_new_session=True,
-            bufsize=0,
-        )
-        self._tell(json.dumps({**job, "parent": os.getpid()}))
-
-    @property
-    def events(self) -> IO[bytes]:
-        """Its lines."""
-        assert self._process.stdout is not None
-        return self._process.stdout
-
-    def ask_to_stop(self) -> None:
-        """Let it come to a checkpoint and end."""
-        self._tell("stop")
-
-    def kill(self) -> None:
-        """End it at once."""
-        self._process.kill()
-
-    def bury(self) -> Death:
-        """Wait until it has gone, let go of its files and return how it ended."""
-        code = self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
-        self._errors.seek(0)
-        with self._errors:
-            return Death(code < 0, f"the worker process {_reason(code)}", self._errors.read())
-
-    def _tell(self, line: str) -> None:
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
-            self._process.stdin.write(line.encode() + b"\n")
-
-
-def _reason(code: int) -> str:
-    if code >= 0:
-        return f"ended with code {code}"
-    name = signal.Signals(-code).name
-    hint = " (by hand, or by the system when memory ran out)" if name == "SIGKILL" else ""
-    return f"was killed by {name}{hint}"

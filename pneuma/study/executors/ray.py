@@ -1,21 +1,21 @@
-"""The Ray executor: as the local one, but that the processes of workers are on the nodes of a cluster.
+"""The Ray executor: groups of runs are tasks of a Ray cluster, on a results folder that all nodes share.
 
-    Supervisor ⇄ NodeProcess ⇄ Ray ⇄ Node ⇄ LocalProcess: the worker → results folder, which all nodes share
+    groups → Ray → `train_here` on a node: the local executor → results folder
+    this command ← what the results folder tells of runs
 
-Pneuma's code goes to the nodes with the job; the packages that it computes with must be there, in the same
+Pneuma's code goes to the nodes with the task; the packages that it computes with must be there, in the same
 versions. Without an address, a cluster of this machine's own is started for the command.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import signal
 import socket
-import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from functools import cache, partial
+from dataclasses import replace
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -23,17 +23,16 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import OnEvent, Supervision
-from pneuma.study.executors.local import LocalProcess, prepare_node
-from pneuma.study.executors.supervisor import Death, Interrupts, Supervisor
+from pneuma.study.executors.base import Job, OnEvent, Supervision, watch
+from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.study.provenance import CARRIED_CODE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
 JOIN_SECONDS = 5.0
 """How long a cluster's head may take to answer."""
-BURY_SECONDS = 10.0
-"""How long Ray may take to tell that a process which was ended has gone."""
+LOOK_SECONDS = 1.0
+"""How often the results folder is asked how far runs are."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 CODE = Path(__file__).parents[2]
 
@@ -67,12 +66,64 @@ def run_groups(
         UserError: when a node is not fit for them.
     """
     join(how.address)
+    import ray
+
     store.root.mkdir(parents=True, exist_ok=True)
+    waiting = [dict(group) for group in groups]
+    left = {name for group in waiting for name in group}
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        start = partial(NodeProcess, Node(versions(), code(), os.getcwd(), mark.name))
-        Supervisor(groups, store, how, on_event, interrupts, start).work()
-        if interrupts.count:
-            raise KeyboardInterrupt
+        told = Store(store.root.resolve()), how, versions(), code(), os.getcwd(), mark.name
+        start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
+        tasks: dict[Any, dict[str, Run]] = {}
+
+        def live() -> dict[str, Job]:
+            """Keep tasks in the cluster; return the runs of those that have not ended."""
+            while waiting and len(tasks) < how.workers:
+                group = waiting.pop(0)
+                tasks[start(group, *told)] = group
+            for task in ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else ():
+                del tasks[task]
+                _check(task)
+            if interrupts.count:
+                _stop([*tasks], interrupts)
+                raise KeyboardInterrupt
+            groups = [(Job("WAITING"), group) for group in waiting]
+            groups += [(Job("IN THE CLUSTER"), group) for group in tasks.values()]
+            return {name: job for job, group in groups for name in group}
+
+        try:
+            watch(left, store, on_event, live, LOOK_SECONDS, "its node was lost twice")
+        finally:
+            for task in tasks:
+                ray.cancel(task, force=True)
+
+
+def _check(task: Any) -> None:
+    """Refuse to go on where a task has ended because its node is not fit to train; a lost one is no matter.
+
+    Raises:
+        UserError: saying why it is not.
+    """
+    import ray
+
+    try:
+        ray.get(task)
+    except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
+        cause = getattr(error, "cause", error)
+        raise cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}") from None
+    except ray.exceptions.RayError:
+        pass
+
+
+def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
+    """Let tasks come to checkpoints and end; after another interrupt end them at once."""
+    import ray
+
+    say_stopping()
+    for task in tasks:
+        ray.cancel(task)
+    while tasks and interrupts.count < 2:
+        tasks = ray.wait(tasks, num_returns=len(tasks), timeout=LOOK_SECONDS)[1]
 
 
 # --- The cluster --------------------------------------------------------------------------------------
@@ -115,116 +166,47 @@ def join(address: str | None) -> None:
             ) from None
 
 
-# --- Workers on nodes ---------------------------------------------------------------------------------
+# --- On a node ----------------------------------------------------------------------------------------
 
 
-@dataclass
-class Node:
-    """Runs the process of one worker on the node that Ray makes this on.
+def train_here(
+    runs: dict[str, Run],
+    store: Store,
+    how: Supervision,
+    wanted: Mapping[str, str],
+    own: str,
+    folder: str,
+    mark: str,
+) -> None:
+    """Train runs on the node that Ray calls this on.
 
-    Attributes:
-        versions, code, folder: of the command, which the node must have, is told, and works in.
+    Args:
+        runs: by id.
+        store: the shared results folder.
+        how: they are looked after.
+        wanted: versions that the node must have.
+        own: the version of the code that was sent.
+        folder: that of the command, from which people's own rewards and levels are read.
         mark: a file in the results folder.
+
+    Raises:
+        UserError: where runs cannot be trained on this node.
     """
-
-    versions: Mapping[str, str]
-    code: str
-    folder: str
-    mark: str
-
-    def stop(self) -> None:
-        """Let the runs come to a checkpoint and end."""
-        self._process.ask_to_stop()
-
-    def train(self, job: Mapping[str, Any]) -> Iterator[bytes | Death]:
-        """Start the worker; yield its lines, then how it ended.
-
-        Raises:
-            UserError: where runs cannot be trained on this node.
-        """
-        import ray
-
-        node = ray.util.get_node_ip_address()
-        here = versions()
-        lacking = [f"{name} {own}" for name, own in self.versions.items() if here.get(name) != own]
-        if lacking:
-            raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
-        if not Path(self.mark).exists():
-            raise UserError(
-                f"--executor ray: the node {node} does not see {job['results']}: all must share that folder"
-            )
-        die_with(os.getppid())  # Ray's own process here
-        os.environ[CARRIED_CODE] = self.code
-        with suppress(OSError):
-            os.chdir(self.folder)  # from which people's own rewards and levels are read
-        prepare_node()
-        self._process = LocalProcess(job)
-        first = {"event": "passing", "run_id": next(iter(job["runs"])), "text": f"starts on the node {node}"}
-        yield json.dumps(first).encode() + b"\n"
-        yield from (line for line in self._process.events)  # of a generator, which is all that Ray iterates
-        yield self._process.bury()
-
-
-class NodeProcess:
-    """The process of a worker on some node, as the supervisor in the command sees it."""
-
-    def __init__(self, node: Node, job: Mapping[str, Any]) -> None:
-        import ray
-
-        kind: Any = ray.remote(Node)
-        self._node = kind.options(num_cpus=1, max_concurrency=2).remote(**asdict(node))
-        told = self._node.train.options(num_returns="streaming").remote(job)
-        self._begun = False
-        self._death: Death | UserError = Death(True, "its node was lost")
-        reader, writer = os.pipe()
-        self.events = os.fdopen(reader, "rb", buffering=0)
-        self._relaying = threading.Thread(target=self._relay, args=(told, writer), daemon=True)
-        self._relaying.start()
-
-    def ask_to_stop(self) -> None:
-        """Let it come to a checkpoint and end; one that still waits for a node just ends."""
-        if self._begun:
-            self._node.stop.remote()
-        else:
-            self.kill()
-
-    def kill(self) -> None:
-        """End it at once, and what it has started with it."""
-        import ray
-
-        with suppress(Exception):  # it may be gone, or the whole cluster
-            ray.kill(self._node)
-
-    def bury(self) -> Death:
-        """Let go of the node and return how the process ended.
-
-        Raises:
-            UserError: where runs cannot be trained on the node.
-        """
-        self.kill()
-        self._relaying.join(BURY_SECONDS)
-        self.events.close()
-        if isinstance(self._death, UserError):
-            raise self._death
-        return self._death
-
-    def _relay(self, told: Iterable[Any], writer: int) -> None:
-        """Write what a node tells into the pipe, to its end."""
-        import ray
-
-        with suppress(BrokenPipeError), os.fdopen(writer, "wb", buffering=0) as pipe:
-            try:
-                for line in map(ray.get, told):
-                    self._begun = True
-                    if isinstance(line, Death):
-                        self._death = line
-                    else:
-                        pipe.write(line)
-            except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
-                cause = getattr(error, "cause", error)
-                self._death = cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}")
-            except ray.exceptions.RayError as error:
-                self._death = Death(True, "its node was lost", str(error).encode())
+    here, node = versions(), socket.gethostname()
+    lacking = [f"{name} {own}" for name, own in wanted.items() if here.get(name) != own]
+    if lacking:
+        raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
+    if not Path(mark).exists():
+        raise UserError(
+            f"--executor ray: the node {node} does not see {store.root}: all must share that folder"
+        )
+    die_with(os.getppid())  # Ray's own process here
+    os.environ[CARRIED_CODE] = own
+    with suppress(OSError):
+        os.chdir(folder)
+    prepare_node()
+    with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
+        Supervisor([runs], store, replace(how, workers=1), lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:

@@ -25,15 +25,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.study.executors import local
-from pneuma.study.executors.base import Detached, OnEvent, Supervision, end_event
-from pneuma.study.executors.supervisor import Interrupts, Supervisor
+from pneuma.study.executors.base import Detached, Job, OnEvent, Supervision, watch
+from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
 from pneuma.study.files import replace_files, to_json
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Store
 
 MOST_AT_ONCE = 256
 MOST_IN_ARRAY = 1000
@@ -107,12 +106,12 @@ class Training:
 
     def __call__(self) -> None:
         """Train the runs."""
-        local.prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
+        prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
         how = replace(self.how, workers=cores)
         with Interrupts(SIGNALS, most=1) as interrupts:
-            Supervisor(shares, self.store, how, lambda event: None, interrupts, _start_shielded).work()
+            Supervisor(shares, self.store, how, lambda event: None, interrupts).work()
         if signal.SIGUSR2 in interrupts.seen:
             signal.raise_signal(signal.SIGUSR2)  # submitit's, which puts the job back into the queue
         if interrupts.seen:
@@ -121,15 +120,6 @@ class Training:
     def checkpoint(self) -> Any:
         """Return what is to be put back into the queue: the same, as checkpoints lie in the store."""
         return import_module("submitit").helpers.DelayedSubmission(self)
-
-
-def _start_shielded(job: Mapping[str, Any]) -> local.LocalProcess:
-    """Start a worker that does not hear the signals that Slurm sends to all processes of a job."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # which it inherits
-    try:
-        return local.LocalProcess(job)
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 # --- In the command -----------------------------------------------------------------------------------
@@ -159,26 +149,16 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
-    """Hand on what becomes of runs until all have ended, which is taken out of `left`."""
-    reason = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
-    jobs = dict.fromkeys(left, Job("", "SUBMITTED"))
-    while left:
-        before = jobs
-        time.sleep(LOOK_SECONDS)
+    jobs: dict[str, Job] = {}
+
+    def live() -> dict[str, Job]:
+        nonlocal jobs
         with suppress(UserError):  # a busy controller, say: it is asked again
             jobs = queued(store)
-        for name in sorted(left):
-            status, job = store.status(name), jobs.get(name, before.get(name))
-            if status.finished or job is None:
-                left.discard(name)
-                gone = not (status.finished or status.failed or status.name == "killed")
-                end = end_event(name, Status("killed", status.step) if gone else status)
-                on_event({**end, "reason": reason} if gone else end)
-            elif status.step:
-                on_event({"event": "step", "run_id": name, "step": status.step})
-            elif job != before.get(name):
-                text = f"job {job.id} is {job.state.lower()} {job.where}".rstrip()
-                on_event({"event": "passing", "run_id": name, "text": text})
+        return jobs
+
+    printed = f"what it printed lies in {_folder(store)}, the same command submits it again"
+    watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}")
     with suppress(UserError):  # what is not put away now will be next time
         _put_away(store, queued(store))
 
@@ -207,14 +187,6 @@ def _put_away(store: Store, live: Iterable[str]) -> None:
                 shutil.rmtree(_folder(store) / name, ignore_errors=True)
 
 
-class Job(NamedTuple):
-    """A job as the queue has it: its id and state, and the node that it runs on or why it does not."""
-
-    id: str
-    state: str
-    where: str = ""
-
-
 def queued(store: Store) -> dict[str, Job]:
     """Return the jobs that are queued or running by the ids of the runs that they train.
 
@@ -226,7 +198,7 @@ def queued(store: Store) -> dict[str, Job]:
         return {}
     jobs: dict[str, Job] = {}
     names = f"--name={','.join(noted)}"
-    for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%i|%T|%R"):
+    for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
         name, place, *told = line.split("|", 4)
         group = noted[name][int(place) if place.isdecimal() else 0]  # a single job is no array
         jobs |= dict.fromkeys(group, Job(*told))
@@ -242,7 +214,7 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     options = {key: True if text == "true" else text for key, text in how.slurm}
     if taken := [key for key in OWN if key in options]:
         raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
-    path = f"export PYTHONPATH={shlex.quote(local.SOURCE)}${{PYTHONPATH:+:$PYTHONPATH}}"
+    path = f"export PYTHONPATH={shlex.quote(SOURCE)}${{PYTHONPATH:+:$PYTHONPATH}}"
     cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
     setup = [path, cores, str(options.pop("setup", ""))]
     try:
