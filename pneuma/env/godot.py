@@ -78,21 +78,28 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
         seed: of the first copy; the next has the next one.
 
     Raises:
-        UserError: where no trainer listens, or the environment is not of flat observations and one action.
+        UserError: where no trainer listens, or what does sends none of the protocol's messages; or the
+            environment is not of flat observations and one action.
     """
     with ExitStack() as stack:
         envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]
         connection = stack.enter_context(_connect(port))
+        connection.settimeout(START_SECONDS)
         seeds: list[int | None] = [seed + i for i in range(agents)]
-        steps = 0
+        kind, steps = None, 0
         while True:
             try:
                 message = receive(connection)
-            except (EOFError, ConnectionError):
+                actions = _actions(message, envs) if message.get("type") == "action" else []
+            except (EOFError, OSError):
+                if kind is None:
+                    raise UserError(f"port {port}: what listens there sent no message: a trainer?") from None
                 return steps
-            except ValueError as error:
-                raise UserError(f"port {port}: the trainer sent what is no message: {error}") from None
+            except (KeyError, TypeError, ValueError) as error:
+                told = f"{type(error).__name__}: {error}"
+                raise UserError(f"port {port}: the trainer sent what is no message: {told}") from None
             kind = message.get("type")
+            connection.settimeout(None)  # it may learn for long
             if kind == "close":
                 return steps
             if kind == "env_info":
@@ -105,7 +112,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                 seeds = [None] * agents
                 send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first], "seed": asked})
             elif kind == "action":
-                rows = [_step(env, own["action"]) for env, own in zip(envs, message["action"], strict=True)]
+                rows = [_step(env, own) for env, own in zip(envs, actions, strict=True)]
                 send(connection, {"type": "step", **{key: [row[key] for row in rows] for key in rows[0]}})
                 steps += agents
             elif kind != "handshake":
@@ -151,10 +158,22 @@ def _env_info(envs: list[gymnasium.Env[Any, Any]]) -> dict[str, Any]:
     }
 
 
+def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) -> list[Any]:
+    """Return the action of every copy.
+
+    Raises:
+        KeyError, TypeError, ValueError: for what is none.
+    """
+    space = envs[0].action_space
+    told = [np.array(own["action"], space.dtype) for _, own in zip(envs, message["action"], strict=True)]
+    actions = [own.reshape(space.shape) if isinstance(space, spaces.Box) else own.item() for own in told]
+    if isinstance(space, spaces.Discrete) and not all(space.contains(own) for own in actions):
+        raise ValueError(f"{actions} for actions in {space}")
+    return actions
+
+
 def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
     """Step one copy, and begin its next episode where one ends."""
-    if isinstance(env.action_space, spaces.Box):
-        action = np.array(action, np.float32).reshape(env.action_space.shape)
     obs, reward, terminated, truncated, info = env.step(action)
     told: dict[str, Any] = {
         key: value for key, value in info.items() if isinstance(value, bool | int | float)

@@ -18,7 +18,7 @@ from annotated_types import Interval, MinLen
 from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, Steps
+from pneuma.config import BASES, Steps, is_gymnasium_id
 from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
@@ -158,10 +158,15 @@ class Search:
 
         There all trials share the world's environment, and its other fields where the search sets none
         itself.
+
+        Raises:
+            UserError: for a world that there is not, or an environment that is not Pneuma's own.
         """
         check_world(world)
         if world == self.world:
             return self
+        if is_gymnasium_id(env := self.space.fixed.get("env")):
+            raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
         there = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         name = in_world(self.name, world)
         return replace(there, name=name, title=f"{self.title} ({world})", world=world)

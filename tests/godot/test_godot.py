@@ -19,6 +19,7 @@ from pneuma.config import make_run
 from pneuma.env.godot import GodotGame, receive, send
 from pneuma.errors import UserError
 from pneuma.study.identity import own_things
+from tests.cli.calls import call
 from tests.engines.trained import bits, train
 
 ARENA = "pneuma/PneumaArena-v0"
@@ -108,6 +109,43 @@ def test_the_package_s_cleanrl_environment_sees_what_gymnasium_s_does() -> None:
         assert rewards == [own[1] for own in steps]
     env.close()
     assert game.wait(timeout=20) == 0
+
+
+# --- Trainers that fail ------------------------------------------------------------------------------
+
+
+def listening(messages: list[bytes]) -> int:
+    """Let what is no trainer listen at a port, send and leave; return the port."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def train() -> None:
+        with server, server.accept()[0] as connection:
+            for message in messages:
+                connection.sendall(len(message).to_bytes(4, "little") + message)
+            if messages:
+                connection.recv(1 << 16)
+
+    threading.Thread(target=train, daemon=True).start()
+    return int(server.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("messages", "told"),
+    [
+        ([], "sent no message"),
+        ([b"GET / HTTP/1.1"], "what is no message: JSONDecodeError"),
+        ([b"[1]"], "no JSON object"),
+        ([b'{"type": "call"}'], "asks for 'call'"),
+        ([b'{"type": "action"}'], "KeyError: 'action'"),
+        ([b'{"type": "action", "action": []}'], "ValueError"),
+        ([b'{"type": "action", "action": [{"action": 5}]}'], r"ValueError: [5] for actions in Discrete(5)"),
+        ([b'{"type": "action", "action": [{"action": "up"}]}'], "ValueError"),
+    ],
+)
+def test_a_trainer_that_sends_no_message_is_told_in_one_line(messages: list[bytes], told: str) -> None:
+    port = listening(messages)
+    code, _, err = call("env", "serve", ARENA, "--port", port)
+    assert code == 2 and err.count("\n") == 1 and f"port {port}" in err and told in err
 
 
 # --- Games that fail -------------------------------------------------------------------------------

@@ -121,3 +121,6 @@ def test_a_search_in_the_published_codes_world(write: Load) -> None:
     }  # fmt: skip
     with pytest.raises(UserError, match="the name ppo-godot stands for the world godot"):
         load_search("ppo-godot", "text")
+    in_cartpole = write(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
+    with pytest.raises(UserError, match="--world arena: search mine is in CartPole-v1 alone"):
+        in_cartpole.in_world("arena")
