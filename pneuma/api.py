@@ -181,9 +181,8 @@ def load_policy(
         raise UserError(f"run {found} left no policy")
     settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
     if (own := own_things(settings)) and not trust:
-        raise UserError(
-            f"run {found} would {' and '.join(own.values())}: pass trust=True if you trust its source"
-        )
+        mend = "if you trust its source, give --trust (in Python trust=True)"
+        raise UserError(f"run {found} would {' and '.join(own.values())}: {mend}")
     return read_sound_policy(store.read_file(found, POLICY_FILE)), str(run.get("env")), settings
 
 

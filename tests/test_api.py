@@ -81,7 +81,7 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
         "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
     }
     store.save_run("0123456789abcdef", Status("done", run.steps), files)
-    with pytest.raises(UserError, match="would read the level somebodys/isle: pass trust=True"):
+    with pytest.raises(UserError, match="would read the level somebodys/isle: if you trust"):
         load_policy("0123", tmp_path)
     policy, env, settings = load_policy("0123", tmp_path, trust=True)
     assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]

@@ -13,8 +13,6 @@ from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, print_json, print_table
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -116,7 +114,7 @@ def render(
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
     chosen = dict(set_ or ())
-    settings, make_act = _player(player, name, seed, results, {*chosen} if not trust else None)
+    settings, make_act = _player(player, name, seed, results, trust)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
     frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
@@ -195,43 +193,28 @@ def _story(worlds: Any) -> str:
 
 
 def _player(
-    player: str, name: str, seed: int, results: Path, own: set[str] | None
+    player: str, name: str, seed: int, results: Path, trust: bool
 ) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
     """Return the settings that a player brings along, and what makes it choose actions in worlds.
 
-    A stored run, which may be anybody's, may name files only in settings that are the user's `own`; None
-    where it is trusted. Its reward, if it is code, is left out: no picture shows it.
+    The reward of a stored run is left out where it is code: no picture shows it.
     """
     import numpy as np
 
-    from pneuma.config import REWARDS, EnvConfig
-    from pneuma.engines.policy import POLICY_FILE, drawing, read_sound_policy
+    from pneuma.api import load_policy
+    from pneuma.engines.policy import drawing
     from pneuma.env.players import Hunter, RandomPlayer
-    from pneuma.study.identity import own_things
-    from pneuma.study.stored_runs import stored_run
+    from pneuma.env_fields import REWARDS
 
     if player == "random":
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
     if player == "hunter":
         return {}, lambda worlds: Hunter(worlds).act
-    store = Store(results)
     try:
-        run_id = find_run(store, player)
-        if not store.status(run_id).finished:
-            raise UserError(f"run {run_id} is not finished")
-        run = stored_run(store, run_id).settings
-        if run.get("env") != name.replace("/mo-", "/"):
-            raise UserError(f"was trained in {run.get('env')}, not in {name}")
-        settings = {key: run[key] for key in EnvConfig.__dataclass_fields__ if key in run}
-        settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in run["reward"]]
-        opened = {key: value for key, value in settings.items() if own is not None and key not in own}
-        if files := own_things(opened):
-            raise UserError(
-                f"would {' and '.join(files.values())}; if you trust where it is from, give --trust"
-            )
-        if POLICY_FILE not in store.file_names(run_id):
-            raise UserError("the run left no policy")
-        policy = read_sound_policy(store.read_file(run_id, POLICY_FILE))
+        policy, env, settings = load_policy(player, results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
+    if env != name.replace("/mo-", "/"):
+        raise UserError(f"--player {player}: was trained in {env}, not in {name}")
+    settings["reward"] = [own if own in REWARDS else REWARDS[0] for own in settings["reward"]]
     return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

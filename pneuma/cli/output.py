@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import math
 import shlex
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -70,23 +68,15 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
 
 def print_json(document: Mapping[str, Any]) -> None:
     """Print the one JSON document of a command: data classes and tables as objects, NaN as null."""
-    print(dumps(_as_json({"schema": 1, **document}), indent=2, allow_nan=False))
+    from pydantic_core import to_jsonable_python
+
+    whole = to_jsonable_python({"schema": 1, **document}, inf_nan_mode="null", fallback=_as_plain)
+    print(dumps(whole, indent=2, allow_nan=False))
 
 
-def _as_json(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
-    elif hasattr(value, "model_dump"):  # one of pydantic's
-        value = value.model_dump()
-    elif hasattr(value, "to_dict"):  # a pandas table
-        value = rows_of(value)
-    if isinstance(value, Mapping):
-        return {str(key): _as_json(own) for key, own in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_json(own) for own in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
+def _as_plain(value: Any) -> Any:
+    """Return a pandas table as its rows, and a number of NumPy's as Python's."""
+    return rows_of(value) if hasattr(value, "to_dict") else value.item()
 
 
 def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -95,24 +85,17 @@ def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
 
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
-    """Print names, titles and sections of shipped files."""
+    """Print names, titles, sections and figures of shipped files."""
     from pneuma.schema import read_toml
 
     tables = {path.stem: read_toml(path).data for path in sorted(folder.glob("*.toml"))}
+    keys = ("title", "section", "figure")
     rows = [
-        {
-            kind: name,
-            "title": own["title"],
-            "section": own.get("section", ""),
-            "figure": own.get("figure", ""),
-        }
+        {kind: name, **{key: own.get(key, "") for key in keys}}
         for name, own in tables.items()
         if "title" in own
     ]
-    if json:
-        return print_json({many: rows})
-    told = [(*own.values(),) if own["figure"].startswith("fig-") else (*own.values(),)[:-1] for own in rows]
-    return print_table((kind, "title", "thesis section", "figure")[: max(map(len, told))], told)
+    return print_json({many: rows}) if json else print_table((kind, *keys), [[*row.values()] for row in rows])
 
 
 # --- Files ----------------------------------------------------------------------------------------

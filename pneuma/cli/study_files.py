@@ -85,29 +85,18 @@ def plot(
     if not names and (lacking := nothing_yet(store, picked.world)):
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
-    from pneuma.figures.curves import draw_study, file_stem, settle
+    from pneuma.figures.curves import draw_study, settle
     from pneuma.figures.index import INDEX, encode_index, index_entries, read_index
-    from pneuma.figures.panels import stem_of
     from pneuma.figures.summary import draw_summary, shown_outcome
 
-    target = out or store.root / "figures"
-    owners = {entry["file"]: entry.get("from") for entry in read_index(target)}
+    there = read_index(out or store.root / "figures")
     other = open_study(store, study_record(store, beside)) if beside else None
     entries: list[dict[str, Any]] = []
 
     def draw_one(name: str, folder: Path) -> None:
         data = open_data(picked, name)
-        settled = None
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
-
-        def stem() -> str:
-            return file_stem(data, settled, beside) if settled else stem_of(data, "summary")
-
-        own = f"study {data.study}"
-        while not all(owners.setdefault(f"{stem()}.{form}", own) == own for form in formats):
-            data.figure += f"-{data.study}"  # the name is another study's figure's
-        if settled:
             drawn: dict[str, Any] = asdict(settled)
             paths = draw_study(data, folder, settled, formats, beside=other)
         else:
@@ -125,7 +114,7 @@ def plot(
             draw_one(name, folder)
         if not names:
             each_study(known_studies(store, picked.world), lambda name: draw_one(name, folder))
-        (folder / INDEX).write_bytes(encode_index([*read_index(target), *entries]))
+        (folder / INDEX).write_bytes(encode_index([*there, *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
     tell_written([path for path in draw_files(store, out, draw) if path.name != INDEX], json)

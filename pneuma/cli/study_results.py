@@ -10,7 +10,6 @@ import typer
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
-    command,
     draw_files,
     print_json,
     print_table,
@@ -27,9 +26,6 @@ from pneuma.study.fork import plan_cause_forks
 from pneuma.values import shown_level, shown_value
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from pneuma.analysis.crossed import Effects, Map
     from pneuma.analysis.frames import StudyData
 
 COLUMNS = 3
@@ -56,17 +52,12 @@ def _with_unit(outcome: str) -> str:
 
 @opt.grouped
 def summary(
-    name: opt.StudyName,
-    picked: opt.Chosen,
-    outcome: opt.Outcomes = None,
-    all_: Annotated[
-        bool, opt.flag("--all", "Print every statistic of all usual outcomes, not three means.")
-    ] = False,
-    json: opt.Json = False,
+    name: opt.StudyName, picked: opt.Chosen, outcome: opt.Outcomes = None, json: opt.Json = False
 ) -> None:
-    """Say what each condition's runs come to: means with 95 % intervals, spread, thresholds, failures."""
+    """Say what each condition's runs come to: means with 95 % intervals; of an --outcome all statistics."""
     data = open_data(picked, name)
     from pneuma.analysis.frames import common_step
+    from pneuma.analysis.intervals import shown_with_interval
     from pneuma.analysis.summaries import summary_table
 
     table = summary_table(data, outcome or ())
@@ -77,69 +68,41 @@ def summary(
     say(data.title)
     _tell_step(data)
     print()
-    if not (outcome or all_):
-        return _print_means(data, table)
-    _print_statistics(data, table)
-    for name in outcome or ():
-        for condition in data.conditions:
-            if not ((table["outcome"] == name) & (table["condition"] == condition)).any():
-                say(f"{name}, {condition}: {_lack(data, condition, name)}")
-    return None
-
-
-Cells = dict[tuple[str, str, str], str]
-"""A summary's numbers with their intervals, by condition, outcome and statistic."""
-
-
-def _cells(table: pd.DataFrame) -> Cells:
-    from pneuma.analysis.intervals import shown_with_interval
-
-    return {
+    cells = {
         (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
             row["value"], row["low"], row["high"]
         )
         for row in table.to_dict("records")
     }
-
-
-def _print_means(data: StudyData, table: pd.DataFrame) -> None:
-    """Print a line for each condition: the means of the first outcomes that any has, and its failures."""
-    names = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))[:COLUMNS]
-    pairs = [*((name, "mean") for name in names), ("collapsed", "share"), ("diverged", "share")]
-    cells = _cells(table)
-    print_table(
-        ("condition", "runs", *map(_with_unit, names), "collapsed", "diverged"),
-        [
-            (name, len(data.of_condition(name)), *(cells.get((name, *pair), "–") for pair in pairs))
-            for name in data.conditions
-        ],
-    )
-    print("\nMeans, and shares of runs, with 95 % intervals. Medians, spread and other outcomes: --all.")
-
-
-def _print_statistics(data: StudyData, table: pd.DataFrame) -> None:
-    """Print a line for each outcome and condition, with the outcome's words and unit."""
-    from pneuma.analysis.outcomes import find_outcome
-
-    cells, statistics = _cells(table), list(dict.fromkeys(table["statistic"]))
-    told = {"runs": "finished", "diverged": "runs whose numbers became infinite"}
-    for name in dict.fromkeys(table["outcome"]):
-        if name not in told:
-            own = find_outcome(name)
-            told[name] = ", ".join(filter(None, (own.words, own.unit)))
-    runs = table.groupby(["outcome", "condition"], sort=False)["runs"].first()
-    print_table(
-        ("outcome", "of each run", "condition", "n", *statistics),
-        [
+    if outcome:
+        statistics = list(dict.fromkeys(own for _, name, own in cells if name in outcome))
+        heads = ["outcome", "condition", "n", *statistics]
+        runs = table.groupby(["outcome", "condition"])["runs"].first()
+        rows = [
             (
-                *(name, told[name], condition, runs[name, condition]),
-                *(cells.get((condition, name, statistic), "–") for statistic in statistics),
+                _with_unit(name),
+                own,
+                runs[name, own],
+                *(cells.get((own, name, each), "–") for each in statistics),
             )
-            for name in told
-            for condition in data.conditions
-            if (name, condition) in runs
-        ],
-    )
+            for name in outcome
+            for own in data.conditions
+            if (name, own) in runs
+        ]
+        print_table(heads, rows)
+        for name, own in ((name, own) for name in outcome for own in data.conditions):
+            if (name, own) not in runs:
+                say(f"{name}, {own}: {_lack(data, own, name)}")
+        return None
+    names = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))[:COLUMNS]
+    shares = ("collapsed", "diverged")
+    pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
+    rows = [
+        (own, len(data.of_condition(own)), *(cells.get((own, *pair), "–") for pair in pairs))
+        for own in data.conditions
+    ]
+    print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
+    return print("\nMeans, and shares of runs, with 95 % intervals. More of one outcome: --outcome NAME.")
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:
@@ -184,27 +147,25 @@ def compare(
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
     formats = read_formats(format, out)
-    data, pairs, heads = open_data(picked, name), [(a, b or "")], [a, b or ""]
+    data, heads = open_data(picked, name), [a, b or ""]
+    pairs = {"": (a, b or "")}
     if b is None:
         from pneuma.analysis.run_index import join_studies
 
-        other, heads = open_data(picked, a), [data.study]
-        heads.append(other.study)
-        pairs = [
-            (f"{own}, {data.study}", f"{own}, {other.study}")
-            for own in data.conditions
-            if data.of_condition(own) and own in other.conditions and other.of_condition(own)
-        ]
-        if data.study == other.study or not pairs:
+        other = open_data(picked, a)
+        heads = [data.study, other.study]
+        shared = [own for own in data.conditions if data.of_condition(own) and other.of_condition(own)]
+        if data.study == other.study or not shared:
             raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
+        pairs = {own: (f"{own}, {data.study}", f"{own}, {other.study}") for own in shared}
         data = join_studies(data, other)
     import pandas as pd
 
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
-    tables = [compare_conditions(data, *pair, outcome or ()) for pair in pairs]
-    table = pd.concat(tables, ignore_index=True)
+    tables = {own: compare_conditions(data, *pair, outcome or ()) for own, pair in pairs.items()}
+    table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
         from pneuma.figures.panels import stem_of
@@ -220,16 +181,15 @@ def compare(
     _tell_step(data)
     print()
     rows = []
-    for row in table.to_dict("records"):
+    for own, row in ((own, row) for own, each in tables.items() for row in each.to_dict("records")):
         difference = row["difference"], row["low"], row["high"]
         means = (shown(row[key], decimals(*difference)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
-        of = () if b else (row["a"].removesuffix(f", {heads[0]}"),)
-        told = shown_with_interval(*difference), better, *runs
-        rows.append((*of, _with_unit(row["outcome"]), *means, *told))
-    named = ["outcome", *heads, "difference", "P(better)", "runs", "no value"]
-    print_table(named if b else ["condition", *named], rows)
+        rows.append(
+            (own, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
+        )
+    print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
     print("\nMeans, and their difference with a 95 % interval (Welch). P(better): how likely a run of the")
     print("first is better than one of the second. no value: runs that have none and are left out.")
     return tell_written(files)
@@ -280,31 +240,22 @@ def collapse(
     if json:
         print_json({"study": data.study, "runs": found, "incidence": shares, "figures": files})
         return 0
-    _print_collapses(collapsed, shares)
-    if any(store.has_checkpoints(run_id) for run_id in collapsed["run_id"]):
-        again = command("study", "collapse", data.study, "--fork", "--results", store.root)
-        say(f"To show the cause: {again}", quiet=quiet)
-    tell_written(files)
-    return 0
-
-
-def _print_collapses(collapsed: pd.DataFrame, shares: pd.DataFrame) -> None:
-    """Print the runs that collapsed, and the share of each condition's that did."""
     rows: list[tuple[object, ...]] = []
     for row in rows_of(collapsed):
         again = f"{row['recovered_step']:,}" if row["recovered_step"] else "never"
         again += " and relearned" * bool(row["relearned"])
-        onset = f"{row['onset_step']:,}"
-        rows.append((row["condition"], row["seed"], row["run_id"], onset, row["signs"], again))
+        about = (row[key] for key in ("condition", "seed", "run_id"))
+        rows.append((*about, f"{row['onset_step']:,}", row["signs"], again))
     if rows:
         print_table(("condition", "seed", "run", "step", "signs", "recovered at step"), rows)
         print()
     rows = []
     for row in rows_of(shares):
         interval = f"{row['low']:.0%} to {row['high']:.0%}" if row["runs"] else "–"
-        unknown = f"of {counted(row['unknown'], 'run')} no sign is recorded" if row["unknown"] else ""
-        rows.append((row["condition"], f"{row['collapsed']} of {row['runs']} runs", interval, unknown))
-    print_table(("condition", "collapsed", "95 % interval", ""), rows)
+        rows.append((row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"]))
+    print_table(("condition", "collapsed", "95 % interval", "without a sign recorded"), rows)
+    tell_written(files)
+    return 0
 
 
 # --- effects --------------------------------------------------------------------------------------
@@ -324,22 +275,14 @@ def effects(
 
     found = study_effects(data, outcome)
     table = found.table()
-    if not json:
-        _print_effects(data.title, found, table)
-        return _tell_step(data)
-    document = {key: getattr(found, key) for key in ("outcome", "cells", "runs", "means")}
-    without = {"runs_without_outcome": found.without, "at_step": common_step(data)}
-    return print_json({"study": data.study, **document, **without, "effects": table})
-
-
-def _print_effects(title: str, found: Effects, table: pd.DataFrame) -> None:
+    if json:
+        document = {key: getattr(found, key) for key in ("outcome", "cells", "runs", "means")}
+        more = {"runs_without_outcome": found.without, "at_step": common_step(data), "effects": table}
+        return print_json({"study": data.study, **document, **more})
     from pneuma.analysis.intervals import decimals, shown
-    from pneuma.analysis.outcomes import find_outcome
 
-    outcome = find_outcome(found.outcome)
-    unit = f" ({outcome.unit})" if outcome.unit else ""
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{title}: {outcome.words}{unit}, {found.runs} runs in {found.cells} cells{without}")
+    say(f"{data.title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
     print()
     rows = []
     for row in table.to_dict("records"):
@@ -347,11 +290,12 @@ def _print_effects(title: str, found: Effects, table: pd.DataFrame) -> None:
         tested = f, shown(row["partial_r2"], 3), f"{row['p']:.4f}", f"{row['p_holm']:.4f}"
         rows.append((row["effect"], row["levels"], f"{row['df']}, {row['df_error']}", *tested))
     print_table(("effect", "levels", "df", "F", "partial R²", "p", "p (Holm)"), rows)
-    print(f"\nMeans{unit}, each cell counted alike:")
+    print("\nMeans, each cell counted alike:")
     for factor, means in found.means.items():
         told = ";  ".join(f"{level} {shown(value, decimals(value))}" for level, value in means.items())
         say(f"  {factor}: {told}")
     print("\nPartial R²: share of the variance that the other effects leave. Holm: over this table.")
+    return _tell_step(data)
 
 
 # --- robustness -----------------------------------------------------------------------------------
@@ -399,30 +343,20 @@ def robustness(
         from pneuma.figures.maps import draw_robustness
         from pneuma.figures.panels import stem_of
 
-        parts = [
-            found.setting,
-            *map(shown_value, found.values),
-            *[found.outcome] * (found.outcome != primary(data)),
-        ]
-        stem = stem_of(data, *parts)
+        other = [found.outcome] if found.outcome != primary(data) else []
+        stem = stem_of(data, found.setting, *map(shown_value, found.values), *other)
         files = draw_files(store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats))
     turned = find_outcome(found.outcome).better == "lower"
-    if not json:
-        _print_map(data.title, found, turned)
-        _tell_step(data)
-        return tell_written(files)
-    values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
-    document = {"study": data.study, "contrast": values, "outcome": found.outcome, "label": found.label}
-    told = {"turned": turned, "at_step": common_step(data), "cells": found.table()}
-    return print_json({**document, **told, "figures": files})
-
-
-def _print_map(title: str, found: Map, turned: bool) -> None:
+    if json:
+        values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
+        document = {"study": data.study, "contrast": values, "outcome": found.outcome, "label": found.label}
+        more = {"turned": turned, "at_step": common_step(data), "cells": found.table(), "figures": files}
+        return print_json({**document, **more})
     from pneuma.analysis.intervals import shown_with_interval
 
-    better, worse = map(shown_value, found.values)
-    outcome = found.outcome + (" (turned, as less is better)" if turned else "")
-    say(f"{title}: {found.setting} {better} against {worse}, {outcome}: {found.label}")
+    against = " against ".join(map(shown_value, found.values))
+    of = found.outcome + (" (turned, as less is better)" if turned else "")
+    say(f"{data.title}: {found.setting} {against}, {of}: {found.label}")
     rows = []
     for cell in found.cells:
         levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels.items()) or cell.better
@@ -431,3 +365,5 @@ def _print_map(title: str, found: Map, turned: bool) -> None:
         rows.append((levels, effect, f"{cell.p:.3f}", cell.label))
     print_table(("cell", f"difference of {_with_unit(found.outcome)}", "p (Holm)", ""), rows)
     print("Intervals are each for itself; p and the label are Holm-corrected over the map.")
+    _tell_step(data)
+    return tell_written(files)

@@ -112,7 +112,7 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str) -> None:
     player = ("--player", store_run(here / "results", **own))
     words = ("env", "render", "pneuma/Pneuma-v0", "--out", "run.gif")
     assert "give --trust" in refused(*words, *player)  # the run is untrusted, and names a file
-    told = render("run.gif", *player, "--set", f"level={arena}")  # the person's own word
+    told = render("run.gif", *player, "--trust")
     assert "of 1 monsters killed, 9 steps" in told
     assert "killed, 4 steps" in render("run.gif", *player, "--trust", "--set", "episode_steps=4")
 
@@ -122,4 +122,4 @@ def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
     name = store_run(here / "results", reward="mine:pay", episode_steps=3)
     (here / "mine.py").write_text("raise SystemExit('it ran')\n")
     sys.modules.pop("mine", None)
-    assert "3 steps" in render("run.gif", "--player", name)
+    assert "3 steps" in render("run.gif", "--player", name, "--trust")
