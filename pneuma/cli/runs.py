@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,16 +28,16 @@ app = typer.Typer(
 @app.command("list", short_help="List the stored runs.")
 def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
-    runs = stored_runs.list_runs(Store(results))
+    runs = [run.row() for run in stored_runs.list_runs(Store(results))]
     if json:
-        return print_json({"runs": [_row(run, run.seed) for run in runs]})
+        return print_json({"runs": runs})
     if not runs:
         print(f"No run is stored in {results} yet.")
     rows = []
     for run in runs:
-        held = ", ".join(f"{own.study}/{own.condition}" for own in run.holders) or "of no study"
-        seed = "?" if run.seed is None else run.seed
-        rows.append((run.run_id, run.status.name, f"{run.status.step:>12,} steps", f"seed {seed}", held))
+        held = ", ".join(f"{own['study']}/{own['condition']}" for own in run["studies"]) or "of no study"
+        seed = "?" if run["seed"] is None else run["seed"]
+        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {seed}", held))
     return print_table([""] * 5, rows)
 
 
@@ -55,50 +53,31 @@ def show(
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     usual = stored_runs.default_settings(run.settings)
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
+    provenance = store.read_document(run.run_id, "provenance.json")
     if json:
-        document = {
-            "settings": run.settings,
-            "defaults": {key: usual.get(key) for key in differing},
-            "provenance": run.provenance,
-            "files": [{"name": f.name, "bytes": f.size_bytes, "state": f.state} for f in run.files],
-        }
-        return print_json({**_row(run, run.settings.get("seed")), **document})
+        defaults = {key: usual.get(key) for key in differing}
+        about = {"settings": run.settings, "defaults": defaults, "provenance": provenance}
+        return print_json({**run.row(), **about, "files": run.files()})
     detail = f" ({run.status.detail})" if run.status.detail else ""
     say(f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained")
-    for held in run.holders:
-        say(f"study {held.study}, condition {held.condition}, seed {held.seed}")
+    for held in run.studies:
+        say(f"study {held['study']}, condition {held['condition']}, seed {held['seed']}")
     print("\nFields" if all_ else "\nFields that are not at their defaults (--all shows the others)")
     for key, value in (run.settings if all_ else differing).items():
-        default = f"   (default {_value(usual.get(key))})" if key in differing else ""
-        say(f"  {key} = {_value(value)}{default}")
-    if not run.settings:
-        print("  missing or damaged")
-    _print_provenance(run)
-    print("\nFiles")
-    return print_table([""] * 3, [(f"  {f.name}", f"{f.size_bytes:>12,} bytes", f.state) for f in run.files])
-
-
-def _print_provenance(run: StoredRun) -> None:
-    print("\nProvenance")
-    if not run.provenance:
-        print("  none, or damaged; it is written when a run has ended")
-    for key, value in run.provenance.items():
+        default = f"   (default {shown_value(usual.get(key))})" if key in differing else ""
+        say(f"  {key} = {shown_value(value)}{default}")
+    print(
+        "\nProvenance" if provenance else "\nProvenance: none, or damaged; it is written when a run has ended"
+    )
+    for key, value in provenance.items():
         if isinstance(value, dict):
             value = ", ".join(f"{name} {own}" for name, own in value.items())
         if key == "attempts" and isinstance(value, list):
             value = f"{len(value)} (--json tells the machine of each)"
-        say(f"  {key:<12} {_value(value)}")
-
-
-def _row(run: StoredRun, seed: Any) -> Mapping[str, Any]:
-    """Return what `list` and `show` say of a run, as JSON has it."""
-    about = {"run_id": run.run_id, "status": run.status.name, "step": run.status.step}
-    return {**about, "seed": seed, "studies": run.holders}
-
-
-def _value(value: object) -> str:
-    """Write a value for people."""
-    return json_module.dumps(value) if isinstance(value, dict) else shown_value(value)
+        say(f"  {key:<12} {shown_value(value)}")
+    print("\nFiles")
+    files = [(f"  {own['name']}", f"{own['bytes']:>12,} bytes", own["state"]) for own in run.files()]
+    return print_table([""] * 3, files)
 
 
 @app.command(short_help="Go on from a checkpoint with something changed.")

@@ -50,7 +50,7 @@ def plan_(
     broken = execute.broken_environments(todo)
     paces = estimate.stored_paces(store, statuses)
     seconds = {
-        key: paces.seconds(run, run.steps - execute.kept_step(run, statuses[key]))
+        key: estimate.expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
         for key, run in todo.items()
     }
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
@@ -71,10 +71,9 @@ def plan_(
     print(f"{_counts(states.values())}.")
     if todo:
         at_once = opt.most_workers(None)
-        room = sum(estimate.disk_bytes(run, planned.study.keep_checkpoints) for run in todo.values())
         told = duration(estimate.total_seconds(seconds.values(), at_once))
-        rough = "" if all(paces.knows(run) for run in todo.values()) else " (a rough estimate)"
-        print(f"To train: about {told} with {at_once} at once{rough}, {max(room / 1e6, 1):,.0f} MB of disk.")
+        rough = "" if all(estimate.is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
+        print(f"To train: about {told} with {at_once} at once{rough}.")
     return None
 
 

@@ -21,7 +21,7 @@ from pneuma.search.spec import Budget, Search, check_budget, list_searches, load
 from pneuma.search.trials import Outcomes, Task, Told, Train, best_number, conduct
 from pneuma.study.execute import broken_environments
 from pneuma.study.files import read_sealed, seal, to_json
-from pneuma.study.locks import RunLock
+from pneuma.study.locks import run_lock
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, check_world, in_world, split_world
 
@@ -66,7 +66,7 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     if not folder.resolve().is_relative_to(store.root.resolve()):
         raise UserError(f"{folder}: leads out of the results folder; link the whole folder instead")
     folder.mkdir(parents=True, exist_ok=True)
-    with RunLock(folder) as mine:
+    with run_lock(folder) as mine:
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
         journal = new_journal(journal_path(store, search.name), search)

@@ -12,64 +12,38 @@ import fcntl
 import os
 import stat
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
 """How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
 
 
-class RunLock:
-    """The lock of one run; a context manager that tells whether it was free.
+@contextmanager
+def run_lock(folder: Path) -> Iterator[bool]:
+    """Hold the lock of one run, if nobody does; tell whether that was so.
 
-        with RunLock(store.run_folder(name)) as mine:
+        with run_lock(store.run_folder(name)) as mine:
             if mine: ...
 
     The operating system lets go of it when the process ends, however it ends.
+
+    Raises:
+        OSError: where it cannot be made, or something lies there that is no file.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / ".lock"
-        self._descriptor = -1
-
-    def __enter__(self) -> bool:
-        """Take the lock if nobody holds it; return whether that was so.
-
-        Raises:
-            OSError: where it cannot be made, or something lies there that is no file.
-        """
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        while True:
-            self._descriptor = _open(self._path, os.O_RDWR | os.O_CREAT)
-            try:
-                _take(self._descriptor)
-            except BlockingIOError:
-                self._close()
-                return False
-            except OSError:  # there are no locks here
-                return True
-            if self._is_there():
-                return True
-            self._close()  # its holder let go, and removed the file, after it was opened here
-
-    def __exit__(self, *_: object) -> None:
-        """Let go."""
-        if self._descriptor >= 0:
-            if self._is_there():
-                self._path.unlink(missing_ok=True)
-            self._close()
-
-    def _close(self) -> None:
-        os.close(self._descriptor)
-        self._descriptor = -1
-
-    def _is_there(self) -> bool:
-        """Tell whether the file that is held is still the one that others would open."""
-        try:
-            there = os.stat(self._path, follow_symlinks=False)
-        except FileNotFoundError:
-            return False
-        return os.path.samestat(there, os.fstat(self._descriptor))
+    folder.mkdir(parents=True, exist_ok=True)
+    path, mine = folder / ".lock", True
+    descriptor = _open(path, os.O_RDWR | os.O_CREAT)
+    try:
+        while (mine := _take(descriptor)) and not _is_there(path, descriptor):
+            os.close(descriptor)  # its holder let go, and removed the file, after it was opened here
+            descriptor = _open(path, os.O_RDWR | os.O_CREAT)
+        yield mine
+    finally:
+        if mine and _is_there(path, descriptor):
+            path.unlink(missing_ok=True)
+        os.close(descriptor)
 
 
 def is_held(folder: Path) -> bool:
@@ -80,10 +54,8 @@ def is_held(folder: Path) -> bool:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
     else:
         return False
     finally:
@@ -103,14 +75,22 @@ def _open(path: Path, flags: int) -> int:
     return descriptor
 
 
-def _take(descriptor: int) -> None:
-    """Lock a file for this process alone; who only looks, by `is_held`, is waited for.
-
-    Raises:
-        BlockingIOError: where another holds it.
-    """
+def _take(descriptor: int) -> bool:
+    """Lock a file for this process alone, if no other does; who only looks, by `is_held`, is waited for."""
     for _ in range(LOOKS):
-        with suppress(BlockingIOError):
-            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        time.sleep(LOOK_SECONDS)
-    return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(LOOK_SECONDS)
+        except OSError:  # there are no locks here
+            return True
+        else:
+            return True
+    return False
+
+
+def _is_there(path: Path, descriptor: int) -> bool:
+    """Tell whether the file that is held is still the one that others would open."""
+    with suppress(FileNotFoundError):
+        return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor))
+    return False

@@ -21,7 +21,7 @@ import os
 import re
 import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -43,7 +43,7 @@ from pneuma.study.files import (
     to_json,
     write_whole,
 )
-from pneuma.study.locks import RunLock, is_held
+from pneuma.study.locks import is_held, run_lock
 
 __all__ = ["FINISHED", "STATUSES", "Status", "Store", "read_whole", "run_document", "to_json", "write_whole"]
 
@@ -136,7 +136,7 @@ class Store:
         """Tell whether a run has checkpoints; one that has ended can then be forked."""
         return bool(names_in(self.run_folder(run_id) / CHECKPOINTS))
 
-    def lock(self, run_id: str) -> RunLock:
+    def lock(self, run_id: str) -> AbstractContextManager[bool]:
         """Return the lock that whoever trains a run must hold.
 
         Raises:
@@ -146,7 +146,7 @@ class Store:
         for part in (folder, folder / CHECKPOINTS):
             if part.is_symlink():
                 raise OSError(errno.ELOOP, f"{part.name} is a link; remove it")
-        return RunLock(folder)
+        return run_lock(folder)
 
     def runs(self) -> list[str]:
         """Return the ids of all runs of which anything is stored, sorted."""

@@ -21,31 +21,18 @@ LONGEST_LISTED = 5
 
 
 @dataclass(frozen=True)
-class Holder:
-    """A study that holds a run, as it was last run: under which condition and seed."""
-
-    study: str
-    condition: str
-    seed: int
-
-
-@dataclass(frozen=True)
-class StoredFile:
-    """A file of a run: its size, and 'sound', 'damaged', 'missing', or 'unlisted' where no checksum is."""
-
-    name: str
-    size_bytes: int
-    state: str
-
-
-@dataclass(frozen=True)
 class StoredRun:
-    """A run as stored, the studies that hold it, and its configuration as the last of them recorded it."""
+    """A run as stored.
+
+    Attributes:
+        studies: that hold it, each with its condition and seed there.
+        recorded: its configuration as the last of them recorded it.
+    """
 
     store: Store
     run_id: str
     status: Status
-    holders: tuple[Holder, ...] = ()
+    studies: tuple[dict[str, Any], ...] = ()
     recorded: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
@@ -54,27 +41,21 @@ class StoredRun:
         ended = "run.json" in self.store.file_names(self.run_id)
         return stored_settings(self.store, self.run_id) if ended else self.recorded
 
-    @cached_property
-    def provenance(self) -> dict[str, Any]:
-        """What produced it; empty where that is missing or damaged."""
-        return self.store.read_document(self.run_id, "provenance.json")
+    def row(self) -> dict[str, Any]:
+        """Return what is told of it in a line; the seed as a study has it, or else its configuration."""
+        seed = self.studies[0]["seed"] if self.studies else self.settings.get("seed")
+        about = {"run_id": self.run_id, "status": self.status.name, "step": self.status.step}
+        return {**about, "seed": seed if isinstance(seed, int) else None, "studies": self.studies}
 
-    @property
-    def seed(self) -> int | None:
-        """The seed, as the first study that holds it tells, or else its configuration."""
-        seed = self.holders[0].seed if self.holders else self.settings.get("seed")
-        return seed if isinstance(seed, int) else None
-
-    @property
-    def files(self) -> list[StoredFile]:
-        """What is in its folder, and what should be."""
+    def files(self) -> list[dict[str, Any]]:
+        """Return what is in its folder, or should be: sound, damaged, missing, or unlisted (no checksum)."""
         folder, listed = self.store.run_folder(self.run_id), self.store.file_names(self.run_id)
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
         states |= {name: "sound" for name in listed if self.store.is_whole(self.run_id, name)}
         states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
-        return [StoredFile(name, sizes.get(name, 0), state) for name, state in states.items()]
+        return [{"name": name, "bytes": sizes.get(name, 0), "state": own} for name, own in states.items()]
 
 
 def find_run(store: Store, text: str) -> str:
@@ -113,13 +94,13 @@ def stored_run(store: Store, run_id: str) -> StoredRun:
     return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
 
 
-def _held(store: Store) -> dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]]]:
+def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]]:
     """Return which studies hold each run, and the configuration on record, by run id."""
-    held: dict[str, tuple[tuple[Holder, ...], Mapping[str, Any]]] = {}
+    held: dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]] = {}
     for study in store.studies():
         for row in (row for selection in store.selections(study) for row in selection["runs"]):
             earlier, _ = held.get(row["run_id"], ((), {}))
-            holder = Holder(study, row["condition"], row["seed"])
+            holder = {"study": study, "condition": row["condition"], "seed": row["seed"]}
             held[row["run_id"]] = (*earlier, holder), row["run"]
     return held
 

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.locks import RunLock, is_held
+from pneuma.study.locks import is_held, run_lock
 
 
 def test_one_holder_at_a_time(tmp_path: Path) -> None:
-    with RunLock(tmp_path) as first:
+    with run_lock(tmp_path) as first:
         assert first and is_held(tmp_path)
-        with RunLock(tmp_path) as second:
+        with run_lock(tmp_path) as second:
             assert not second
         assert is_held(tmp_path)
     assert not is_held(tmp_path)
     assert not list(tmp_path.iterdir())
-    with RunLock(tmp_path) as again:
+    with run_lock(tmp_path) as again:
         assert again
 
 
@@ -30,7 +30,7 @@ def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.Mon
     looking = os.open(tmp_path / ".lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
     monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
-    with RunLock(tmp_path) as mine:
+    with run_lock(tmp_path) as mine:
         assert mine
 
 
@@ -38,17 +38,17 @@ def test_who_opened_the_file_before_it_was_removed_does_not_hold_the_lock_of_a_g
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A holder lets go, and removes the file, between another's opening and locking it."""
-    holder = RunLock(tmp_path)
+    holder = run_lock(tmp_path)
     assert holder.__enter__()
     lock = fcntl.flock
 
     def let_go_first(descriptor: int, operation: int) -> None:
         monkeypatch.setattr(fcntl, "flock", lock)
-        holder.__exit__()
+        holder.__exit__(None, None, None)
         lock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", let_go_first)
-    with RunLock(tmp_path) as mine:
+    with run_lock(tmp_path) as mine:
         assert mine and is_held(tmp_path)
-        with RunLock(tmp_path) as other:
+        with run_lock(tmp_path) as other:
             assert not other

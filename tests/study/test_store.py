@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.files import replace_files
-from pneuma.study.locks import RunLock
+from pneuma.study.locks import run_lock
 from pneuma.study.store import Status, Store, to_json, write_whole
 from pneuma.study.tables import from_parquet, to_parquet
 
@@ -149,7 +149,7 @@ def test_only_checkpoints_by_name_tell_how_far_a_run_is_and_a_lock_that_it_runs(
     assert store.status(NAME) == Status("partial", 512)
     store.save_run(NAME, Status("killed"), FILES)
     assert store.status(NAME) == Status("killed", 512)
-    with RunLock(store.run_folder(NAME)) as mine:
+    with run_lock(store.run_folder(NAME)) as mine:
         assert mine and store.status(NAME) == Status("running", 512)
 
 
