@@ -17,7 +17,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import ENVIRONMENTS, EnvConfig, make_env_config, make_run
+from pneuma.config import make_run
+from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Supervision

@@ -28,35 +28,15 @@ from pneuma.algorithms import (
     TABULAR,
 )
 from pneuma.env_fields import (
-    ACTION_NAMES,
     ENVIRONMENT_FIELDS,
-    ENVIRONMENT_SLOTS,
     ENVIRONMENTS,
-    OBSERVATIONS,
-    ORDERS,
-    REWARDS,
-    SCALES,
-    SHIPPED_CHARACTERS,
-    SHIPPED_LEVELS,
-    SPELL_NAMES,
     EnvConfig,
     is_random_level,
-    make_env_config,
-    read_field,
     read_fields,
     resolve_world,
 )
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
-
-__all__ = [
-    "ACTIVATIONS", "ACTION_NAMES", "BASES", "CLIPPINGS", "ENGINES", "ENGINE_VERSIONS", "ENVIRONMENTS",
-    "ENVIRONMENT_SLOTS", "FORK_RESETS", "FORK_FIELDS", "MAX_SLOTS", "OBSERVATIONS",
-    "OPTIMIZER_FIELDS", "ORDERS", "REWARDS", "RULES_VERSION", "SCALES", "SHIPPED_CHARACTERS",
-    "SHIPPED_LEVELS", "SPELL_NAMES", "EnvConfig", "Run", "as_fields", "beyond_engine", "env_config",
-    "evaluation_config", "is_gymnasium_id", "make_env_config", "make_run", "read_field", "read_fields",
-    "fields_read", "stream_seed",
-]  # fmt: skip
 
 RULES_VERSION = 3
 """Raised by hand when the same seed and actions give another world; part of every run id."""
@@ -95,7 +75,6 @@ _OPTIMIZER_DEFAULTS: dict[str, Any] = {
 
 # --- The configuration ---------------------------------------------------------------------------
 
-
 Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=65536)], ...], Len(1, 8)]
 """Neurons of each hidden layer of a network."""
 Fraction = Annotated[float, Interval(ge=0, lt=1)]
@@ -113,9 +92,9 @@ def _read_limit(value: object) -> float | None:
 
 OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
+"""What others have registered with Gymnasium, in form."""
 GODOT = "Godot-v0"
 """Among these a game made with Godot, which is started: see `pneuma.env.godot`."""
-"""What others have registered with Gymnasium, in form."""
 OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
 """Fields that other environments than Pneuma's read in place of those of `EnvConfig`."""
 
@@ -329,10 +308,8 @@ def _engine(values: Mapping[str, Any]) -> str:
     able = [name for name in ALGORITHM_ENGINES[run.algorithm] if not reason or name != ENGINES[0]]
     engine = str(values.get("engine", able[0]))
     if engine not in able:
-        what = reason or f"the algorithm {run.algorithm}"
-        raise UserError(
-            f'engine = "{engine}" is not allowed: it cannot train {what}; {" and ".join(able)} can'
-        )
+        cannot = f"it cannot train {reason or f'the algorithm {run.algorithm}'}; {' and '.join(able)} can"
+        raise UserError(f'engine = "{engine}" is not allowed: {cannot}')
     return engine
 
 
@@ -347,15 +324,12 @@ def _check_learner(run: Run) -> None:
         most = f"at most horizon x slots x players = {run.steps_per_update}"
         raise UserError(f"minibatch = {run.minibatch} is not allowed: {most}")
     if run.train_every and run.horizon % run.train_every:
-        raise UserError(
-            f"train_every = {run.train_every} is not allowed: horizon = {run.horizon} is no multiple of it"
-        )
+        fitting = f"horizon = {run.horizon} is no multiple of it"
+        raise UserError(f"train_every = {run.train_every} is not allowed: {fitting}")
     if run.learning_rate > 1 and run.algorithm in TABULAR:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
     if run.held_out_levels and not is_random_level(run.level):
-        raise UserError(
-            f"held_out_levels = {run.held_out_levels} is not allowed: the level is not a random one"
-        )
+        raise UserError(f"held_out_levels = {run.held_out_levels} is not allowed: {run.level} is not random")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in fields_read(run):

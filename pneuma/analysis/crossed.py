@@ -25,7 +25,8 @@ from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.intervals import finite
 from pneuma.analysis.outcomes import find_outcome, outcome_values, primary, refuse_unlike_returns
 from pneuma.analysis.pvalues import holm
-from pneuma.config import Run, read_field, stream_seed
+from pneuma.config import Run, stream_seed
+from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value
 

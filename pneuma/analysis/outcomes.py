@@ -20,7 +20,8 @@ import numpy as np
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.records import Series
-from pneuma.config import ACTION_NAMES, is_gymnasium_id
+from pneuma.config import is_gymnasium_id
+from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, nearest_name, unknown_name
 
 NAN = float("nan")

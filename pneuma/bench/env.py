@@ -11,8 +11,8 @@ import gymnasium
 import numpy as np
 
 import pneuma  # noqa: F401 (registers the environments)
-from pneuma.config import ENVIRONMENTS
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import ENVIRONMENTS
 
 ROUNDS = 7
 SECONDS_PER_ROUND = 0.4

@@ -70,9 +70,9 @@ def check(
     json: opt.Json = False,
 ) -> int:
     """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
-    from pneuma.config import ENVIRONMENTS
     from pneuma.env import REGISTERED
     from pneuma.env.check import check_environment
+    from pneuma.env_fields import ENVIRONMENTS
 
     settings = dict(set_ or ())
     rows = []
@@ -166,9 +166,9 @@ def serve(
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
     """Return one world at the beginning of an episode; vector rewards look like any others."""
     from pneuma.algorithms import MAILMAN
-    from pneuma.config import make_env_config
     from pneuma.env import REGISTERED
     from pneuma.env.worlds import Worlds
+    from pneuma.env_fields import make_env_config
 
     if name not in REGISTERED:
         raise unknown_name("environment", name, REGISTERED)

@@ -199,7 +199,8 @@ def run(
 
 def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
     """Return a search with the fields set over its own, and its preset's budget with the amounts given."""
-    from pneuma.config import Run, read_field
+    from pneuma.config import Run
+    from pneuma.env_fields import read_field
     from pneuma.search.space import FIXABLE
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task

@@ -20,13 +20,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import REWARDS, Run, env_config, is_gymnasium_id
+from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import action_names, are_own_characters, is_own_level
+from pneuma.env_fields import REWARDS, action_names, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 
 IN_ZIP = ("ppo", "a2c")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import ACTION_NAMES, Run, is_gymnasium_id
+from pneuma.config import Run, is_gymnasium_id
+from pneuma.env_fields import ACTION_NAMES
 
 EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
 METRIC_COLUMNS = (

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
-from pneuma.config import ACTION_NAMES, Run
+from pneuma.config import Run
 from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.environment import Evaluates, environment_of, slot_seeds
 from pneuma.engines.loop import begins_fork, train_run
@@ -35,6 +35,7 @@ from pneuma.engines.sb3_learners import (
     seed_streams,
     take_checkpoint,
 )
+from pneuma.env_fields import ACTION_NAMES
 
 NAN = float("nan")
 

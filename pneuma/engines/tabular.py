@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import ACTION_NAMES, Run, stream_seed
+from pneuma.config import Run, stream_seed
 from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
@@ -27,6 +27,7 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
+from pneuma.env_fields import ACTION_NAMES
 
 NAN = float("nan")
 ENDING = "home"

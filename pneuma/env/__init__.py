@@ -9,7 +9,8 @@ from typing import Any
 import gymnasium
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import ENVIRONMENTS, GODOT
+from pneuma.config import GODOT
+from pneuma.env_fields import ENVIRONMENTS
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
 """The same worlds with vector rewards."""

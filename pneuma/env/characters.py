@@ -15,9 +15,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from pneuma.config import SHIPPED_CHARACTERS
 from pneuma.env import state
 from pneuma.env.level import START_CODE, Level
+from pneuma.env_fields import SHIPPED_CHARACTERS
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 

@@ -17,11 +17,11 @@ import gymnasium
 import numpy as np
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import make_env_config
 from pneuma.env import MO_ENVIRONMENTS, REGISTERED
 from pneuma.env.parallel import parallel_env
 from pneuma.env.single import PneumaMOEnv
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError, unknown_name
 
 STEPS = 400

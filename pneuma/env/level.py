@@ -31,8 +31,8 @@ import numpy as np
 from pydantic import Field
 from scipy.ndimage import label
 
-from pneuma.config import EnvConfig
 from pneuma.env import rules
+from pneuma.env_fields import EnvConfig
 from pneuma.errors import UserError, unknown_name
 from pneuma.reading import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml

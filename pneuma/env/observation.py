@@ -36,10 +36,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.config import EnvConfig
 from pneuma.env import rules
 from pneuma.env.characters import FACINGS
 from pneuma.env.level import RANDOM, Level
+from pneuma.env_fields import EnvConfig
 from pneuma.errors import UserError, unknown_name
 
 LAYOUTS = {"thesis": rules.LAYOUT_THESIS, "pygame": rules.LAYOUT_PYGAME, "godot": rules.LAYOUT_GODOT}

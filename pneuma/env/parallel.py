@@ -10,11 +10,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):

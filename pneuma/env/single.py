@@ -9,13 +9,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 

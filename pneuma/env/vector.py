@@ -11,12 +11,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pneuma.config import ENVIRONMENTS, make_env_config
 from pneuma.env import rules
 from pneuma.env.single import VectorRewards
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 

@@ -19,11 +19,11 @@ import numpy as np
 from PIL import Image
 from PIL.GifImagePlugin import getdata
 
-from pneuma.config import ACTION_NAMES
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.players import Hunter
 from pneuma.env.render import CAMERAS, Renderer
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, install_extra, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP

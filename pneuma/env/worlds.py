@@ -17,13 +17,12 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from pneuma.config import EnvConfig, make_env_config
 from pneuma.env import characters, rules, state
 from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.random_level import parse_name
 from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
-from pneuma.env_fields import DASH, action_names
+from pneuma.env_fields import DASH, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")

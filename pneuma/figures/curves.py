@@ -31,7 +31,7 @@ from pneuma.analysis.curves import (
 )
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return, is_foreign
-from pneuma.config import ACTION_NAMES
+from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
 

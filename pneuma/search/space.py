@@ -14,8 +14,8 @@ from typing import Annotated, Any
 from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from pneuma.config import ENVIRONMENTS, FORK_FIELDS, Run, as_fields, make_run, read_field, read_fields
-from pneuma.env_fields import ENVIRONMENT_FIELDS
+from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
+from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, read_field, read_fields
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
 from pneuma.study.spec import does_nothing, join_fields, unread_fields

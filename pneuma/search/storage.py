@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import Run, read_fields
+from pneuma.config import Run
+from pneuma.env_fields import read_fields
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.search.optuna_study import ended_study, frozen_trials, new_journal
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search

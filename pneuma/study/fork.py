@@ -11,16 +11,8 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from typing import Any
 
-from pneuma.config import (
-    FORK_FIELDS,
-    FORK_RESETS,
-    OPTIMIZER_FIELDS,
-    EnvConfig,
-    Run,
-    as_fields,
-    make_run,
-    read_field,
-)
+from pneuma.config import FORK_FIELDS, FORK_RESETS, OPTIMIZER_FIELDS, Run, as_fields, make_run
+from pneuma.env_fields import EnvConfig, read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import own_things, run_id
 from pneuma.study.plan import Cell, Plan, Selection

@@ -9,8 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields, read_field
-from pneuma.env_fields import are_own_characters, is_own_level, own_rewards
+from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields
+from pneuma.env_fields import are_own_characters, is_own_level, own_rewards, read_field
 
 REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
 MODULE, WRAPPERS = "env_module", "wrappers"

@@ -12,7 +12,8 @@ from importlib import import_module
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run, read_field
+from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
+from pneuma.env_fields import read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, unread_fields

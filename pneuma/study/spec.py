@@ -17,15 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.algorithms import ALGORITHM_FIELDS
-from pneuma.config import (
-    BASES,
-    ENVIRONMENT_SLOTS,
-    OF_GYMNASIUM,
-    OPTIMIZER_FIELDS,
-    EnvConfig,
-    Run,
-    fields_read,
-)
+from pneuma.config import BASES, OF_GYMNASIUM, OPTIMIZER_FIELDS, Run, fields_read
+from pneuma.env_fields import ENVIRONMENT_SLOTS, EnvConfig
 from pneuma.errors import UserError, unknown_name
 from pneuma.worlds import (
     TEXT,

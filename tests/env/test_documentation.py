@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import make_env_config
 
 from ..pages import BLOCK
 

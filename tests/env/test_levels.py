@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env import rules
 from pneuma.env.level import Level, load_level
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .arena import Place, begin, layer, write_level

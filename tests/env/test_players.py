@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env.paths import Body, Ways
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import make_env_config
 
 from .arena import ARENA, DOWN, GODOT, LEFT, RIGHT, THESIS, UP, begin
 

@@ -7,11 +7,11 @@ import hashlib
 import numpy as np
 import pytest
 
-from pneuma.config import SCALES, make_env_config
 from pneuma.env import rules
 from pneuma.env.level import Level, load_level
 from pneuma.env.random_level import random_level
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import SCALES, make_env_config
 
 CODES = {390: "bamboo", 391: "spirit"}
 MANY = 60

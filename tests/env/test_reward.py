@@ -14,11 +14,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pneuma.config import ENVIRONMENTS, make_env_config, make_run
+from pneuma.config import make_run
 from pneuma.env import MO_ENVIRONMENTS
 from pneuma.env.reward import PARTS, load_reward, module_files
 from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 from pneuma.study.identity import run_id
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import make_env_config
 from pneuma.env.check import check_restore
 from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .arena import GODOT, THESIS, Fighter, begin, state_bits

@@ -10,7 +10,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pneuma.config import ENVIRONMENTS
 from pneuma.env import MO_ENVIRONMENTS, watch
 from pneuma.env.parallel import parallel_env
 from pneuma.env.players import Hunter
@@ -18,6 +17,7 @@ from pneuma.env.render import Renderer
 from pneuma.env.single import PneumaEnv
 from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.watch import Window
+from pneuma.env_fields import ENVIRONMENTS
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
 
