@@ -324,8 +324,8 @@ def _check_learner(run: Run) -> None:
         most = f"at most horizon x slots x players = {run.steps_per_update}"
         raise UserError(f"minibatch = {run.minibatch} is not allowed: {most}")
     if run.train_every and run.horizon % run.train_every:
-        fitting = f"horizon = {run.horizon} is no multiple of it"
-        raise UserError(f"train_every = {run.train_every} is not allowed: {fitting}")
+        whole = f"horizon = {run.horizon} is no multiple of it"
+        raise UserError(f"train_every = {run.train_every} is not allowed: {whole}")
     if run.learning_rate > 1 and run.algorithm in TABULAR:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
     if run.held_out_levels and not is_random_level(run.level):
