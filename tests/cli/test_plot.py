@@ -64,14 +64,6 @@ def test_the_index_tells_runs_and_a_command_that_draws_the_same_bytes(
     assert (tmp_path / "again" / file).read_bytes() == drawn
 
 
-def test_the_index_keeps_what_other_calls_drew_and_drops_what_is_gone(results: Path) -> None:
-    for band in ("ci", "std"):
-        assert call("study", "plot", "mine", "--band", band, "--results", results)[0] == 0
-    (results / "figures" / "fig-mine.png").unlink()
-    assert call("study", "plot", "mine", "--band", "std", "--results", results)[0] == 0
-    assert list(_index(results / "figures")) == ["fig-mine-std.png", "fig-mine-std.svg", "fig-mine.svg"]
-
-
 def test_a_file_that_is_no_index_is_never_replaced(results: Path, tmp_path: Path) -> None:
     out = tmp_path / "site"
     out.mkdir()

@@ -91,17 +91,3 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
-
-
-def test_a_report_of_ones_own_studies_bears_their_title_and_judges_nothing(
-    store: Store, make: Callable[..., Any]
-) -> None:
-    record = record_of({("a", 0): make_id("a", 0)})
-    store.save_selection("mine", {**record, "study": "mine", "title": "Mine & yours"})
-    save_run(store, make_id("a", 0), [{"step": 50, "return": 1.0}], [], [], BUDGET)
-    page = make()
-    assert [each.text for each in page.all("h1")] == ["Mine & yours"]
-    assert [each.text for each in page.all("h2")] == ["Mine & yours"]
-    assert not any(
-        word in _words(page) for word in ("A master's thesis", "Thesis section", "laim", "Verdicts")
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
 
-from .calls import described, policy_of, printed, refused
+from .calls import described, policy_of, printed
 
 ALONE = "00aa000000000000"
 """A run that no study holds."""
@@ -110,19 +109,4 @@ def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
     assert {"name": "../../secret.json", "bytes": 0, "state": "missing"} in document["files"]
 
 
-@pytest.mark.parametrize("about", [{"cpu": "\x1b]0;mine\x07\x1b[2J"}, 3, {"packages": 3, "attempts": [3]}])
-def test_nonsense_in_place_of_provenance_is_shown_and_drives_no_terminal(about: Any, store: Store) -> None:
-    save(store, ALONE, make_run({}), about)
-    shown = printed("run", "show", ALONE)
-    assert ALONE in shown and "\x1b" not in shown
-
-
 # --- export ----------------------------------------------------------------------------------------
-
-
-def test_export_says_when_the_files_of_a_run_were_not_opened(store: Store, tmp_path: Path) -> None:
-    save(store, ALONE, make_run({"level": "/nowhere/level", "reward": "stranger:reward"}))
-    out = tmp_path / "policy.zip"
-    assert "were not opened" in printed("run", "export", ALONE, "--out", out)
-    assert "/nowhere/level" in refused("run", "export", ALONE, "--out", out, "--trust")
-    assert "stranger" not in sys.modules

@@ -12,7 +12,6 @@ import pytest
 import typer
 
 from pneuma.cli.options import Chosen, grouped, selecting_words
-from pneuma.study import execute
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 from pneuma.study.store import Status, Store
@@ -75,22 +74,6 @@ def test_an_exported_table_has_exactly_the_documented_columns_and_the_same_bytes
         assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
 
 
-def test_all_formats_hold_the_same_rows_in_the_studys_order_seed_by_seed(
-    trained: Path, tmp_path: Path
-) -> None:
-    csv = pd.read_csv(io.BytesIO(_export(trained, "metrics", tmp_path / "x.csv")))
-    parquet = pd.read_parquet(io.BytesIO(_export(trained, "metrics", tmp_path / "x.parquet")))
-    pd.testing.assert_frame_equal(csv, parquet, check_dtype=False, rtol=1e-12)
-    latex = _export(trained, "metrics", tmp_path / "x.tex").decode()
-    rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
-    assert len(rows) == 1 + 16 and r"run\_id" in rows[0]
-    blocks = list(dict.fromkeys(zip(csv["seed"], csv["condition"], strict=True)))
-    assert blocks == [(0, "tanh"), (0, "relu"), (1, "tanh"), (1, "relu")]
-    assert csv["step"].to_list() == [64, 128, 192, 256] * 4
-    own = _export(trained, "episodes", tmp_path / "own.csv", "--seeds", "1,")
-    assert set(pd.read_csv(io.BytesIO(own))["seed"]) == {1}
-
-
 def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
     trained: Path, tmp_path: Path
 ) -> None:
@@ -135,16 +118,6 @@ def test_a_crash_is_exit_code_1_and_says_where_to_look(
     assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
     status = call("study", "status", "activation", "--json", "--results", results)
     assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
-
-
-def test_an_interrupt_is_exit_code_130_and_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(execute, "execute", interrupt)
-    called = call("study", "run", "activation", "--quiet", "--results", tmp_path)
-    assert (called.code, called.out) == (130, "")
-    assert len(called.err.splitlines()) == 1
 
 
 # --- A study of one's own -------------------------------------------------------------------------

@@ -40,12 +40,3 @@ def test_status_tells_each_worlds_record_and_without_a_name_all_or_one_worlds(re
     assert every == ["activation", "activation-arena", "activation-godot"]
     (one,) = described(*status, "--world", "godot")["studies"]
     assert one["study"] == "activation-godot"
-
-
-def test_a_selection_in_another_world_is_of_other_runs_and_picks_from_its_own_record(recorded: Path) -> None:
-    command = ("activation", "--results", recorded, "--json")
-    text, godot = (described("study", "plan", *command, "--world", world) for world in ("text", "godot"))
-    ids = [{run["run_id"] for run in document["runs"]} for document in (text, godot)]
-    assert [len(own) for own in ids] == [9, 9] and not ids[0] & ids[1]
-    runs = described("study", "status", *command, "--world", "godot", "--seeds", "1..9")["runs"]
-    assert [(run["condition"], run["seed"]) for run in runs] == [("relu", 1)]

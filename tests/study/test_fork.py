@@ -69,16 +69,6 @@ def test_what_cannot_be_forked_is_refused(store: Store, settings: dict[str, Any]
         plan(store, **settings)
 
 
-def test_what_is_replayed_keeps_its_meaning_at_a_fork(store: Store) -> None:
-    run = make_run({"algorithm": "dqn", "steps": 320})
-    store.save_run(run_id(run), Status("done", 320), {"run.json": run_document(run, run_id(run))})
-    data = encode(Checkpoint(AT, {}), {})
-    store.write(store.run_folder(run_id(run)) / "checkpoints" / file_name(AT, data), data)
-    with pytest.raises(UserError, match="cannot change at a fork"):
-        plan(store, reward="kills")
-    assert plan(store, gamma=0.9)
-
-
 def test_a_run_that_was_changed_by_hand_is_not_forked(store: Store) -> None:
     name = stored(store)
     document = json.loads(store.read_file(name, "run.json"))

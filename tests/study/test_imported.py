@@ -168,22 +168,6 @@ def test_a_folders_name_tells_condition_and_seed(
         assert notes == []
 
 
-def test_what_is_renamed_or_left_out_is_told(tmp_path: Path, write_events: WriteEvents) -> None:
-    for number, name in enumerate(("PPO", "PPO_0", "b_1", "c_1", "d_1")):
-        value = 1.0 if name == "d_1" else float(number)
-        write_events(tmp_path / "logs" / name / FILE, [("loss" if name == "b_1" else RETURN, 10, value)])
-    write_events(tmp_path / "logs" / "PPO_1" / FILE, [(RETURN, 10, 9.0)])
-    runs, notes = _import(tmp_path)
-    cells = [run.log[:3] for run in runs]
-    assert cells == [("PPO", "PPO", 0), ("PPO_0", "PPO", 1), ("PPO_1", "PPO", 2), ("c_1", "c", 1)]
-    assert notes == [
-        "PPO_0: seed 0 of PPO is taken, so it is seed 1",
-        "PPO_1: seed 1 of PPO is taken, so it is seed 2",
-        "b_1: holds no scalars of Stable-Baselines3 or CleanRL and is left out",
-        "d_1: holds the same log as PPO_0 and is left out",
-    ]
-
-
 # --- Restarts -------------------------------------------------------------------------------------
 
 
@@ -214,15 +198,3 @@ def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]]
     rows = [(place, *point) for place, points in enumerate(files) for point in points]
     found = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step"]))
     assert found.tolist() == [bool(each) for each in gone]
-
-
-def test_superseded_points_are_kept_marked_and_told(tmp_path: Path, write_events: WriteEvents) -> None:
-    write_events(tmp_path / "logs" / "a_1" / f"{FILE}.1", [(RETURN, 10, 1.0), (RETURN, 20, 2.0)])
-    write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", [(RETURN, 20, 5.0)])
-    (run,), notes = _import(tmp_path)
-    assert _stored(tmp_path, run.run_id) == [
-        (RETURN, 10, 1.0, False),
-        (RETURN, 20, 2.0, True),
-        (RETURN, 20, 5.0, False),
-    ]
-    assert notes == ["a_1: 1 of 3 points were written again after a restart; the later ones count"]

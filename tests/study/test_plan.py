@@ -58,21 +58,6 @@ def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
     assert first.run_id == third.run_id
 
 
-def test_options_go_over_the_preset(study: Study) -> None:
-    plan = make_plan(study, Selection(seeds=(5,), steps=512, conditions=("sgd", "adam")))
-    # conditions keep the study's order, whatever order they were named in
-    assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
-        ("adam", 5, 512),
-        ("sgd", 5, 512),
-    ]
-
-
-def test_a_setting_that_no_condition_reads_is_refused(study: Study) -> None:
-    """Otherwise a person believes to have trained with a momentum that nothing used."""
-    with pytest.raises(UserError, match=r"momentum .*adam"):
-        make_plan(study, Selection(conditions=("adam",), settings={"momentum": 0.5}))
-
-
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
     differing = differing_fields(make_plan(study, Selection(conditions=("adam", "sgd"))))
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0

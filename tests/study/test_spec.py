@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.execute import selection_record
-from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import Study, load_study, read_seeds
+from pneuma.study.spec import Study, load_study
 
 STUDY = """\
 title = "Two activations"
@@ -153,20 +150,6 @@ def test_a_mistake_is_told_with_line_and_what_to_mend(text: str, mistake: Mistak
     assert all(word in message for word in words), message
 
 
-# --- Seeds ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("value", "seeds"), [(1, (0,)), (3, (0, 1, 2)), ([7], (7,)), ([2, 0], (2, 0))])
-def test_seeds_are_a_count_or_a_list(value: Any, seeds: tuple[int, ...]) -> None:
-    assert read_seeds(value) == seeds
-
-
-@pytest.mark.parametrize("value", [0, -1, 1.5, True, "3", [], [1, 1], None, 10_001, [2**32], [True]])
-def test_anything_else_is_no_seeds(value: Any) -> None:
-    with pytest.raises(ValueError):
-        read_seeds(value)
-
-
 # --- The worlds of a study ------------------------------------------------------------------------
 
 PLAIN = """\
@@ -202,25 +185,9 @@ def test_godots_world_is_the_published_code(tmp_path: Path) -> None:
     assert (run.scale, run.order, run.reward, run.epochs) == ("raw", "fixed", ("godot",), 5)
 
 
-def test_the_arena_is_the_texts_with_another_reward_and_the_facing_observed(tmp_path: Path) -> None:
-    run = make_run(load_study(_write(tmp_path, PLAIN), "arena").fields("low"))
-    assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaArena-v0", 1, 0.1, (128,))
-    assert (run.scale, run.order, run.reward, run.epochs) == ("unit", "nearest", ("kills",), 5)
-
-
 def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path) -> None:
     text = PLAIN.replace("epochs = 5", "actor = [64]").replace("[run]", "[run]\nclip_range = 0.3")
     study = load_study(_write(tmp_path, text), "godot")
     runs = [make_run(study.fields(name)) for name in study.conditions]
     assert [run.actor for run in runs] == [(64,), (128,)]  # the second as in Table 6.2, not [256]
     assert [run.clip_range for run in runs] == [0.3, 0.3]
-
-
-def test_the_worlds_have_names_figures_and_run_ids_of_their_own(tmp_path: Path) -> None:
-    path = _write(tmp_path, PLAIN)
-    text, godot = load_study(path), load_study(path, "godot")
-    assert (text.name, text.figure) == ("mine", "fig")
-    assert (godot.name, godot.figure) == ("mine-godot", "fig-godot")
-    plans = [make_plan(study, Selection()) for study in (text, godot)]
-    assert [selection_record(plan)["world"] for plan in plans] == ["text", "godot"]
-    assert not {cell.run_id for cell in plans[0].cells} & {cell.run_id for cell in plans[1].cells}

@@ -84,15 +84,6 @@ def test_files_are_on_the_disk_before_one_is_in_its_place_and_come_in_their_orde
 # --- Runs ----------------------------------------------------------------------------------------
 
 
-def test_a_saved_run_comes_back_and_one_that_was_not_is_planned(store: Store) -> None:
-    assert store.status(NAME) == Status("done", 512) and store.status(NAME).finished
-    assert {name: store.read_file(NAME, name) for name in FILES} == FILES
-    assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
-    assert store.status("f" * 16) == Status("planned", 0)
-    assert not store.status("f" * 16).finished
-    assert store.runs() == [NAME]
-
-
 @pytest.mark.parametrize(
     "text",
     ["", "{", "[]", "3", '{"schema": 1, "status": "done", "step": 1, "files": {}}', "\x00", '{"schema": 1}'],
@@ -191,9 +182,3 @@ def test_rows_come_back_as_they_were_with_the_columns_asked_for() -> None:
     assert from_parquet(to_parquet([{"length": 20.5}], ("length",))).to_pylist() == [{"length": 20.5}]
     (row,) = from_parquet(to_parquet([_row(0, hp=math.nan)], COLUMNS)).to_pylist()
     assert math.isnan(row["hp"])
-
-
-def test_the_same_rows_give_the_same_bytes() -> None:
-    rows = [_row(episode) for episode in range(100)]
-    assert to_parquet(iter(rows), COLUMNS) == to_parquet([dict(row) for row in rows], COLUMNS)
-    assert to_parquet(rows, COLUMNS) != to_parquet([*rows[:-1], _row(99, kills=4)], COLUMNS)

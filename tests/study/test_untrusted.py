@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
 from pneuma.study.files import checksum, seal
 from pneuma.study.identity import run_id
-from pneuma.study.plan import Selection
 from pneuma.study.store import Status, Store, to_json
 
 from ..cli.calls import call
@@ -205,30 +204,6 @@ def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
     store.save_run(NAME, Status("done", 50_176), {"run.json": to_json(document)})
     code, _, told = call("run", "fork", NAME, "--at", "512", "--set", "gamma=0.9", "--results", store.root)
     assert (code, words in told) == (2, True)
-    assert not evil.exists()
-
-
-def record_of(path: Path, store: Store) -> None:
-    """Record an untrusted study in a results folder, under its file's name and with its path."""
-    cells = [{**CELL, "condition": name, "seed": seed} for name in ("a", "b") for seed in (0, 1)]
-    selection = {**asdict(Selection()), "settings": {"reward": "evil_reward:reward"}}
-    about = {"study": path.stem, "path": str(path), "selection": selection, "runs": cells}
-    store.save_selection(path.stem, {**RECORD, **about})
-
-
-@pytest.mark.parametrize("command", ["status", "export"])
-@pytest.mark.parametrize("study", ["theirs", "activation"])
-def test_reading_a_record_runs_nothing_that_it_names(
-    store: Store, evil: Path, command: str, study: str
-) -> None:
-    path = evil.parent / f"{study}.toml"
-    path.write_text(
-        'title = "A"\nbase = "table-6-2"\n[conditions.a]\nreward = "evil_reward:reward"\n[conditions.b]\n'
-        "[presets.quick]\nseeds = 1\nsteps = 512\n"
-    )
-    record_of(path, store)
-    more = ("--table", "metrics", "--out", "-") if command == "export" else ()
-    assert call("study", command, study, *more, "--results", store.root).code in (0, 2)
     assert not evil.exists()
 
 

@@ -91,22 +91,6 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
 
 
-def test_a_crash_that_is_tried_again_is_not_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stopped meanwhile, the same command goes on with it."""
-    _, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch, last_try=False)
-    assert store.status(SECOND).name == "planned" and events[-1]["status"] == "crashed"
-
-
-def test_a_run_whose_own_files_changed_is_not_trained_under_the_old_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(worker, "load_engine", lambda _: _Engine())
-    store, events = Store(tmp_path), io.StringIO()
-    job = worker.Job(store, {"0123456789abcdef": RUNS[0]})
-    assert worker.train_group(job, worker.Reporter(events), threading.Event()) == 1
-    assert b"changed meanwhile" in store.read_file("0123456789abcdef", "error.txt")
-
-
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
     run = make_run(
         {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "steps": 10**9}
