@@ -16,9 +16,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.algorithms import ALGORITHM_FIELDS
-from pneuma.config import BASES, OF_GYMNASIUM, OPTIMIZER_FIELDS, Run, fields_read
-from pneuma.env_fields import ENVIRONMENT_SLOTS, EnvConfig
+from pneuma.config import BASES, Run, fields_read
+from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.worlds import (
     TEXT,
@@ -188,18 +187,9 @@ def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
 
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
-    """Say which fields the runs' optimizers do read, or the algorithms where the key is none of those."""
-    runs = list(runs)
-    if key in (*OF_GYMNASIUM, *EnvConfig.__dataclass_fields__):
-        return f"{key} does nothing: {', '.join(dict.fromkeys(run.env for run in runs))} has no such setting"
-    of_optimizers = any(key in own for own in OPTIMIZER_FIELDS.values())
-    optimizers = {run.optimizer for run in runs if "optimizer" in fields_read(run)}
-    if of_optimizers and optimizers:
-        told = {name: OPTIMIZER_FIELDS[name] for name in optimizers}
-    else:
-        told = {run.algorithm: ALGORITHM_FIELDS[run.algorithm] for run in runs}
-    read = "; ".join(f"{name} reads {', '.join(told[name])}" for name in sorted(told))
-    return f"{key} does nothing: {read}"
+    """Say that a field is read neither by the runs' environments nor by their algorithms and optimizers."""
+    names = dict.fromkeys(name for run in runs for name in (run.env, run.algorithm, run.optimizer))
+    return f"{key} does nothing: it is read by none of {', '.join(names)}"
 
 
 # --- Files -----------------------------------------------------------------------------------------

@@ -155,7 +155,7 @@ def read_study(path: Path) -> Study:
         worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
     )
     for world in study.worlds:
-        _check_runs(file, factors, study.in_world(world), said.run)
+        _check_runs(file, study.in_world(world), said.run)
     return study
 
 
@@ -185,7 +185,7 @@ def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]],
         for factor, name in zip(factors, names, strict=True):
             if twice := own.keys() & factors[factor][name].keys():
                 told = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
-                raise _mistake_at(file, factor, name, min(twice), told)
+                raise file.mistake(("factors",), told, factor)
             own |= factors[factor][name]
         joined = ", ".join(names)
         if joined in crossed:
@@ -195,7 +195,7 @@ def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]],
     return crossed, levels
 
 
-def _check_runs(file: TomlFile, factors: Factors, study: Study, shared: Mapping[str, Any]) -> None:
+def _check_runs(file: TomlFile, study: Study, shared: Mapping[str, Any]) -> None:
     """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""
     runs: list[Run] = []
     for name, own in study.conditions.items():
@@ -204,25 +204,16 @@ def _check_runs(file: TomlFile, factors: Factors, study: Study, shared: Mapping[
             for key in unread_fields(runs[-1:], own):
                 raise UserError(does_nothing(key, runs[-1:]))
         except UserError as error:
-            raise _mistake_in(file, factors, study, name, str(error)) from None
+            raise _mistake_in(file, study, name, str(error)) from None
     for key in unread_fields(runs, shared):
         raise file.mistake(("run",), does_nothing(key, runs), key)
 
 
-def _mistake_in(file: TomlFile, factors: Factors, study: Study, name: str, message: str) -> UserError:
+def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
     """Build an error of a condition at the place that sets the field it begins with, or at the condition."""
     key = next((key for key in study.fields(name) if message.startswith(f"{key} ")), "")
     if key in study.shared and key not in study.conditions[name]:
         return file.mistake(("run",), message, key)
-    levels = study.levels.get(name, {CONDITION: name})
-    setting = [(factor, level) for factor, level in levels.items() if key in factors[factor][level]]
-    factor, level = (setting or [*levels.items()])[-1]
-    told = f"{message} (in {name})" if study.levels else message
-    return _mistake_at(file, factor, level, key if setting else "", told)
-
-
-def _mistake_at(file: TomlFile, factor: str, level: str, key: str, message: str) -> UserError:
-    """Build an error at what a factor's value sets."""
-    if factor == CONDITION:
-        return file.mistake(("conditions", level), message, key)
-    return file.mistake(("factors",), message, factor)
+    if study.levels:
+        return file.mistake(("factors",), f"{message} (in {name})", key)
+    return file.mistake(("conditions", name), message, key)
