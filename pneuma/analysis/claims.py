@@ -154,10 +154,9 @@ class Claim(ClaimedRuns, Table):
         return list(product(self.a, self.b or (None,)))
 
     def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
-        """Return the margin, or what is plausible, of one outcome; None where it depends on the world."""
-        value = getattr(self, key)
-        found = value.get(outcome) if isinstance(value, dict) else value
-        return None if isinstance(found, dict) else found
+        """Return the margin, or what is plausible, of one outcome, of a claim `in_world`."""
+        value: Any = getattr(self, key)
+        return value.get(outcome) if isinstance(value, dict) else value
 
     def in_world(self, world: str) -> Claim:
         """Return the claim with the margins and plausible effects of one world."""

@@ -63,16 +63,14 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         return safe.to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
-    rows = [[*map(str, frame.columns)], *_read_rows(frame)]
+    shown = pd.DataFrame(_read_rows(frame), columns=frame.columns)
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
-    if form == "markdown":
-        cells = [[cell.translate(_MARKDOWN) if i else cell for cell in row] for i, row in enumerate(rows)]
-        cells.insert(1, ["---:" if right else "---" for right in numeric])
-        return "".join(f"| {' | '.join(row)} |\n" for row in cells).encode()
-    columns = "".join("r" if right else "l" for right in numeric)
-    head, *lines = (f"{' & '.join(cell.translate(_LATEX) for cell in row)} \\\\\n" for row in rows)
-    body = f"\\hline\n{head}\\hline\n{''.join(lines)}\\hline\n"
-    return f"\\begin{{tabular}}{{{columns}}}\n{body}\\end{{tabular}}\n".encode()
+    if form == "latex":
+        columns = "".join("r" if right else "l" for right in numeric)
+        return shown.to_latex(index=False, escape=True, column_format=columns).encode()
+    rows = [[*map(str, shown.columns)], ["---:" if right else "---" for right in numeric]]
+    rows += [[str(cell).translate(_MARKDOWN) for cell in row] for row in shown.to_numpy()]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows).encode()
 
 
 def _as_text(cell: object) -> object:
@@ -102,15 +100,5 @@ def _cell(cell: object) -> str:
         return "–" if math.isnan(cell) else f"{cell:.6g}"
     return str(cell)
 
-
-_LATEX = str.maketrans(
-    {
-        **{special: "\\" + special for special in "&%$#_{}"},
-        "\\": r"\textbackslash{}",
-        "^": r"\textasciicircum{}",
-        "~": r"\textasciitilde{}",
-        "–": "--",
-    }
-)
 
 _MARKDOWN = str.maketrans({"|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"})

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -131,27 +129,14 @@ class StudyData:
         missing = f", {self.left_out} not finished" if self.left_out else ""
         return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}{missing}"
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: a row for each condition."""
-        rows = [
-            {
-                "condition": name,
-                "runs": len(own),
-                "diverged": sum(run.status == "diverged" for run in own),
-                "steps": f"{max((run.budget for run in own), default=0):,}",
-            }
-            for name in self.conditions
-            for own in [self.of_condition(name)]
-        ]
-        return f"<b>{escape(self.title)}</b>{pd.DataFrame(rows).to_html(index=False)}"
-
     @property
     def how_to_train(self) -> str:
         """What trains the study, where it is known: forks and searches are none of `study run`'s."""
-        path = None if self.own_name in list_studies() else self.record.get("path")
-        if path is None and self.own_name not in list_studies():
-            return "repeat the command that began it"
-        return f"run `{run_command(self.study, path)}` with the same options"
+        shipped = self.own_name in list_studies()
+        path = None if shipped else self.record.get("path")
+        if shipped or path:
+            return f"run `{run_command(self.study, path)}` with the same options"
+        return "repeat the command that began it"
 
     @property
     def what(self) -> str:
@@ -255,22 +240,23 @@ class StudyData:
         """Return a run's training curve on the study's grid, (points,), NaN where it has no value.
 
         Args:
-            run: one of the finished runs.
-            quantity: one of `quantities`; a run that lacks it is blank throughout.
+            run: one of the finished runs; blank throughout where it lacks the quantity.
+            quantity: one of `quantities`.
             window: one of `windows`, the first when left out; what updates have has only one.
 
         Raises:
             UserError: for a quantity or window that there is not.
         """
-        if quantity not in self.quantities:
-            held = ", ".join(self.quantities) or "none"
-            raise UserError(f"study {self.study}: {self.what} holds no {quantity}; its curves are: {held}")
-        window = self.checked_window(window)
-        if quantity not in run.records.quantities:
+        window, records = self.checked_window(window), run.records
+        if quantity in self.quantities and quantity not in records.quantities:
             return np.full(self.grid.shape, np.nan)
-        if not run.records.has_curve(quantity, window):
-            raise UserError(f"study {self.study}: {self.what} holds no {quantity} with the window {window}")
-        return run.records.curve(quantity, window, self.grid, run.slots)
+        if quantity not in self.quantities or not records.has_curve(quantity, window):
+            held = ", ".join(self.quantities) or "none"
+            raise UserError(
+                f"study {self.study}: {self.what} holds no {quantity} in the window {window}; "
+                f"its curves are: {held}"
+            )
+        return records.curve(quantity, window, self.grid, run.slots)
 
     def has_curve(self, quantity: str, window: str) -> bool:
         """Tell whether all runs have the curve of a quantity with a window."""
@@ -287,14 +273,6 @@ class StudyData:
         if window not in self.windows:
             raise unknown_name(f"window of study {self.study}", window, self.windows)
         return window
-
-
-def tell_figures_apart(studies: Sequence[StudyData]) -> None:
-    """Give studies whose figures would be files of one name the study's as well."""
-    stems = Counter(data.figure for data in studies)
-    for data in studies:
-        if stems[data.figure] > 1:
-            data.figure += f"-{data.study}"
 
 
 # --- A run up to a step -----------------------------------------------------------------------------

@@ -63,16 +63,15 @@ def is_return(name: str) -> bool:
     return name.endswith("-return")
 
 
-_OF_RETURNS = ("reward", "players")
-"""Settings of which a return is the sum: where they differ, returns are in unlike units."""
-
-
 def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
     """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
     names = data.conditions if conditions is None else conditions
     firsts = [own[0].fields for name in names if (own := data.of_condition(name))]
-    games = {own.get("env") if is_gymnasium_id(own.get("env")) else "" for own in firsts}
-    return max(len({str([own.get(key) for key in _OF_RETURNS]) for own in firsts}), len(games)) <= 1
+    units = {
+        (own["env"] if is_gymnasium_id(own.get("env")) else "", str([own.get("reward"), own.get("players")]))
+        for own in firsts
+    }
+    return len(units) <= 1
 
 
 def is_foreign(data: StudyData) -> bool:
@@ -130,16 +129,14 @@ def find_outcome(name: str) -> Outcome:
     """
     if name in OUTCOMES:
         return OUTCOMES[name]
-    sought = re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name)
+    if sought := re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name):
+        words, reached = f"an evaluation returns {sought[1]}", (float(sought[1]), "return")
+    elif sought := re.fullmatch(r"steps-to:(?!0*\.?0*$)(0?\.\d+|1(\.0+)?)", name):
+        share = float(sought[1])
+        words, reached = f"{100 * share:g}% of the monsters are killed", (share, "share_killed")
     if sought:
-        words = f"steps until an evaluation returns {sought[1]} (inf: never)"
-        reached = partial(_steps_to, least=float(sought[1]), column="return")
-        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", reached)
-    threshold = re.fullmatch(r"steps-to:(0?\.\d+|1(\.0+)?)", name)
-    if threshold and float(threshold[1]) > 0:
-        share = float(threshold[1])
-        words = f"steps until {100 * share:g}% of the monsters are killed (inf: never)"
-        return Outcome(words, "steps", "lower", (0, np.inf), "evaluations", partial(_steps_to, least=share))
+        measure = partial(_steps_to, least=reached[0], column=reached[1])
+        return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
     known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)", "steps-to-return:X"))
     raise UserError(f"unknown outcome {name!r}{nearest_name(name, OUTCOMES)}; known are {known}")
 
@@ -151,20 +148,10 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
         return ""
     if run.ends_before(at_step):
         return f"the run ends at step {run.end:,}, before the others are compared"
-    if found.source == "times":
-        return f"{data.what} does not tell how long the run took"
-    if found.source == "signs":
-        seen = diagnose(data, run, at_step)
-        if seen.blind:
-            return f"{data.what} holds no sign of collapse"
-        if seen.collapsed:
-            return f"no evaluation tells of {name}"
-        early = at_step is not None and at_step < run.end
-        return f"the run had not collapsed by step {at_step:,.0f}" if early else "the run never collapsed"
-    if run.records.kept_outcome(name) is None and found.source not in (*data.tables, *data.quantities):
-        return f"{data.what} holds no {found.source}"
-    early_end = f"the run {run.status} at step {run.end:,}" if run.status == "diverged" else "the run"
-    return f"{early_end} has no value of its {found.source} to take {name} from"
+    if found.source == "signs" and not diagnose(data, run, at_step).collapsed:
+        return "no sign of collapse is recorded, or there was none"
+    end = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
+    return f"{end} has nothing that {name} is taken from ({found.source}) in {data.what}"
 
 
 # --- Measures --------------------------------------------------------------------------------------
@@ -236,7 +223,7 @@ def _share_area(seen: RunView) -> float:
     return _mean_height((steps[first:], shares[first:]), seen.until)
 
 
-def _steps_to(seen: RunView, least: float, column: str = "share_killed") -> float:
+def _steps_to(seen: RunView, least: float, column: str) -> float:
     steps, values = seen.evaluations(column)
     reached = steps[values >= least]
     return float(reached[0]) if len(reached) else np.inf if len(values) else NAN

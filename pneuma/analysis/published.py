@@ -38,17 +38,12 @@ from pneuma.study.tables import from_parquet
 
 PUBLISHED = "published"
 """The tables' folder, in a results folder."""
-SUFFIX = ".parquet"
+SUFFIX, TIMES_SUFFIX = ".parquet", ".times.json"
 
 
 def published_path(store: Store, study: str) -> Path:
     """Return where a study's published table lies."""
     return store.root / PUBLISHED / f"{study}{SUFFIX}"
-
-
-def times_path(store: Store, study: str) -> Path:
-    """Return where the times of a published study lie."""
-    return store.root / PUBLISHED / f"{study}.times.json"
 
 
 def published_studies(store: Store, shipped: bool = False) -> list[str]:
@@ -131,7 +126,7 @@ def read_published(store: Store, study: str) -> PublishedTable:
         raise UserError(
             f"{path}: damaged; take it from version control again, or remove it and publish the study anew"
         )
-    times = (read_json(path.with_suffix(".times.json")) or {}).get("runs")
+    times = (read_json(path.with_suffix(TIMES_SUFFIX)) or {}).get("runs")
     try:
         rows = from_parquet(data)
         table = PublishedTable(parse_json((rows.schema.metadata or {}).get(b"pneuma", b"")), rows, times)
@@ -173,17 +168,15 @@ class PublishedTable:
         return tuple(name for name in TRAINING_QUANTITIES if curve_column(name, window) in held)
 
     @cached_property
-    def _places(self) -> dict[str, int]:
-        return {run_id: place for place, run_id in enumerate(self.rows["run_id"].to_pylist())}
+    def runs(self) -> dict[str, PublishedRecords]:
+        """What is held of each run, by its id."""
+        ids = self.rows["run_id"].to_pylist()
+        return {run_id: PublishedRecords(self, run_id, place) for place, run_id in enumerate(ids)}
 
     @cached_property
     def finished(self) -> frozenset[str]:
         """The ids of those runs that have numbers."""
-        return frozenset(run_id for run_id in self._places if self(run_id).status.finished)
-
-    def __call__(self, run_id: str) -> PublishedRecords:
-        """Return what is held of one of the runs."""
-        return PublishedRecords(self, run_id, self._places[run_id])
+        return frozenset(run_id for run_id, own in self.runs.items() if own.status.finished)
 
 
 class PublishedRecords(Records):
@@ -202,22 +195,19 @@ class PublishedRecords(Records):
         self.windows = tuple(table.head["windows"])
         self.averaged_over = table.head["averaged_over"]
 
-    def cell(self, column: str) -> Any:
-        """Return what the run's row has in a column; None where there is no such column."""
-        return self._table.rows[column][self._place].as_py() if self.hascurve_column(column) else None
-
-    def hascurve_column(self, name: str) -> bool:
-        """Tell whether the table has a column."""
-        return name in self._table.rows.column_names
-
     @property
     def quantities(self) -> tuple[str, ...]:
         """What is held, of every run of the table the same."""
         return self._table.quantities
 
+    def cell(self, column: str) -> Any:
+        """Return what the run's row has in a column; None where there is no such column."""
+        rows = self._table.rows
+        return rows[column][self._place].as_py() if column in rows.column_names else None
+
     def has_curve(self, quantity: str, window: str) -> bool:
         """Tell whether it has the curve: rounded tables have one window of most quantities."""
-        return self.hascurve_column(curve_column(quantity, window))
+        return curve_column(quantity, window) in self._table.rows.column_names
 
     def table(self, name: str) -> pd.DataFrame:
         """Return the run's evaluations, the one table that is kept."""
@@ -272,20 +262,19 @@ def _check(table: PublishedTable) -> None:
         raise ValueError(f"column {min(missing)} is missing")
     if not fits(table.record, Record):
         raise ValueError("its runs make no sense")
-    finished = pa.array([status in FINISHED for status in rows["status"].to_pylist()], pa.bool_())
-    rows = rows.filter(finished)
-    for field in rows.schema:
-        types, sound = column_types(field.name), True
+    rows = rows.filter(pa.array([status in FINISHED for status in rows["status"].to_pylist()], pa.bool_()))
+    for name, kind in zip(rows.column_names, rows.schema.types, strict=True):
+        types = column_types(name)
+        sound = not (types or name == EVALUATIONS) or not rows[name].null_count
         if types:
-            sound = field.type in types and not rows[field.name].null_count
-        elif field.name == EVALUATIONS:
-            sound = pa.types.is_list(field.type) and pa.types.is_struct(field.type.value_type)
-            sound = sound and field.type.value_type.get_field_index("step") >= 0
-            sound = sound and not rows[field.name].null_count
+            sound &= kind in types
+        if name == EVALUATIONS:
+            sound &= pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)
+            sound = sound and kind.value_type.get_field_index("step") >= 0
         if sound and SINGLE in types:
-            sound = {*pc.list_value_length(rows[field.name]).to_pylist()} <= {GRID_POINTS}
+            sound = {*pc.list_value_length(rows[name]).to_pylist()} <= {GRID_POINTS}
         if not sound:
-            raise ValueError(f"column {field.name} makes no sense")
+            raise ValueError(f"column {name} makes no sense")
     for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
         parse_json(told)
         unpack_signs(signs)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,25 +42,17 @@ TABLES_KEPT = 1_000
 AVERAGED = f"_mean_{TRAILING_EPISODES}"
 """Ends the names of columns that were averaged when they were logged."""
 
-QUANTITY_OF_TAG = {
-    "rollout/ep_rew_mean": "return",
-    "rollout/ep_len_mean": "length",
-    "train/policy_gradient_loss": "policy_loss",
-    "train/value_loss": "value_loss",
-    "train/entropy_loss": "entropy",
-    "train/approx_kl": "approx_kl",
-    "train/clip_fraction": "clip_fraction",
-    "train/explained_variance": "explained_variance",
-    "charts/episodic_return": "return",
-    "charts/episodic_length": "length",
-    "losses/policy_loss": "policy_loss",
-    "losses/value_loss": "value_loss",
-    "losses/entropy": "entropy",
-    "losses/approx_kl": "approx_kl",
-    "losses/clipfrac": "clip_fraction",
-    "losses/explained_variance": "explained_variance",
+_TAGS = {
+    "return": ("rollout/ep_rew_mean", "charts/episodic_return"),
+    "length": ("rollout/ep_len_mean", "charts/episodic_length"),
+    "policy_loss": ("train/policy_gradient_loss", "losses/policy_loss"),
+    "value_loss": ("train/value_loss", "losses/value_loss"),
+    "entropy": ("train/entropy_loss", "losses/entropy"),
+    "approx_kl": ("train/approx_kl", "losses/approx_kl"),
+    "clip_fraction": ("train/clip_fraction", "losses/clipfrac"),
+    "explained_variance": ("train/explained_variance", "losses/explained_variance"),
 }
-"""What the metrics table and curves call what Stable-Baselines3 and CleanRL log."""
+"""What Stable-Baselines3 and CleanRL log of what the metrics table and curves have."""
 
 NEGATED = "train/entropy_loss"
 ONE_EPISODE = ("charts/episodic_return", "charts/episodic_length")
@@ -96,14 +87,6 @@ class Records:
         self.status = status
         self._store = store
 
-    def path(self, file: str) -> Path:
-        """Return where a file of its folder lies."""
-        return self._store.run_folder(self.run_id) / file
-
-    def read_file(self, file: str) -> bytes:
-        """Return a file of its folder, as its checksum vouches for."""
-        return self._store.read_file(self.run_id, file)
-
     @property
     def quantities(self) -> tuple[str, ...]:
         """What it has curves of, of `TRAINING_QUANTITIES`."""
@@ -126,7 +109,7 @@ class Records:
         name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
         table = self.table(name)
         if quantity not in table:
-            raise UserError(f"{self.path(f'{name}.parquet')}: has no column {quantity}")
+            raise UserError(f"run {self.run_id}: its {name} have no column {quantity}")
         step, values = table["step"].to_numpy(float), table[quantity].to_numpy(float)
         order = np.argsort(step, kind="stable")
         return step[order], values[order]
@@ -172,9 +155,9 @@ class Records:
             UserError: when its file is missing, damaged or nonsense.
         """
         try:
-            return parse_json(self.read_file("provenance.json"))
+            return parse_json(self._store.read_file(self.run_id, "provenance.json"))
         except ValueError as error:
-            raise UserError(f"{self.path('provenance.json')}: cannot be read ({error})") from None
+            raise UserError(f"provenance of run {self.run_id} cannot be read: {error}") from None
 
     @property
     def times(self) -> Mapping[str, Any]:
@@ -220,7 +203,7 @@ class LoggedRecords(Records):
         scalars = self._scalars.drop_duplicates(["step", "name"], keep="last")
         scalars = scalars[~scalars["name"].str.startswith(WALL_CLOCK)]
         frame = scalars.pivot(index="step", columns="name", values="value")
-        known = [own for own in dict.fromkeys(QUANTITY_OF_TAG.values()) if own in frame]
+        known = [own for own in _TAGS if own in frame]
         frame = frame[[*known, *sorted(str(own) for own in frame if own not in known)]]
         frame.columns.name = None
         return frame.rename(columns={own: own + AVERAGED for own in EPISODE_QUANTITIES}).reset_index()
@@ -251,16 +234,18 @@ class LoggedRecords(Records):
             own = scalars["tag"] == tag
             values[own] = values[own].rolling(TRAILING_EPISODES, 1).mean()
         plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
-        return scalars.assign(name=scalars["tag"].map(QUANTITY_OF_TAG).fillna(plain), value=values)
+        names = {tag: name for name, tags in _TAGS.items() for tag in tags}
+        return scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)
 
 
 @lru_cache(TABLES_KEPT)
 def _read(records: Records, file: str) -> pd.DataFrame:
     """Return a table of a run, read now where it is not kept."""
+    store, run_id = records._store, records.run_id
     try:
-        return record_table(records.read_file(file), file.removesuffix(".parquet")).to_pandas()
+        return record_table(store.read_file(run_id, file), file.removesuffix(".parquet")).to_pandas()
     except ValueError as error:
-        raise UserError(f"{records.path(file)}: {error}") from None
+        raise UserError(f"{store.run_folder(run_id) / file}: {error}") from None
 
 
 def told_seconds(times: Mapping[str, Any]) -> float | None:

@@ -143,4 +143,4 @@ def _lacking(found: Mapping[str, Records]) -> set[str]:
 def _fill(found: dict[str, Records], tables: Sequence[PublishedTable]) -> None:
     """Put in what tables hold of the runs that are lacking."""
     for table in tables:
-        found |= {run_id: table(run_id) for run_id in _lacking(found) & table.finished}
+        found |= {run_id: table.runs[run_id] for run_id in _lacking(found) & table.finished}

@@ -123,13 +123,14 @@ def _improvement(
 ) -> Iterator[Row]:
     """Give the probability that a run is better than one of the baseline's, which has none itself."""
     baseline, found = data.record.get("baseline"), find_outcome(name)
-    if condition == baseline or baseline not in data.conditions:
-        return
-    if data.engines(condition) != data.engines(baseline):  # no contrast mixes them
-        return
-    if not found.better or found.source == "times":  # what was timed beside what is not known
-        return
-    if is_return(name) and not have_one_return(data, (condition, baseline)):
+    if (
+        condition == baseline
+        or baseline not in data.conditions
+        or data.engines(condition) != data.engines(baseline)  # no contrast mixes them
+        or not found.better
+        or found.source == "times"  # what was timed beside what is not known
+        or (is_return(name) and not have_one_return(data, (condition, baseline)))
+    ):
         return
     others = _known(outcome_values(data, baseline, name, at_step))
     if not len(others):
@@ -147,19 +148,16 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
     """
     if min(len(a), len(b)) < LEAST_RESAMPLED:
         return no_interval()
-    first, second = (_times_drawn(len(arm), generator) for arm in (a, b))
+    first, second = (  # how often each run is drawn, (resamples, runs)
+        np.array([np.bincount(row, minlength=n) for row in generator.integers(0, n, (RESAMPLES, n))])
+        for n in (len(a), len(b))
+    )
     above = (a[:, None] > b) + 0.5 * (a[:, None] == b)  # (runs of a, runs of b)
     drawn = (first @ above * second).sum(axis=1) / (len(a) * len(b))
     if np.ptp(drawn) == 0:
         return no_interval()
     low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(float(low), float(high), LEVEL, "bootstrap percentiles")
-
-
-def _times_drawn(runs: int, generator: np.random.Generator) -> np.ndarray:
-    """Return how often each run is drawn in every resample, (resamples, runs)."""
-    drawn = generator.integers(0, runs, (RESAMPLES, runs))
-    return np.array([np.bincount(row, minlength=runs) for row in drawn])
 
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:

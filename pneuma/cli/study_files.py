@@ -215,7 +215,7 @@ def publish(
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
         table = in_world(as_, split_world(record["study"])[1])
         record = {**record, "study": table, "figure": table, "title": f"{record['title']}: {as_}"}
-    from pneuma.analysis.published import published_path, times_path
+    from pneuma.analysis.published import TIMES_SUFFIX, published_path
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import RunIndex, open_study
 
@@ -227,7 +227,7 @@ def publish(
     tell_left_out(data)
     encoded = encode_study(data, curves, index.table(data.study))
     store.write(path, encoded)
-    store.write(times_path(store, data.study), encode_times(data))
+    store.write(path.with_suffix(TIMES_SUFFIX), encode_times(data))
     if json:
         about = {"study": data.study, "file": path, "bytes": len(encoded)}
         return print_json({**about, "runs": new, "staying": staying})

@@ -74,7 +74,7 @@ def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
     """Return a page of a folder's figures for people, a section to a source, its figures in their order."""
     sections: dict[str, list[Mapping[str, Any]]] = {}
     for entry in entries:
-        if Path(entry["file"]).suffix not in (".svg", ".tex", ".csv"):  # others in one more format
+        if Path(entry["file"]).suffix != ".svg":  # the same in one more format
             sections.setdefault(entry["from"], []).append(entry)
     head = f"Drawn by `make figures`, which writes this page too. As data, with run ids: `{INDEX}`."
     lines = ["# Figures and tables", "", head, ""]

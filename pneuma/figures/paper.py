@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
@@ -23,7 +24,7 @@ import pandas as pd
 
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import StudyData, tell_figures_apart
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import open_published
 from pneuma.analysis.summaries import summary_table
 from pneuma.config import BASES, as_fields, make_run
@@ -51,8 +52,7 @@ from pneuma.values import shown_value
 RESULTS = Path("results")
 COMMAND = "make figures"
 TABLES = "tables"
-TABLE_FORMATS = {"latex": ".tex", "markdown": ".md", "csv": ".csv"}
-SETTINGS_STEM = "table-6-1-and-6-2"
+SETTINGS_FILE = "table-6-1-and-6-2.md"
 
 CONTRASTED = {
     "optimizer": ("stationary", "non-stationary"),
@@ -91,8 +91,10 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged one
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
-    tell_figures_apart(studies)
-    names = [(data.study, data.figure) for data in studies]
+    stems = Counter(data.figure for data in studies)
+    names = [
+        (data.study, data.figure + (f"-{data.study}" if stems[data.figure] > 1 else "")) for data in studies
+    ]
     logs = {study: own for study, own in (beside or {}).items() if own in dict(names)}
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         for own in pool.map(partial(_draw_one, folder, results, logs), names):
@@ -116,11 +118,9 @@ def _draw_environment(folder: Path) -> Entries:
 
 def _write_settings(folder: Path) -> Entries:
     """Write the thesis's two tables of hyperparameters."""
-    names = {form: f"{TABLES}/{SETTINGS_STEM}{suffix}" for form, suffix in TABLE_FORMATS.items()}
-    for form, name in names.items():
-        (folder / name).write_bytes(encode_frame(settings_table(), form))
-    told = {"command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}}
-    return [{"file": name, **told} for name in names.values()]
+    name = f"{TABLES}/{SETTINGS_FILE}"
+    (folder / name).write_bytes(encode_frame(settings_table(), "markdown"))
+    return [{"file": name, "command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}}]
 
 
 def settings_table() -> pd.DataFrame:
@@ -149,13 +149,10 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tup
         for path in paths:
             shrink(path)
         entries += index_entries(paths, COMMAND, shown, told)
-    summary = summary_table(data)
-    for form, suffix in TABLE_FORMATS.items():
-        path = folder / TABLES / f"{data.study}{suffix}"
-        path.write_bytes(encode_frame(summary, form))
-        (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": form})
-        entries.append({**entry, "file": f"{TABLES}/{path.name}"})
-    return entries
+    path = folder / TABLES / f"{data.study}.md"
+    path.write_bytes(encode_frame(summary_table(data), "markdown"))
+    (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": "markdown"})
+    return [*entries, {**entry, "file": f"{TABLES}/{path.name}"}]
 
 
 Drawn = tuple[StudyData, list[Path], dict[str, Any]]
