@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -55,20 +54,3 @@ def test_the_document_has_every_claim_in_its_worlds(
         "no runs: middle, 8 seeds of 1,024 steps; "
         f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
     )
-
-
-def test_what_claims_fix_can_be_published_whatever_was_run_last(
-    command: list[str], tmp_path: Path, capsys: Captured
-) -> None:
-    """Also where a claim's runs are missing: they keep their place in the table. Whoever trains them then
-    need not train those of the table again."""
-    before = _document(capsys, *command)
-    results = tmp_path / "results"
-    publish = ["study", "publish", str(tmp_path / "mine.toml"), "--preset", "claims"]
-    publish += ["--results", str(results)]
-    assert _document(capsys, *publish)["runs"] == 16
-    shutil.rmtree(results / "runs")
-    after = _document(capsys, *command)
-    told = json.dumps(before)
-    assert told.count('--preset claims"') == 2  # of the claim, and of its contrast
-    assert after == json.loads(told.replace('--preset claims"', '--preset claims --unpublished"'))
