@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.values import MOST_NAMES, OneOf, matching, names_like
+from pneuma.values import MOST_NAMES, OneOf, Reads, matching, names_like
 
 SHIPPED_LEVELS = ("thesis",)
 SHIPPED_CHARACTERS = ("pygame",)
@@ -32,6 +32,14 @@ PERCEIVE = "all, nearest:K for the K nearest, kind:NAME,… for monsters of some
 _PERCEIVE = r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*|rays:([1-9]|[1-5]\d|6[0-4])"
 _REWARD = rf"{'|'.join(REWARDS)}|[\w.]+:\w+"
 _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
+
+
+def _read_codes(value: Any) -> tuple[int, ...]:
+    """Read one code of the ground, or a list."""
+    codes = (value,) if type(value) is int else tuple(value)
+    if not all(type(code) is int and 0 <= code < 2**28 for code in codes):
+        raise ValueError
+    return tuple(sorted({*codes}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +84,10 @@ class EnvConfig:
     trees: Annotated[str, OneOf(("wall", "pass"))] = "wall"
     """Whether what stands in the layer of obstacles stops anybody."""
     terrain_stops: Annotated[str, OneOf(("all", "players"))] = "all"
+    slow: Annotated[tuple[int, ...], Reads(_read_codes, "a list of codes of the ground, from 0")] = ()
+    """Codes of the ground where bodies are slow; in shipped and random levels 1 snow, 2 grass, 3 sand."""
+    slow_factor: Annotated[float, Interval(gt=0, le=1)] = 0.5
+    """What the speed of a body is multiplied by whose centre is there."""
     bite_while_knocked: bool = False
     healing_cap: bool = False
     """Whether the HP of a kill stop at full HP."""
@@ -155,6 +167,8 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
             )
         if len(set(values.get(key, ()))) == 1:
             values[key] = values[key][:1]
+    if not values.get("slow"):
+        values.pop("slow_factor", None)  # nothing reads it
     if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):
         raise UserError(
             f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"

@@ -75,7 +75,7 @@ class Level:
         left: x of the grid's left edge.
         top: y of the grid's upper edge.
         ground: (rows, columns) codes of the ground, for drawing; -1 where there is none.
-        terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`.
+        terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`.
         starts: (S, 2) start places.
         monsters: kind, x and y of each.
     """

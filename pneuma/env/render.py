@@ -95,7 +95,8 @@ class Renderer:
                 raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
             ground = ground_kinds(level)
             solid = level.terrain == rules.SOLID
-            self._scenes[index] = sprites.paint_ground(ground), tuple(_obstacles(solid, ground))
+            painted = sprites.hatch(sprites.paint_ground(ground), level.terrain == rules.SLOW)
+            self._scenes[index] = painted, tuple(_obstacles(solid, ground))
         return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:

@@ -38,7 +38,7 @@ from pneuma.env.state import (
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, DASHING = 1, 2
 """How a busy player is armed: with a sword, or with its pace."""
-OPEN, SOLID, COAST = 0, 1, 2
+OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
@@ -349,7 +349,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     if player.rest > 0:
         player.rest -= 1
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
-    if settings.deadly_coast and _at_sea(s, s.worlds[w].level, player):
+    if settings.deadly_coast and _tile_at(s, s.worlds[w].level, player.x, player.y) == COAST:
         tick.there = 0
         tick.strikes = 0
         s.events[w, p].hp_lost += player.hp
@@ -438,15 +438,6 @@ def _burn(player: Array, stats: Array, tick: Array) -> None:
     tick.half_height = stats.flame_half_height[facing]
     tick.damage = stats.flame_damage
     tick.knock_ticks = -1
-
-
-@part
-def _at_sea(s: State, level: int, player: Array) -> bool:
-    """Tell whether a player's place is beyond the coast."""
-    settings = s.settings[0]
-    column = int((player.x - settings.left) / settings.tile)
-    row = int((player.y - settings.top) / settings.tile)
-    return s.terrain[level, row, column] == COAST
 
 
 @part
@@ -652,18 +643,30 @@ def _moved(
     s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int,
     crowded: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return where a body gets by moving, x first, among terrain and other bodies.
+    """Return where a body gets by moving, x first, among terrain and other bodies; slowly on slow ground.
 
     `me` is its index, players after monsters; `shape` its stats; `stops` the tiles that stop it.
     """
-    near_tiles = not _has_room(s, s.worlds[w].level, x + shape.body_x, y + shape.body_y)
+    level, middle_x, middle_y = s.worlds[w].level, x + shape.body_x, y + shape.body_y
+    near_tiles = not _has_room(s, level, middle_x, middle_y)
     if not (near_tiles or crowded):
         return x + dx, y + dy
+    slow = s.settings[0].slow_factor
+    if near_tiles and slow < 1.0 and _tile_at(s, level, middle_x, middle_y) == SLOW:
+        dx *= slow
+        dy *= slow
     if dx != 0.0:
         x = _moved_along(s, w, me, True, x, y, shape, dx, stops, near_tiles, crowded)
     if dy != 0.0:
         y = _moved_along(s, w, me, False, x, y, shape, dy, stops, near_tiles, crowded)
     return x, y
+
+
+@part
+def _tile_at(s: State, level: int, x: float, y: float) -> int:
+    """Return what the tile at a place is."""
+    settings = s.settings[0]
+    return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 
 
 @part

@@ -142,6 +142,7 @@ SETTINGS = _record(
     ("deadly_coast", "i4"),
     ("player_stops", "i4"),  # bit 1 << code: tiles of this code stop players
     ("monster_stops", "i4"),
+    ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
     ("bodies_block", "i4"),
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
@@ -223,7 +224,7 @@ class State(NamedTuple):
     player_stats: Array  # (P,) PLAYER_STATS
     monster_stats: Array  # (L, M) MONSTER_STATS
     settings: Array  # (1,) SETTINGS
-    terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID or COAST
+    terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID, COAST or SLOW
     room: Array  # (L, 2 rows, 2 columns) uint8: whether a body has room, by half tiles
     starts: Array  # (L, S, 2) start places
     events: Array  # (N, P) EVENTS

@@ -196,6 +196,8 @@ class Worlds:
         trees = (config.trees == "wall") << rules.SOLID
         row["player_stops"] = trees | (config.coast == "wall") << rules.COAST
         row["monster_stops"] = (trees | 1 << rules.COAST) if config.terrain_stops == "all" else 0
+        slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
+        row["slow_factor"] = config.slow_factor if slow else 1.0
         row["bodies_block"] = config.bodies == "block"
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
@@ -335,7 +337,7 @@ class Worlds:
         for level in self.levels:
             digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
             digest.update(level.terrain.tobytes() + level.starts.tobytes())
-        for name in ("player_stops", "monster_stops", "bodies_block"):
+        for name in ("player_stops", "monster_stops", "bodies_block", "slow_factor"):
             digest.update(self.settings[name].tobytes())
         for stats in (self.player_stats, self.monster_stats):
             for name in stats.dtype.names or ():
@@ -399,8 +401,12 @@ _ADDRESSES = ("_handle", "_arrays", "_shown", "raw")
 
 
 def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:
-    """Load the level, or as many random ones as asked for, numbered from the first on."""
-    if config.random_levels == 1:
-        return [load_level(config.level, codes)]
-    split, first = parse_name(config.level)
-    return [load_level(f"{RANDOM}{split}:{first + i}", codes) for i in range(config.random_levels)]
+    """Load the level, or so many random ones numbered from the first on, and mark their slow ground."""
+    names = [config.level]
+    if config.random_levels > 1:
+        split, first = parse_name(config.level)
+        names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
+    levels = [load_level(name, codes) for name in names]
+    for level in levels:
+        level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
+    return levels

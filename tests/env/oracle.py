@@ -231,7 +231,8 @@ class Oracle:
     def walked(self, player: Player, way: int, others: list[Box], pace: int = 1) -> Pair:
         """Return where one tick of walking takes a player among others; or of dashing, at thrice the pace."""
         stats, stops = player.stats, self.book.settings.player_stops
-        dx, dy = (part * (pace * stats.speed) for part in WAYS[way])
+        slow = self.ground.pace(player.box, self.book.settings.slow_factor)
+        dx, dy = (part * (pace * stats.speed) * slow for part in WAYS[way])
         offset = stats.body_x, stats.body_y
         return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, stops, others)
 
@@ -263,9 +264,10 @@ class Oracle:
         elif target is not None:
             dx = approach(target.x - monster.x, monster.kind)
             dy = approach(target.y - monster.y, monster.kind)
+        slow = self.ground.pace(monster.box, self.book.settings.slow_factor)
         place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
-        stops, others = self.book.settings.monster_stops, self._others(monster)
-        monster.x, monster.y = move(place, offset, monster.box.half, (dx, dy), self.ground, stops, others)
+        stops, others, steps = self.book.settings.monster_stops, self._others(monster), (dx * slow, dy * slow)
+        monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, stops, others)
 
     def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
         """Strike a monster that a blow meets, unless it is dead or safe or this one has hit it before."""

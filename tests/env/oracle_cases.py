@@ -23,7 +23,7 @@ from pneuma.env_fields import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_co
 from pneuma.errors import UserError
 
 from .oracle import Oracle
-from .oracle_maps import KINDS, Map, maps, settle
+from .oracle_maps import GRASS, KINDS, SAND, Map, maps, settle
 from .oracle_parts import Player
 
 CLASSES = ("base", "tank", "mage", "warrior")
@@ -135,6 +135,8 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         "trees": draw(st.sampled_from(["wall", "pass"])),
         "terrain_stops": draw(st.sampled_from(["all", "players"])),
         "bodies": draw(st.sampled_from(["block", "block", "block", "pass"])),
+        "slow": draw(st.sampled_from([[], [], [GRASS], [SAND]])),
+        "slow_factor": draw(st.sampled_from([0.5, 0.3])),
         "bite_while_knocked": draw(st.booleans()),
         "healing_cap": draw(st.booleans()),
         "observe_facing": draw(st.booleans()),

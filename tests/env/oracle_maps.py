@@ -12,7 +12,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
-START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
+START, OBSTACLE, WATER, GRASS, SAND = 400, 395, 0, 2, 3
 CROWD = 30
 
 Tile = tuple[int, int]
@@ -31,6 +31,7 @@ class Map:
     shore: int = 1  # tiles of water around
     lakes: tuple[Tile, ...] = ()
     obstacles: tuple[Tile, ...] = ()
+    sand: tuple[Tile, ...] = ()
     starts: tuple[Place, ...] = ((512.0, 512.0),)
     monsters: tuple[tuple[str, float, float], ...] = ()
     clear: frozenset[Tile] = frozenset()
@@ -42,7 +43,8 @@ class Map:
         shore = self.shore
         ground[shore : self.rows - shore, shore : self.columns - shore] = GRASS
         obstacles = np.full_like(ground, -1)
-        for layer, code, tiles in ((ground, WATER, self.lakes), (obstacles, OBSTACLE, self.obstacles)):
+        layers = (ground, SAND, self.sand), (ground, WATER, self.lakes), (obstacles, OBSTACLE, self.obstacles)
+        for layer, code, tiles in layers:
             for column, row in tiles:
                 layer[row % self.rows, column % self.columns] = code
         for column, row in self.clear:
@@ -89,8 +91,8 @@ def maps(draw: st.DrawFn) -> Map:
     kinds = st.tuples(st.sampled_from(sorted(KINDS)), place)
     monsters = draw(st.lists(kinds, min_size=6 if crowded else 1, max_size=CROWD if crowded else 6))
     return Map(
-        columns, rows, tile, shore, tuple(draw(tiles)[:4]), tuple(draw(tiles)), tuple(starts),
-        tuple((kind, *at) for kind, at in monsters),
+        columns, rows, tile, shore, tuple(draw(tiles)[:4]), tuple(draw(tiles)), tuple(draw(tiles)),
+        tuple(starts), tuple((kind, *at) for kind, at in monsters),
     )  # fmt: skip
 
 

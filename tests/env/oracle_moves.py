@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pneuma.env.rules import COAST
+from pneuma.env.rules import COAST, SLOW
 
 Pair = tuple[float, float]
 """Something along x and along y."""
@@ -49,7 +49,14 @@ class Ground:
 
     def is_sea(self, x: float, y: float) -> bool:
         """Tell whether a point lies beyond the coast."""
-        return self.tiles[int((y - self.top) / self.tile)][int((x - self.left) / self.tile)] == COAST
+        return self._at(x, y) == COAST
+
+    def pace(self, body: Box, factor: float) -> float:
+        """Return what a body's speed is multiplied by where its centre is."""
+        return factor if self._at(*body.centre) == SLOW else 1.0
+
+    def _at(self, x: float, y: float) -> int:
+        return self.tiles[int((y - self.top) / self.tile)][int((x - self.left) / self.tile)]
 
     def stop(self, body: Box, axis: int, step: float, stops: int) -> float:
         """Return how far along an axis a body's centre may get: flush to a closed tile, or anywhere.

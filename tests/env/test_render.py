@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
+from pneuma.config import make_env_config
 from pneuma.env import rules, watch
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
@@ -43,6 +44,13 @@ def test_player_is_drawn_where_the_state_says(arena: str) -> None:
     new = (abs(x - MIDDLE - 50) <= BODY) & (abs(y - MIDDLE + 30) <= BODY)
     assert (old | new).all()
     assert old.sum() > 100 and new.sum() > 100  # a body is about 12 x 12 art pixels
+
+
+def test_slow_ground_is_hatched_and_nothing_else_changes() -> None:
+    firm, slow = Worlds(1), Worlds(1, make_env_config({"slow": [3]}))
+    different = (Renderer(firm).background != Renderer(slow).background).any(axis=2)
+    tiles = different.reshape(50, 16, 57, 16).any(axis=(1, 3))
+    np.testing.assert_array_equal(tiles, (slow.level.ground == 3) & (firm.level.terrain == rules.OPEN))
 
 
 def test_ground_is_blue_exactly_where_the_coast_is() -> None:

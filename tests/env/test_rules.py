@@ -5,6 +5,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from pneuma.env.worlds import Worlds
@@ -19,6 +22,7 @@ from .arena import (
     STAND,
     UP,
     Place,
+    layer,
     monster_at,
     monster_hp,
     move_monster,
@@ -26,6 +30,7 @@ from .arena import (
     player_at,
     player_hp,
     stage,
+    write_level,
 )
 
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
@@ -98,6 +103,37 @@ def test_a_dash_stops_at_a_wall_and_at_a_monster_and_nobody_turns_in_it(arena: s
     play(worlds, DASH, UP, ATTACK, LEFT, UP, UP, UP, UP)
     assert player_at(worlds) == (66.0, -200.0)
     assert worlds.players["facing"][0, 0] == RIGHT
+
+
+# --- Slow ground ----------------------------------------------------------------------------------
+# Half of 5 px a tick where the body's centre, 1.5 px left of the player's place, is on a slow tile.
+
+
+def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) -> None:
+    level = write_level(tmp_path, [(0.0, 0.0)], [(540.0, 540.0)])
+    ground = np.pad(np.full((18, 18), 2), 1)
+    ground[:, 12] = 3  # 128 <= x < 192
+    (tmp_path / "ground.csv").write_text(layer(ground))
+    worlds = stage(level, players=((100.0, -200.0),), settings={"slow": [3]})
+    for x in (
+        135,  # 6 ticks of 5 to 130, where the centre is at 128.5, and 2 of 2.5
+        155,  # 8 of 2.5
+        175,
+        195,  # the last one from 192.5, where the centre is at 191
+        235,
+    ):
+        play(worlds, RIGHT)
+        assert player_at(worlds) == (x, -200.0)
+
+
+def test_dashes_and_flights_are_slow_too(arena: str) -> None:
+    slow = {"slow": [2], "slow_factor": 0.25, "dash": True}
+    worlds = stage(arena, players=((0.0, -200.0),), settings=slow)
+    play(worlds, DASH)
+    assert player_at(worlds) == (30.0, -200.0)
+    worlds = stage(arena, (84.0, -26.0), ticks=1, settings=slow)  # as on firm ground, but for 15 of 60 px
+    play(worlds, *[ATTACK] * 30)
+    assert monster_at(worlds) == pytest.approx((93.0, -38.0))
 
 
 # --- Magic ---------------------------------------------------------------------------------------
