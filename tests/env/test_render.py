@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from pneuma.config import make_env_config
 from pneuma.env import rules, watch
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
+from pneuma.env_fields import make_env_config
 
 from .arena import ATTACK, DOWN, LEFT, RIGHT, begin, play, stage
 
