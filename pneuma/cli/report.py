@@ -15,17 +15,16 @@ from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import summary_table
 from pneuma.cli.options import selecting_words
-from pneuma.cli.output import command
 from pneuma.cli.study_records import known_studies, run_states, study_record
 from pneuma.config import BASES, as_fields, make_run
-from pneuma.errors import UserError, counted
+from pneuma.errors import UserError, counted, plain
 from pneuma.figures.report import Part, numbers_table, study_pictures
 from pneuma.figures.verdicts import Verdicts, judged_claims
 from pneuma.study import execute, plan, spec
-from pneuma.study.store import FINISHED, Store
+from pneuma.study.store import Store
 from pneuma.study.stored_runs import default_settings
 from pneuma.values import shown_settings, shown_value
-from pneuma.worlds import WORLDS, in_world, split_world, world_option
+from pneuma.worlds import WORLDS, in_world, split_world
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """What is told of a run's provenance: without times, in which equal runs differ."""
@@ -42,9 +41,9 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     for name in names:
         if _own_name(name) not in here | shipped:
             study_record(store, name)  # says that there is none
-    own_alone = here and not here & shipped
-    asked = {_own_name(name) for name in names} or (here if own_alone else here | shipped)
-    studies = sorted(asked, key=_place)
+    asked = {_own_name(name) for name in names} or (here | shipped if here & shipped or not here else here)
+    sections = {study: spec.read_head(study)["section"] for study in asked & shipped}
+    studies = sorted(asked, key=lambda study: (not sections.get(study), sections.get(study, ""), study))
     claims: Verdicts = {}
     note = unjudged = ""
     try:
@@ -53,24 +52,17 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
         unjudged = _without_folder(store, error)
         tell(f"Note: {error}; no claim is judged.")
-    sections = []
+    shown = []
     for place, study in enumerate(studies, 1):
         tell(f"{place}/{len(studies)} {study}")
-        sections.append(_section(store, study))
-    title = "" if asked & shipped else "; ".join(section["title"] for section in sections)
-    return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged, "title": title}
+        shown.append(_section(store, study))
+    title = "" if asked & shipped else "; ".join(own["title"] for own in shown)
+    return {"claims": claims, "studies": shown, "note": note, "unjudged": unjudged, "title": title}
 
 
 def _own_name(name: str) -> str:
     """Return a study's own name, without its file's ending and its world's."""
     return split_world(Path(name).stem if name.endswith(".toml") else name)[0]
-
-
-def _place(study: str) -> tuple[bool, str, str]:
-    """Return what sorts studies: by section of the thesis, those without one last."""
-    own = study.partition(spec.VARIANT)[0]
-    section = spec.read_head(own)["section"] if own in spec.list_studies() else ""
-    return (not section, section, study)
 
 
 def _section(store: Store, study: str) -> dict[str, Any]:
@@ -90,17 +82,17 @@ def _section(store: Store, study: str) -> dict[str, Any]:
 
 def _part(store: Store, study: str, world: str) -> Part:
     name, shipped = in_world(study, world), study in spec.list_studies()
-    part = Part(name, f"In {WORLDS[world].title}")
+    part, train = Part(name, f"In {WORLDS[world].title}"), spec.run_command(name)
     if name not in known_studies(store):
         record = execute.selection_record(plan.make_plan(spec.load_study(study, world), plan.Selection()))
-        part.notes, part.mend = ["No runs yet."], _command(study, world)
+        part.notes, part.mend = ["No runs yet."], train
         part.conditions = _conditions(study, name, record)
         return part
     try:
         record = study_record(store, name)
         states = run_states(store, record)
     except UserError as error:
-        part.notes, part.mend = [_without_folder(store, error)], _command(study, world) if shipped else ""
+        part.notes, part.mend = [_without_folder(store, error)], train if shipped else ""
         return part
     if not record["runs"]:
         part.notes = ["No runs yet."]
@@ -113,18 +105,23 @@ def _part(store: Store, study: str, world: str) -> Part:
     ]
     if changed := (record.get("selection") or {}).get("settings"):
         part.notes.append(f"Changed by --set: {shown_settings(changed)}.")
-    part.extent, part.conditions = _extent(record), _conditions(study, name, record)
+    conditions = counted(len({run["condition"] for run in record["runs"]}), "condition")
+    runs, steps = counted(len(states), "run"), max(run["run"]["steps"] for run in record["runs"])
+    part.extent = f"{conditions}, {runs} of up to {steps:,} agent steps"
+    part.conditions = _conditions(study, name, record)
     part.runs = [
         (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status.name,
          str(own.run["run"].get("engine") or "unknown"))
         for own in states
     ]  # fmt: skip
-    statuses = [own.status.name for own in states]
-    missing, diverged = sum(status not in FINISHED for status in statuses), statuses.count("diverged")
+    statuses = [own.status for own in states]
+    missing, diverged = (
+        sum(not own.finished for own in statuses), sum(own.name == "diverged" for own in statuses)
+    )  # fmt: skip
     if missing:
         lacking = "are not here, not finished or damaged, and left out below"
         part.notes.append(f"{missing} of {len(states)} runs {lacking}.")
-        part.mend = _same_again(study, world, record) if shipped or record.get("path") else ""
+        part.mend = _same_again(name, record) if shipped or record.get("path") else ""
     if diverged:
         part.notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
     if missing < len(states):
@@ -146,33 +143,20 @@ def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
         part.notes.append(_without_folder(store, error))
 
 
-def _extent(record: Mapping[str, Any]) -> str:
-    """Say how much a record is, as '3 conditions, 30 runs of up to 50,176 agent steps'."""
-    conditions = len({run["condition"] for run in record["runs"]})
-    steps = max(run["run"]["steps"] for run in record["runs"])
-    runs = counted(len(record["runs"]), "run")
-    return f"{counted(conditions, 'condition')}, {runs} of up to {steps:,} agent steps"
-
-
 def _without_folder(store: Store, error: Exception) -> str:
     """Return an error's words without this machine's folder: the page is for others to read."""
     root = str(store.root)
     return str(error) if root == "." else str(error).replace(root, "results")
 
 
-def _command(study: str, world: str) -> str:
-    """Return the command that makes a study's runs."""
-    name = study if study in spec.list_studies() else f"{study}.toml"
-    return command("study", "run", name, *world_option(world))
-
-
-def _same_again(study: str, world: str, record: Mapping[str, Any]) -> str:
+def _same_again(name: str, record: Mapping[str, Any]) -> str:
     """Return the command that trains what a record's runs lack; '' where none is known."""
+    path = record.get("path")
     try:
-        options = shlex.join(selecting_words(execute.recorded_selection(record)))
+        words = selecting_words(execute.recorded_selection(record))
     except (KeyError, TypeError, ValueError, AttributeError):  # it may be untrusted
         return ""
-    return f"{_command(study, world)} {options}".strip()
+    return plain(f"{spec.run_command(name, Path(path).name if path else None)} {shlex.join(words)}".strip())
 
 
 # --- Settings and provenance -----------------------------------------------------------------------
@@ -192,14 +176,11 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, A
     unlike = [key for key in keys if len(set(told[key][1:])) > 1]
     rows = [[label, *(told[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
     caption, columns = f"What the conditions of {name} differ in", ("Condition", *unlike)
-    alike = {key: told[key][1::-1] for key in keys if key not in unlike}  # here, and in the base
+    alike = {key: told[key][:2] for key in keys if key not in unlike}  # in the base, and here
     return {
         "base": base,
         "differing": (caption, columns, rows, len(columns)) if unlike else None,
-        "alike": {
-            key: value if value == usual else f"{value} ({base}: {usual})"
-            for key, (value, usual) in alike.items()
-        },
+        "alike": {key: own + f" ({base}: {of})" * (own != of) for key, (of, own) in alike.items()},
     }
 
 
