@@ -27,12 +27,7 @@ ABOUT = {
 CAMERAS = ("map", "follow")
 
 EnvName = Annotated[
-    str,
-    typer.Argument(
-        metavar="ID",
-        help="An environment's id, as in `pneuma env list`.",
-        autocompletion=complete.environments,
-    ),
+    str, opt.argument("ID", "An environment's id, as in `pneuma env list`.", complete.environments)
 ]
 Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
 
@@ -60,10 +55,7 @@ def list_(json: opt.Json = False) -> None:
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[ID]", help="The environment; left out: all.", autocompletion=complete.environments
-        ),
+        str | None, opt.argument("[ID]", "The environment; left out: all.", complete.environments)
     ] = None,
     all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID and --set.")] = False,
     set_: opt.Settings = None,

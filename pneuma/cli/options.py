@@ -36,6 +36,11 @@ def option(
     return typer.Option(name, metavar=metavar, help=told, parser=read, autocompletion=offer)
 
 
+def argument(metavar: str, told: str, offer: complete.Complete | None = None) -> Any:
+    """Return an argument; `offer` completes it in a shell."""
+    return typer.Argument(metavar=metavar, help=told, autocompletion=offer, show_default=False)
+
+
 def flag(name: str, told: str) -> Any:
     """Return an option that is there or not."""
     return typer.Option(name, help=told)
@@ -128,20 +133,10 @@ Several = list[str] | None
 """An option that may be repeated."""
 
 StudyName = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME",
-        help="A study's name, or the path of a study file (….toml).",
-        autocompletion=complete.studies,
-    ),
+    str, argument("NAME", "A study's name, or the path of a study file (….toml).", complete.studies)
 ]
 RunName = Annotated[
-    str,
-    typer.Argument(
-        metavar="RUN_ID",
-        help="A stored run's id, or its first digits (4 at least).",
-        autocompletion=complete.runs,
-    ),
+    str, argument("RUN_ID", "A stored run's id, or its first digits (4 at least).", complete.runs)
 ]
 Results = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")

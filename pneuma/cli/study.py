@@ -21,9 +21,9 @@ from pneuma.cli.study_records import (
     study_record,
     tell_shown,
 )
-from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
+from pneuma.study.execute import selection_record
 from pneuma.study.store import Store
 from pneuma.values import shown_settings, shown_value
 
@@ -50,7 +50,7 @@ def list_(json: opt.Json = False) -> None:
 
 @app.command(short_help="Write a study file to edit.")
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The new study's name.", show_default=False)],
+    name: Annotated[str, opt.argument("NAME", "The new study's name.")],
     source: Annotated[
         str, opt.option("--from", "STUDY", "The shipped study to copy, without its words on the thesis.")
     ] = "activation",
@@ -82,37 +82,40 @@ def show(
     json: opt.Json = False,
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    name = shipped_name(name)
-    if not is_shipped(name) and name in known_studies(Store(results)):
-        return _show_record(study_record(Store(results), name, world=world), json)
-    study = spec.load_study(name, world)
-    differing = plan.differing_fields(plan.make_plan(study, plan.Selection(next(iter(study.presets)))))
+    name, store = shipped_name(name), Store(results)
+    study = None
+    if not is_shipped(name) and name in known_studies(store):  # a fork, imported logs, or a published one
+        record = study_record(store, name, world=world)
+    else:
+        study = spec.load_study(name, world)
+        record = selection_record(plan.make_plan(study, plan.Selection(next(iter(study.presets)))))
+    fields = {run["condition"]: run["run"] for run in record["runs"]}
     if json:
-        about = {key: getattr(study, key) for key in ("title", "section", "about", "world", "baseline")}
-        lists = {
-            "worlds": study.worlds,
-            "conditions": {name: study.fields(name) for name in study.conditions},
-            "presets": {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()},
-        }
-        return print_json({"study": study.name, **about, **lists})
-    say(study.title + (f" (thesis section {study.section})" if study.section else ""))
-    for line in study.about.splitlines():
-        say(line)
+        about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
+        presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
+        told = {key: record[key] for key in ("study", "title", "baseline")}
+        return print_json({**told, **about, "conditions": fields, "presets": presets})
+    say(record["title"] + (f" (thesis section {study.section})" if study and study.section else ""))
+    if study:
+        say(study.about)
+    differing = plan.differing_fields(fields)
     print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
         having: dict[str, list[str]] = {}
         for condition, value in values.items():
             having.setdefault(shown_value(value), []).append(condition)
-        told = (f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
-        say(f"  {key}: {'; '.join(told)}")
-    say(f"Compared with: {study.baseline}")
-    print(f"Runs in: {', '.join(study.worlds)} (here {study.world})\n\nAll conditions share:")
-    for key, value in as_fields(make_run(study.fields(study.baseline))).items():
+        each = (f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
+        say(f"  {key}: {'; '.join(each)}")
+    say(f"Compared with: {record['baseline']}")
+    print("\nAll conditions share:")
+    for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
             say(f"  {key} = {shown_value(value)}")
+    if study is None:
+        return say(f"Seeds: {', '.join(dict.fromkeys(str(run['seed']) for run in record['runs']))}")
     from pneuma.study.claimed import fixed_amounts
 
-    print("\nPresets:")
+    print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
     amounts = [(name, {"": own, **own.conditions}) for name, own in study.presets.items()]
     amounts += [(spec.CLAIMS, dict(own)) for own in fixed_amounts(study).values()]
     rows = [
@@ -123,20 +126,6 @@ def show(
     return print_table([""] * 3, rows)
 
 
-def _show_record(record: dict[str, Any], json: bool) -> None:
-    """Show a study that has no file here: a fork, imported logs, or a published one."""
-    conditions, seeds = (
-        list(dict.fromkeys(run[key] for run in record["runs"])) for key in ("condition", "seed")
-    )
-    if json:
-        about = {key: record[key] for key in ("study", "title", "baseline")}
-        return print_json({**about, "conditions": conditions, "seeds": seeds})
-    say(record["title"])
-    say(f"Conditions: {', '.join(conditions)}; compared with: {record['baseline']}")
-    print(f"Seeds: {', '.join(map(str, seeds))}")
-    return None
-
-
 # --- status ----------------------------------------------------------------------------------------
 
 
@@ -145,10 +134,7 @@ def _show_record(record: dict[str, Any], json: bool) -> None:
 def status(
     picked: opt.Chosen,
     name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[NAME]", help="A study; left out: all that were run.", autocompletion=complete.studies
-        ),
+        str | None, opt.argument("[NAME]", "A study; left out: all that were run.", complete.studies)
     ] = None,
     json: opt.Json = False,
 ) -> None:

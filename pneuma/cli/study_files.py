@@ -9,8 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pneuma.analysis import (
     ACTION_QUANTITIES,
     BAND_NAMES,
@@ -52,10 +50,7 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 def plot(
     picked: opt.Chosen,
     names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME]…", help="Studies; left out: all that were run.", autocompletion=complete.studies
-        ),
+        list[str] | None, opt.argument("[NAME]…", "Studies; left out: all that were run.", complete.studies)
     ] = None,
     figure: Annotated[
         str, opt.choice("--figure", FIGURE_KINDS, "Curves over steps, or what the runs came to.")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -121,20 +119,11 @@ def _lack(data: StudyData, condition: str, outcome: str) -> str:
 def compare(
     name: opt.StudyName,
     a: Annotated[
-        str,
-        typer.Argument(
-            metavar="A",
-            help="A condition; or, alone, another study or a variant.",
-            show_default=False,
-            autocompletion=complete.conditions,
-        ),
+        str, opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions)
     ],
     picked: opt.Chosen,
     b: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[B]", help="The condition that A is held against.", autocompletion=complete.conditions
-        ),
+        str | None, opt.argument("[B]", "The condition that A is held against.", complete.conditions)
     ] = None,
     outcome: opt.Outcomes = None,
     plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_table
 from pneuma.cli.study_records import nothing_yet
@@ -25,9 +23,7 @@ _HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds
 
 
 def verify(
-    claims: Annotated[
-        list[str] | None, typer.Argument(metavar="[CLAIM]…", help="Claims; left out: all.")
-    ] = None,
+    claims: Annotated[list[str] | None, opt.argument("[CLAIM]…", "Claims; left out: all.")] = None,
     world: opt.WorldName = None,
     file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
     design: Annotated[

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import re
-import tempfile
+import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,35 +40,20 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     All are on the disk before the first is in its place.
     """
-    written: dict[str, str] = {}
+    written = {name: folder / f".{name}.{uuid.uuid4().hex}" for name in files}
     try:
-        for name, data in files.items():
-            descriptor, written[name] = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-        for temporary in written.values():
-            with open(temporary, "rb") as file:
+        for name, path in written.items():
+            with open(path, "xb") as file:
+                file.write(files[name])
+        for path in written.values():
+            with open(path, "rb") as file:
                 os.fsync(file.fileno())
-        for name, temporary in written.items():
-            os.chmod(temporary, _mode(folder / name))
-            os.replace(temporary, folder / name)
+        for name, path in written.items():
+            os.replace(path, folder / name)
     except BaseException:
-        for temporary in written.values():
-            Path(temporary).unlink(missing_ok=True)
+        for path in written.values():
+            path.unlink(missing_ok=True)
         raise
-
-
-def _mode(path: Path) -> int:
-    """Return who may read and write a file that is put in a place: as before, or as a new file there."""
-    try:
-        return path.lstat().st_mode & 0o777 if not path.is_symlink() else 0o666 & ~_UMASK
-    except FileNotFoundError:
-        return 0o666 & ~_UMASK
-
-
-_UMASK = os.umask(0o077)
-"""What new files are kept from; it can only be read by setting it, so at the start alone."""
-os.umask(_UMASK)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

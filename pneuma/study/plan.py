@@ -12,7 +12,7 @@ from importlib import import_module
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
+from pneuma.config import FORK_FIELDS, Run, beyond_engine, make_run
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
@@ -155,14 +155,13 @@ def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dic
     return replace(study, conditions=crossed, baseline=baseline), origins
 
 
-def differing_fields(plan: Plan) -> dict[str, dict[str, Any]]:
-    """Return, for every field in which the conditions differ, its value by condition."""
-    resolved = {cell.condition: as_fields(cell.run) for cell in plan.cells}
-    some = next(iter(resolved.values()))
+def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return, for every field in which the fields of conditions differ, its value by condition."""
+    some: Mapping[str, Any] = next(iter(conditions.values()), {})
     return {
-        key: {name: own[key] for name, own in resolved.items()}
+        key: {name: own.get(key) for name, own in conditions.items()}
         for key in some
-        if key != "seed" and any(own[key] != some[key] for own in resolved.values())
+        if key != "seed" and any(own.get(key) != some[key] for own in conditions.values())
     }
 
 

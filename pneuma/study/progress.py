@@ -1,4 +1,4 @@
-"""Progress of a study: a bar per condition on a terminal, plain lines elsewhere, and the time left."""
+"""Progress of a study: a bar on a terminal, plain lines elsewhere, and the time left."""
 
 from __future__ import annotations
 
@@ -44,10 +44,11 @@ class ProgressDisplay:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._bars = Progress(
+        self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
+        self._ended: set[str] = set()
+        self._bar = Progress(
             TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=20),
-            TextColumn("{task.fields[runs]}"),
+            BarColumn(),
             MofNCompleteColumn(),
             TextColumn("steps"),
             TimeRemainingColumn(),
@@ -55,18 +56,8 @@ class ProgressDisplay:
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
         )
-        self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
-        self._ended: set[str] = set()
-        self._runs_of: dict[str, list[str]] = {}
-        for cell in plan.cells:
-            if cell.run_id in to_train:
-                self._runs_of.setdefault(cell.condition, []).append(cell.run_id)
-        self._tasks = {}
-        for name, runs in {**self._runs_of, "all": [*to_train]}.items():
-            total, done = sum(to_train[own].steps for own in runs), sum(self._steps[own] for own in runs)
-            self._tasks[name] = self._bars.add_task(
-                plain(name), total=total, completed=done, runs=self._count(runs)
-            )
+        steps = sum(run.steps for run in to_train.values())
+        self._task = self._bar.add_task(self._runs(), total=steps, completed=sum(self._steps.values()))
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
@@ -74,42 +65,36 @@ class ProgressDisplay:
     def __enter__(self) -> ProgressDisplay:
         """Start showing."""
         if self._live:
-            self._bars.start()
+            self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Leave the last state on the screen."""
         if self._live:
             with suppress(OSError):  # the terminal was closed
-                self._bars.stop()
+                self._bar.stop()
 
     def update(self, cell: Cell, event: Event) -> None:
         """Take one event of `execute`."""
-        name, condition, status = cell.run_id, cell.condition, event.get("status", "")
+        name, told, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
         if event["event"] in ("note", "passing"):
             if self._show or event["event"] == "note":
-                _print(f"{condition} seed {cell.seed}: {event['text']}")
+                _print(f"{told}: {event['text']}")
             return
         if status and status != "stopped":
             self._ended.add(name)
         self._steps[name] = cell.run.steps if status in FINISHED else max(self._steps[name], event["step"])
-        for bar, runs in ((condition, self._runs_of[condition]), ("all", [*self._steps])):
-            done = sum(self._steps[own] for own in runs)
-            self._bars.update(self._tasks[bar], completed=done, runs=self._count(runs))
-        if self._show and not self._live:
-            self._print_line(f"{condition} seed {cell.seed}: {status}; " if status else "")
-
-    def _count(self, runs: list[str]) -> str:
-        return f"{sum(name in self._ended for name in runs)}/{len(runs)} runs"
-
-    def _print_line(self, what: str) -> None:
+        self._bar.update(self._task, completed=sum(self._steps.values()), description=self._runs())
         now = time.monotonic()
-        if not what and now < self._next_line:
-            return
-        self._next_line = now + LINE_SECONDS
-        whole = self._bars.tasks[self._tasks["all"]]
-        left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
-        _print(f"{what}{whole.fields['runs']} ended, {whole.percentage:.0f}% of all steps{left}")
+        if self._show and not self._live and (status or now >= self._next_line):
+            self._next_line = now + LINE_SECONDS
+            whole = self._bar.tasks[0]
+            left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
+            what = f"{told}: {status}; " if status else ""
+            _print(f"{what}{self._runs()} ended, {whole.percentage:.0f}% of all steps{left}")
+
+    def _runs(self) -> str:
+        return f"{len(self._ended)}/{len(self._steps)} runs"
 
 
 def _print(line: str) -> None:

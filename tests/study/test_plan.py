@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.config import as_fields
 from pneuma.errors import UserError
 from pneuma.study.claimed import claims_preset
 from pneuma.study.plan import Selection, differing_fields, make_plan
@@ -59,7 +60,8 @@ def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
 
 
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
-    differing = differing_fields(make_plan(study, Selection(conditions=("adam", "sgd"))))
+    plan = make_plan(study, Selection(conditions=("adam", "sgd")))
+    differing = differing_fields({cell.condition: as_fields(cell.run) for cell in plan.cells})
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0
     assert differing == {
         "optimizer": {"adam": "adam", "sgd": "sgd"},
