@@ -19,7 +19,6 @@ from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 TRAIN_WITH = "train with:"
 """How the part of a reason begins that names the command."""
@@ -125,9 +124,9 @@ class ClaimRuns:
         return Arm(values, tuple(run.run_id for run in runs), next(iter(reasons), ""), learned)
 
 
-def find_runs(store: Store, claims: ClaimList) -> Iterator[ClaimRuns]:
+def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
     """Yield the runs of every claim of a list in every world that it is about, in the list's order."""
-    index, read_study = RunIndex(store, shipped=False), cache(load_study)
+    store, read_study = index.store, cache(load_study)
 
     @cache
     def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:

@@ -27,6 +27,7 @@ from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_effects, undecided
 from pneuma.analysis.design import not_admitted
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.run_index import RunIndex
 from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
@@ -110,12 +111,13 @@ class Verdict:
         return WITH_CONTENT
 
 
-def judge(claims: ClaimList, store: Store) -> list[Verdict]:
+def judge(claims: ClaimList, store: Store, stored: bool = True) -> list[Verdict]:
     """Return the verdict on every claim of a list in every world that it is about.
 
     Args:
         claims: all of them: none can be judged without the others.
         store: the results folder, with its published tables.
+        stored: whether runs in the folder count, or published tables alone.
 
     Raises:
         UserError: for a damaged published table.
@@ -123,7 +125,7 @@ def judge(claims: ClaimList, store: Store) -> list[Verdict]:
     refused = not_admitted(claims)
     return [
         _judge_one(runs, claims, refused.get((runs.claim.name, runs.world), ""))
-        for runs in find_runs(store, claims)
+        for runs in find_runs(RunIndex(store, stored, shipped=False), claims)
     ]
 
 

@@ -44,9 +44,10 @@ from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.panels import stem_of
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
-from pneuma.figures.verdicts import published_claims, write_verdicts
+from pneuma.figures.verdicts import judged_claims, write_verdicts
 from pneuma.study.files import write_whole
 from pneuma.study.provenance import available_cores
+from pneuma.study.store import Store
 from pneuma.values import shown_value
 
 RESULTS = Path("results")
@@ -104,7 +105,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     write_whole(folder / CONTENTS, encode_contents(entries))
     for name in known - written:
         (folder / name).unlink()
-    verdicts = write_verdicts(published_claims(results), folder) if studies else []
+    verdicts = write_verdicts(judged_claims(Store(results), stored=False)[0], folder) if studies else []
     return [*(folder / entry["file"] for entry in entries), *verdicts, folder / INDEX, folder / CONTENTS]
 
 

@@ -25,12 +25,12 @@ from pneuma import __version__
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import shown_with_interval
-from pneuma.errors import counted, plain
+from pneuma.errors import counted
 from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import MOST_CURVES, draw_study
 from pneuma.figures.maps import draw_robustness, study_maps
-from pneuma.figures.style import shrink
+from pneuma.figures.style import clean, shrink
 from pneuma.figures.summary import draw_summary
 from pneuma.values import shown_value
 
@@ -121,9 +121,7 @@ def _anchor(kind: str, name: str) -> str:
 
 def _visible(value: Any) -> Any:
     """Write characters that cannot be seen as their codes: two names that look the same must not be two."""
-    if not isinstance(value, str) or isinstance(value, Markup):
-        return value
-    return "\n".join(map(plain, value.split("\n")))
+    return clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 # --- Tables ----------------------------------------------------------------------------------------

@@ -7,19 +7,20 @@ the thesis says; its marker is filled by the verdict. An empty cell says why in 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.claims import MINUS, Claim, load_claims
+from pneuma.analysis.export import encode_frame
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.judgement import (
     BY_LETTER,
@@ -36,7 +37,6 @@ from pneuma.analysis.judgement import (
     judge,
 )
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.published import PUBLISHED
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.study.files import write_whole
 from pneuma.study.store import Store
@@ -61,6 +61,8 @@ STEM = "verdicts"
 MOST = 40.0
 """Margins beyond which an effect or an end of its interval is drawn at the edge, as an arrow."""
 ROW_INCHES = 0.165
+LONGEST_REASON = 28
+"""Letters that a cell has room for."""
 GREY = "#777777"
 LOOKS: dict[str, dict[str, Any]] = {
     SUPPORTED: {"marker": "o", "color": COLOURS[0]},
@@ -72,35 +74,28 @@ LOOKS: dict[str, dict[str, Any]] = {
 HALF = {"fillstyle": "left", "markerfacecoloralt": "white"}
 """Of what is decided by the letter alone."""
 
-_WORDS = {
-    "not admitted": "not admitted",
-    "no runs": "not run",
-    "too few seeds": "few seeds",
-    "A/A": "same arms",
-    "engines": "two engines",
-    "arm at floor": "floor",
-    "arms at floor": "floor",
-    "both arms are at the floor": "floor",
-    "both arms are at the ceiling": "ceiling",
-    "timed": "unlike machines",
-}
-"""Why a cell is empty, by how the reason begins."""
-
 Verdicts = dict[str, dict[str, Verdict]]
 """The verdicts on each claim by its name, and by the place where it is judged."""
 
 
-def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple[Verdicts, str]:
+def judged_claims(
+    store: Store, studies: Collection[str] | None = None, stored: bool = True
+) -> tuple[Verdicts, str]:
     """Return the verdicts on claims that bear on some studies or all, and words on the list they are from.
 
     The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
+
+    Args:
+        store: the results folder.
+        studies: by name.
+        stored: whether its runs count, or published tables alone, by which every clone says the same.
 
     Raises:
         UserError: for a damaged published table.
     """
     known = load_claims()
     verdicts: Verdicts = {}
-    for one in judge(known, store):
+    for one in judge(known, store, stored):
         if studies is None or one.claim.study in studies:
             verdicts.setdefault(one.claim.name, {})[one.place] = one
     note = (
@@ -113,13 +108,6 @@ def judged_claims(store: Store, studies: Collection[str] | None = None) -> tuple
 def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
     """Return the claim that some verdicts are on."""
     return next(iter(verdicts.values())).claim
-
-
-def published_claims(results: Path) -> Verdicts:
-    """Return every claim by its name, judged by the published tables alone: every clone says the same."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / PUBLISHED).symlink_to((results / PUBLISHED).resolve(), target_is_directory=True)
-        return judged_claims(Store(Path(folder)))[0]
 
 
 def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
@@ -188,30 +176,29 @@ def arms(own: Comparison) -> str:
 def _tables(claims: Verdicts) -> str:
     """Return a page: what the verdicts come to place by place, and a row for each claim, place by place."""
     places = places_of(claims)
-    counts = []
-    for place, label in places.items():
-        standings = Counter(own[place].standing for own in claims.values() if place in own)
-        counts.append([label, *(str(standings[word]) for word in STANDINGS)])
+    counts = pd.DataFrame(
+        {
+            "Judged in": title,
+            **dict.fromkeys(STANDINGS, 0),
+            **Counter(own[place].standing for own in claims.values() if place in own),
+        }
+        for place, title in places.items()
+    )
     rows = []
     for own in claims.values():
         claim = claim_of(own)
-        said = f"{tested(claim)}: {compared(claim)}"
-        cells = [_told(own.get(place)) for place in places]
-        rows.append([said, f"{claim.section}: “{claim.quote}”", *cells])
-    tables = [["Judged in", *STANDINGS], *counts], [["Claim", "Thesis", *places.values()], *rows]
-    return "\n\n".join(["# Verdicts", *map(_markdown, tables)]) + "\n"
+        said = {"Claim": f"{tested(claim)}: {compared(claim)}"}
+        said["Thesis"] = f"{claim.section}: “{claim.quote}”"
+        rows.append(said | {title: _told(own.get(place)) for place, title in places.items()})
+    tables = (encode_frame(frame, "markdown").decode() for frame in (counts, pd.DataFrame(rows)))
+    return "\n".join(["# Verdicts\n", *tables])
 
 
 def _told(verdict: Verdict | None) -> str:
     if verdict is None or verdict.standing == NOT_RUN:
         return NOT_RUN if verdict else "–"
     own = None if verdict.verdict == UNTESTABLE else decisive(verdict)
-    return f"**{verdict.verdict}** {effect(own) if own else ''}".strip()
-
-
-def _markdown(rows: Sequence[Sequence[str]]) -> str:
-    ruled = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in ruled)
+    return f"{verdict.verdict} {effect(own) if own else ''}".strip()
 
 
 # --- The picture ----------------------------------------------------------------------------------
@@ -293,6 +280,6 @@ def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | No
 
 
 def empty_word(verdict: Verdict) -> str:
-    """Return why a cell has no effect, in a word or two."""
-    found = (word for start, word in _WORDS.items() if verdict.reason.startswith(start))
-    return next(found, "not run" if verdict.standing == NOT_RUN else "no value")
+    """Return why a cell has no effect, in a few words: how the reason begins."""
+    told = "not run" if verdict.standing == NOT_RUN else verdict.reason.partition(":")[0]
+    return told if len(told) <= LONGEST_REASON else "untestable"
