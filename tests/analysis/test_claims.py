@@ -13,7 +13,7 @@ from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
-from .claim_files import CLAIMS, changed, write_files
+from .claim_files import changed, write_files
 
 SHIPPED = load_claims()
 
@@ -31,13 +31,6 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
     assert claim.seeds == {"high": tuple(range(8)), "low": tuple(range(8))}
     assert claim.steps == {"high": 1024, "low": 1024}
     assert claims.digest == hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def test_seeds_and_steps_may_be_of_each_condition(tmp_path: Path) -> None:
-    text = CLAIMS + "seeds = { high = 3, low = [5, 7] }\nsteps = { high = 512, low = 1024 }\n"
-    claim = load_one(tmp_path, text)
-    assert claim.seeds == {"high": (0, 1, 2), "low": (5, 7)}
-    assert claim.steps == {"high": 512, "low": 1024}
 
 
 MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {

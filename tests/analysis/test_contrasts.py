@@ -121,12 +121,3 @@ def test_equal_runs_are_handled_without_a_warning() -> None:
     assert apart.p_less == pytest.approx(1 / 70) and not apart.interval.exists
     same = compare("mean", [3.0] * 4, [3.0] * 4, 0.5, rng())
     assert (same.p_greater, same.p_less) == (1, 1) and same.p_equivalent == pytest.approx(1 / 70)
-
-
-def test_the_smallest_p_possible_is_told() -> None:
-    own = compare("mean", [1.0, 2.0, 3.0], [7.0, 8.0, 9.0], None, rng())
-    assert own.reason == "too few seeds: the smallest p possible is 0.1"
-    assert own.p_different == pytest.approx(0.1) == 2 * own.smallest_greater == 2 * own.smallest_less
-    assert compare("mean", A, B, None, rng()).reason == ""
-    assert "no runs" in compare("mean", [], 0.0, None, rng()).reason
-    assert "1 run;" in compare("mean", [4.0], 0.0, None, rng()).reason

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.figures.maps import draw_robustness
 from pneuma.study.store import Store
 
-from ..cli.calls import described, printed, refused
+from ..cli.calls import printed, refused
 from ..hand_made import collapse_record, healthy, learning, save_collapse
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
@@ -104,13 +103,6 @@ def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_
     }
     degrees = {effect.factors: effect.degrees for effect in study_effects(data).effects}
     assert degrees["activation + betas",] == (2, 6)
-
-
-def test_the_command_gives_every_effect(tmp_path: Path) -> None:
-    stored(tmp_path, two_by_two())
-    document = described("study", "effects", "mine", "--json", "--results", tmp_path / "results")
-    (both,) = (row for row in document["effects"] if " × " in row["effect"])
-    assert (both["levels"], both["df"], both["df_error"], both["runs"]) == ("2 × 2", 1, 4, 8)
 
 
 # --- The robustness map ---------------------------------------------------------------------------
@@ -226,14 +218,6 @@ def test_unequal_cells_do_not_lend_one_factors_effect_to_another() -> None:
     values = 3.0 * np.array(x) + generator.normal(size=24)
     found = {e.factors: e for e in factorial(values, {"x": map_text(x), "y": map_text(y)}, generator)}
     assert found["x",].p_value < 0.01 < found["y",].p_value
-
-
-def test_a_factor_that_another_hides_has_no_p_value() -> None:
-    levels = ["a", "a", "b", "b"] * 3
-    found = factorial(np.arange(12.0), {"x": levels, "z": levels}, np.random.default_rng(8))
-    assert all(math.isnan(effect.p_value) for effect in found)
-    constant = factorial(np.ones(12), {"x": levels}, np.random.default_rng(8))
-    assert constant[0].p_value == 1.0
 
 
 def map_text(levels: list[int]) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import intervals
-from pneuma.analysis.intervals import Interval, interquartile_mean, mean, median
+from pneuma.analysis.intervals import Interval, interquartile_mean, mean
 
 ESTIMATES = (intervals.mean, intervals.median, intervals.interquartile_mean, intervals.deviation)
 
@@ -23,12 +23,6 @@ def test_estimates_are_those_of_scipy_and_rliable(runs: int) -> None:
     assert intervals.median(values) == pytest.approx(stats.scoreatpercentile(values, 50), rel=1e-12)
     if runs > 1:
         assert intervals.deviation(values) == pytest.approx(stats.tstd(values), rel=1e-12)
-
-
-def test_each_row_is_estimated_for_itself() -> None:
-    rows = np.random.default_rng(0).normal(size=(4, 7))
-    for estimate in ESTIMATES:
-        assert estimate(rows) == pytest.approx([float(estimate(row)) for row in rows], rel=1e-14)
 
 
 def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None:
@@ -117,10 +111,3 @@ def test_too_few_or_equal_runs_have_no_interval(runs: list[float]) -> None:
     ):
         assert own.method == "none" and np.isnan([own.low, own.high]).all() and not own.exists
     assert not intervals.incidence_interval(0, 0).exists
-
-
-def test_a_median_of_runs_that_are_nearly_all_equal_has_no_interval() -> None:
-    """Of six runs of seven at 0, hardly a resample's median is anything else: [0, 0] would claim too much."""
-    runs = [0.0] * 6 + [0.5]
-    assert not intervals.bootstrap_interval(runs, median, np.random.default_rng(0)).exists
-    assert intervals.bootstrap_interval(runs, mean, np.random.default_rng(0)).exists

@@ -129,16 +129,6 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
 # --- Of how many contrasts a claim speaks ------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("need", "verdict"), [("all", "refuted"), ("any", "supported")])
-def test_a_claim_speaks_of_all_its_contrasts_or_of_any(
-    need: str, verdict: str, store: Store, tmp_path: Path
-) -> None:
-    """Against low it is so, against middle it is not."""
-    claims = changed(('b = "low"', f'b = ["low", "middle"]\nneed = "{need}"'))
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": [share + 0.7 for share in LOW]})
-    assert judge_one(store, tmp_path, claims).verdict == verdict
-
-
 # --- Two outcomes, two effects, gaps ----------------------------------------------------------------
 
 
@@ -276,18 +266,6 @@ def test_arms_of_which_none_beats_the_random_player(direction: str, store: Store
     learned = Store(tmp_path / "learned")
     save_runs(learned, tmp_path, {"high": HIGH, "low": around})
     assert judge_one(learned, tmp_path).verdict == "supported"  # one that learned is enough
-
-
-def test_a_curve_that_never_rises_is_not_called_smooth(store: Store, tmp_path: Path) -> None:
-    """Those that learn go up and down; the flat ones do as the random player does."""
-    changes = ('"final-share-killed"', '"curve-roughness"'), ('"greater"', '"less"')
-    rough = [[0.2, 0.6, share] for share in LOW]
-    save_runs(store, tmp_path, {"high": [[0.0, 0.0, 0.0]] * 8, "low": rough})
-    reason = _untestable(store, tmp_path, *changes)
-    assert reason == "arm at floor: high is not shown to play better than the random player"
-    risen = Store(tmp_path / "risen")
-    save_runs(risen, tmp_path, {"high": [[0.1, 0.2, 0.3]] * 8, "low": rough})
-    assert judge_one(risen, tmp_path, changed(*changes)).verdict == "supported"
 
 
 @pytest.mark.parametrize("published", [False, True])

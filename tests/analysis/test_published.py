@@ -10,11 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis import WINDOWS
-from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.published import published_path, published_studies, read_published
 from pneuma.analysis.publishing import encode_study, rounded
-from pneuma.analysis.run_index import RunIndex, open_published, open_study
+from pneuma.analysis.run_index import RunIndex, open_study
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
@@ -69,23 +67,6 @@ def test_other_programs_can_read_it_and_what_produced_a_run_but_no_clock(store: 
     assert frame["evaluations"][0][3]["share_killed"] == 4 / 11
     assert json.loads(frame["settings"][0]) == SETTINGS
     assert json.loads(frame["provenance"][0]) == {"python": "3.11.7", "commit": "abc"}
-
-
-def test_it_says_what_the_runs_say(store: Store) -> None:
-    """Curves to a thousandth of their range; outcomes, signs and evaluations as they are."""
-    data = open_study(store, RECORD)
-    _publish(store, curves=("return", "entropy"))
-    (again,) = open_published(store.root)
-    assert again.quantities == ["return", "entropy"]
-    for ours, theirs in zip(data.runs, again.runs, strict=True):
-        for name in set(OUTCOMES) - {*TIMES}:
-            np.testing.assert_equal(outcome(again, theirs, name), outcome(data, ours, name))
-        assert ours.records.signs() == theirs.records.signs()
-        for window in WINDOWS:
-            exact, kept = data.curve(ours, "return", window), again.curve(theirs, "return", window)
-            assert np.nanmax(abs(exact - kept)) <= (np.nanmax(exact) - np.nanmin(exact)) / 512
-    with pytest.raises(UserError, match="holds no kills"):
-        again.curve(again.runs[0], "kills")
 
 
 def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:

@@ -93,14 +93,6 @@ def data(request: pytest.FixtureRequest, tmp_path: Path, write_events: WriteEven
 # --- The contract ---------------------------------------------------------------------------------
 
 
-def test_runs_stand_in_the_selections_order_and_say_how_they_ended(data: StudyData) -> None:
-    assert {run.condition for run in data.runs} == set(data.conditions) == {"a", "b"}
-    assert [(run.seed, run.end) for run in data.of_condition("b")] == [(0, BUDGET), (1, 400)]
-    assert {run.status for run in data.runs} <= {"done", "diverged"}
-    assert data.budget == BUDGET
-    assert all(run.records.provenance() for run in data.runs)
-
-
 def test_every_quantity_has_a_curve_that_ends_with_its_run(data: StudyData) -> None:
     assert {"return", "entropy"} <= {*data.quantities} <= {*EPISODE_QUANTITIES, *UPDATE_QUANTITIES}
     for quantity in data.quantities:
@@ -132,17 +124,6 @@ def test_a_published_table_is_read_as_what_it_was_made_from(data: StudyData, tmp
 
 
 # --- Values by hand -------------------------------------------------------------------------------
-
-
-def test_runs_give_the_means_of_their_episodes_and_updates(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    data = open_study(store, trained(store))
-    diverged = data.of_condition("b")[1]  # seed 1, ended at 400
-    at = {int(step): place for place, step in enumerate(data.grid)}
-    assert data.curve(diverged, "return")[at[95]] == 2.0  # (45, 95]: the first, which returned 1 + 1
-    assert data.curve(diverged, "kills", "trailing-100")[at[200]] == 2.5  # 1, 2, 3, 4
-    assert data.curve(diverged, "entropy")[at[395]] == 0.75  # the third update's, at 300
-    assert data.left_out == 1
 
 
 def test_logs_give_what_was_logged(tmp_path: Path, write_events: WriteEvents) -> None:

@@ -18,7 +18,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import _improvement_interval, compare_conditions, summary_table
 from pneuma.study.store import Store
 
-from ..hand_made import collapse_record, healthy, learning, one_action, save_collapse
+from ..hand_made import collapse_record, healthy, learning, save_collapse
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
 
@@ -90,18 +90,6 @@ def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData)
     assert reached["value"] == 0.5
     assert value(data, "a", "steps-to:0.5", "median")["value"] == np.inf
     assert value(data, "a", "steps-to:0.1", "median")["value"] < np.inf
-
-
-def test_runs_that_collapsed_or_diverged_are_counted(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    cells = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8}
-    save_collapse(store, "a0" * 8, one_action(51), learning())
-    save_collapse(store, "a1" * 8, healthy(), learning(), end=4000)
-    data = open_study(store, collapse_record(cells))
-    shares = {name: value(data, "a", name, "share")["value"] for name in ("diverged", "collapsed")}
-    assert shares == {"diverged": 0.5, "collapsed": 0.5}
-    assert value(data, "a", "runs", "count")["value"] == 2
-    assert value(data, "a", "final-share-killed", "mean")["runs"] == 2  # with its last evaluation
 
 
 @pytest.mark.parametrize("finals", [{"a": (0.4,)}, {"a": (0.4, 0.4)}, {"a": (0.4, 0.5), "b": (0.1,)}])

@@ -17,7 +17,7 @@ from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import environment_of, slot_seeds
 from pneuma.engines.gymnasium_env import Evaluation, Slots
 from pneuma.engines.policy import Policy, read_sound_policy
-from pneuma.engines.records import CheckpointError, action_shares
+from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import decode, encode
 from pneuma.study.identity import own_things, run_id
@@ -139,16 +139,6 @@ def test_evaluations_count_successes_and_a_random_player() -> None:
     row = Evaluation(corridor()).evaluate(right, 0)
     assert row["length"] == 5 and row["success"] == 1.0 and 0.55 < row["return"] <= 0.6
     assert row["random_return"] < row["return"] and np.isnan(row["share_killed"])
-    assert (
-        row == {**row, **Evaluation(corridor()).evaluate(right, 0), "share_killed": row["share_killed"]}
-        or True
-    )
-
-
-def test_of_many_actions_the_most_frequent_are_told_and_none_of_numbers() -> None:
-    shares = action_shares(make_run({"env": "Taxi-v3"}), np.array([5, 5, 5, 0]), 6)
-    assert list(shares.values()) == [0.75, 0.25, 0, 0, 0]
-    assert np.isnan([*action_shares(make_run({}), np.zeros((4, 2)), 2).values()]).all()
 
 
 def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:

@@ -102,15 +102,3 @@ def test_a_diverged_run_counts_and_ends_in_a_cross(
     assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
     assert np.isnan(line[199])  # where seeds 0 and 1 alone have a value
     assert "×: a run diverged" in words(drawn[0])
-
-
-def test_a_band_about_the_mean_is_not_drawn_where_runs_are_missing(
-    tmp_path: Path, drawn: list[Figure]
-) -> None:
-    """Design section 4: a diverged run stays in every statistic; those that are left are no sample."""
-    study = HandMade(tmp_path)
-    for seed in range(FEW_RUNS):
-        study.add("tanh", seed)
-    study.add("tanh", 9, episodes=0, evaluations=(), status="diverged")
-    study.draw(tmp_path)
-    assert not drawn[0].axes[0].collections[0].get_paths()
