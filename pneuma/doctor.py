@@ -12,7 +12,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -65,7 +64,6 @@ def examine(results: Path) -> Iterator[Finding]:
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
     mend = "" if sound else "use Python 3.11 to 3.13"
     yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), mend)
-    yield _packages()
     command, path = [sys.executable, "-c", TRIAL], one_thread_environment()["PYTHONPATH"]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path})
     last = (done.stderr if done.returncode else done.stdout).strip().rpartition("\n")[2]
@@ -79,28 +77,6 @@ def examine(results: Path) -> Iterator[Finding]:
             yield Finding(f"extra {extra}", NOTE, f"not installed; it is for {use}", install_extra(extra))
         else:
             yield Finding(f"extra {extra}", GOOD, f"for {use}")
-
-
-def _packages() -> Finding:
-    """Compare what is installed with what Pneuma needs."""
-    try:
-        from packaging.requirements import Requirement
-
-        needed = [Requirement(text) for text in requires("pneuma") or ()]
-    except (ImportError, PackageNotFoundError):  # run from a source tree, by `python cli.py`
-        return Finding("packages", NOTE, "Pneuma is not installed: versions are not compared", INSTALL)
-    wrong = []
-    for need in needed:
-        if need.marker is None or need.marker.evaluate({"extra": ""}):
-            try:
-                has = version(need.name)
-            except PackageNotFoundError:
-                has = ""
-            if not has or not need.specifier.contains(has, prereleases=True):
-                wrong.append(f"{need.name}: {has or 'not installed'}, needed is {need.name}{need.specifier}")
-    if wrong:
-        return Finding("packages", BROKEN, "; ".join(wrong), INSTALL)
-    return Finding("packages", GOOD, "all that Pneuma needs, in versions it knows")
 
 
 def _results(folder: Path) -> Finding:

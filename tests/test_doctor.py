@@ -21,16 +21,9 @@ def _find(check: str, results: Path) -> Finding:
     return finding
 
 
-def test_missing_and_old_packages_and_an_unknown_python_are_broken_and_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    assert (_find("packages", tmp_path).state, _find("python", tmp_path).state) == (GOOD, GOOD)
-    needed = ["no-such>=1,<2", "numpy>=99", "pytest>=1", "x>=1; extra == 'y'"]
-    monkeypatch.setattr(doctor, "requires", lambda _: needed)
+def test_an_unknown_python_is_broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert _find("python", tmp_path).state == GOOD
     monkeypatch.setattr(doctor, "PYTHONS", ((3, 8), (3, 9)))
-    found = _find("packages", tmp_path)
-    assert found.state == BROKEN and found.told.startswith("no-such: not installed, needed is no-such")
-    assert "numpy" in found.told and "pytest" not in found.told and "x:" not in found.told
     assert _find("python", tmp_path).state == BROKEN
 
 

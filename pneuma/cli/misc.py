@@ -88,18 +88,10 @@ def tensorboard(
         say(f"Note: {note}.", aside=True)
     if json:
         rows = [
-            {
-                "run_id": run.run_id,
-                "condition": run.log.condition,
-                "seed": run.log.seed,
-                "steps": run.steps,
-                "imported": run.new,
-                "points": len(run.points),
-                "damage": run.provenance["damage"],
-                "superseded": int(run.points["superseded"].sum()),
-            }
+            {"run_id": run.run_id, "condition": run.log.condition, "seed": run.log.seed,
+             "steps": run.steps, "imported": run.new}
             for run in runs
-        ]
+        ]  # fmt: skip
         return print_json({"study": study, "runs": rows, "notes": notes})
     new, points = sum(run.new for run in runs), sum(len(run.points) for run in runs)
     kept = len(runs) - new

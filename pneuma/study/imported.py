@@ -32,8 +32,6 @@ IMPORT_VERSION = 2
 """Raised by hand when the same logs are read to other points; part of every imported run's id."""
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags that Stable-Baselines3 and CleanRL write, whose steps are agent steps."""
-FRAME_BYTES = 16
-"""Length and checksums around each event of a file."""
 
 
 class Log(NamedTuple):
@@ -62,7 +60,7 @@ class ImportedRun:
         log: where it was found.
         steps: the last agent step that was logged.
         points: tag, step, value and superseded (by a restart) of every scalar, in the order of writing.
-        provenance: when it was logged, and its files; under `damage`, what could not be read of them.
+        provenance: when it was logged, and its files.
         new: whether this call stored it.
     """
 
@@ -72,11 +70,6 @@ class ImportedRun:
     points: pd.DataFrame
     provenance: dict[str, Any]
     new: bool
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        """What is known of its configuration."""
-        return {"env": "Imported TensorBoard logs", "slots": None, "steps": self.steps}
 
 
 def import_tensorboard(
@@ -103,37 +96,23 @@ def import_tensorboard(
             notes.append(f"{log.shown}: holds the same log as {same} and is left out")
         else:
             found[run.run_id] = run
-            notes += [f"{log.shown}/{words}" for words in run.provenance["damage"]]
-            if again := run.points["superseded"].sum():
-                written = f"{again:,} of {len(run.points):,} points were written again after a restart"
-                notes.append(f"{log.shown}: {written}; the later ones count")
-    runs = [*found.values()]
-    if not runs:
+    if not found:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
     store.check_writable()
-    for run in runs:
+    rows = []
+    for name, run in found.items():
+        fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}
+        rows.append({"condition": run.log.condition, "seed": run.log.seed, "run_id": name, "run": fields})
         if run.new:
-            about = {"schema": 1, "run_id": run.run_id, "source": SOURCE, "run": run.fields}
+            about = {"schema": 1, "run_id": name, "source": SOURCE, "run": fields}
             files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
             scalars = run.points[["tag", "step", "value", "superseded"]]
             files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
-            store.save_run(run.run_id, Status("done", run.steps), files)
-    record: dict[str, Any] = {
-        "study": study,
-        "source": SOURCE,
-        "path": None,
-        "title": study,
-        "figure": study,
-        "baseline": runs[0].log.condition,
-        "same": [],
-        "selection": asdict(Selection()),
-        "runs": [
-            {"condition": run.log.condition, "seed": run.log.seed, "run_id": run.run_id, "run": run.fields}
-            for run in runs
-        ],
-    }
-    store.save_selection(study, record)
-    return study, runs, notes
+            store.save_run(name, Status("done", run.steps), files)
+    named = dict.fromkeys(("study", "title", "figure"), study)
+    about = {"source": SOURCE, "path": None, "baseline": rows[0]["condition"], "same": []}
+    store.save_selection(study, {**named, **about, "selection": asdict(Selection()), "runs": rows})
+    return study, [*found.values()], notes
 
 
 # --- Which runs there are -------------------------------------------------------------------------
@@ -207,7 +186,6 @@ def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
 
 def _read_log(log: Log, store: Store) -> ImportedRun:
     files: list[dict[str, Any]] = []
-    damage: list[str] = []
     rows: list[tuple[Any, ...]] = []
     for place, path in enumerate(log.paths):
         try:
@@ -215,10 +193,7 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append({"bytes": len(data), "sha256": checksum(data)})
-        scalars, left = read_event_file(path)
-        rows += [(place, *scalar) for scalar in scalars]
-        if left:
-            damage.append(f"{path.name}: torn or damaged: the last {left:,} bytes are left out")
+        rows += [(place, *scalar) for scalar in read_event_file(path)]
     points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
     steps = points["step"][points["tag"].str.startswith(AGENT_STEPS) & ~points["superseded"]]
@@ -230,7 +205,6 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
         "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if first else None,
         "wall_seconds": round(float(last - first), 3),
         "files": files,
-        "damage": damage,
     }
     contents = "".join(file["sha256"] for file in files)
     run_id = checksum(f"{SOURCE} {IMPORT_VERSION}\0{contents}".encode())[:16]
@@ -238,11 +212,11 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
     return ImportedRun(log, run_id, reached, points, provenance, new)
 
 
-def read_event_file(path: Path) -> tuple[list[Scalar], int]:
-    """Return every scalar of an event file, in the order of writing, and how many bytes could not be read.
+def read_event_file(path: Path) -> list[Scalar]:
+    """Return every scalar of an event file, in the order of writing, up to where it is damaged.
 
-    With the reader of TensorBoard's own EventAccumulator, which stops where a file is damaged. The
-    accumulator itself does not say so, and forgets the order of tags, by which restarts are known.
+    With the reader of TensorBoard's own EventAccumulator, which itself forgets the order of tags, by which
+    restarts are known.
 
     Raises:
         UserError: without the `tensorboard` package.
@@ -252,12 +226,10 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
         from tensorboard.compat.proto.event_pb2 import Event
         from tensorboard.util.tensor_util import make_ndarray
     except ImportError:
-        raise UserError(
-            f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
-        ) from None
+        needed = f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
+        raise UserError(needed) from None
     scalars: list[Scalar] = []
     plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
-    left = path.stat().st_size
     with suppress(Exception):  # whatever a length or a message that was made up leads to is damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
@@ -270,8 +242,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
                 else:  # a text, a histogram and the like
                     continue
                 scalars.append(Scalar(value.tag, event.step, number, event.wall_time))
-            left -= len(record) + FRAME_BYTES
-    return scalars, left
+    return scalars
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
