@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import io
-import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,11 +21,9 @@ from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
 from pneuma.env.level import load_level
 from pneuma.errors import UserError
-from pneuma.search.spec import Budget, load_search
-from pneuma.search.storage import read_record, save_record
-from pneuma.search.trials import Task, Told
+from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
-from pneuma.study.files import read_checkpoint_name, read_sealed, seal
+from pneuma.study.files import read_checkpoint_name, seal
 from pneuma.study.imported import read_event_file
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
@@ -166,77 +162,3 @@ def test_fuzz_a_damaged_file_gives_a_value_or_one_error(tmp_path: Path, kind: st
             read(path)
 
     damaged()
-
-
-# --- The record of a search, which leads to its file --------------------------------------------------
-
-SMALL = """
-title = "Small"
-base = "table-6-2"
-[objectives.killed]
-outcome = "final-share-killed"
-[space.gamma]
-low = 0.9
-high = 0.99
-[space.activation]
-choices = ["tanh", "relu"]
-[presets.quick]
-trials = 2
-seeds = 1
-steps = 4096
-"""
-WRONG: list[Any] = [
-    None,
-    True,
-    -1,
-    1.5,
-    1e308,
-    10**400,
-    "",
-    "\x1b]0;a\x07",
-    "../../x",
-    [],
-    [[]],
-    {},
-    {"a": []},
-]
-
-
-def test_fuzz_a_record_of_a_search_with_any_value_wrong_gives_a_value_or_one_error(tmp_path: Path) -> None:
-    file = tmp_path / "small.toml"
-    file.write_text(SMALL)
-    search = load_search(str(file))
-    store = Store(tmp_path)
-    store.check_writable()
-    params, _ = next(search.space.corners())
-    told = [
-        Told(0, params, "complete", (0.5,), ("a" * 16,), {256: 0.4}),
-        Told(1, params, "failed", (), ("b" * 16,), {}, "diverged"),
-    ]
-    save_record(store, Task(search, Budget(2, (0,), 4096), str(file), {}), told)
-    path = tmp_path / "searches" / "small.json"
-    assert len(read_record(store, "small").trials) == 2
-    whole = read_sealed(path)
-    assert whole
-    turn = itertools.cycle(WRONG)
-    for where in [*_places({**whole, "identity": None}), ("identity", "seeds"), ("identity", "steps")]:
-        for wrong in itertools.islice(turn, 4):
-            path.write_bytes(seal(_with(whole, where, wrong)))
-            with contextlib.suppress(UserError):
-                read_record(store, "small")
-
-
-def _places(node: Any) -> list[tuple[Any, ...]]:
-    """Return the way to each value of a document, inner ones too."""
-    keys = node if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ()
-    return [way for key in keys for way in [(key,), *((key, *rest) for rest in _places(node[key]))]]
-
-
-def _with(node: Any, where: tuple[Any, ...], value: Any) -> Any:
-    """Return a document with another value at one place."""
-    changed = copy.deepcopy(node)
-    inner = changed
-    for key in where[:-1]:
-        inner = inner[key]
-    inner[where[-1]] = value
-    return changed

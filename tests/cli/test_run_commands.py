@@ -9,7 +9,6 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.study.execute import selection_record
-from pneuma.study.files import checksum, seal
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document, to_json
@@ -99,14 +98,6 @@ def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
         "more.txt": "unlisted",
     }
     assert "Fields" in printed("run", "show", ALONE)
-
-
-def test_a_file_outside_the_folder_is_not_even_measured(store: Store) -> None:
-    (store.root / "secret.json").write_text("{}")
-    status = seal({"status": "done", "step": 256, "files": {"../../secret.json": checksum(b"{}")}})
-    (store.run_folder(ALONE) / "status.json").write_bytes(status)
-    document = described("run", "show", ALONE, "--json")
-    assert {"name": "../../secret.json", "bytes": 0, "state": "missing"} in document["files"]
 
 
 # --- export ----------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli.study_records import study_record
-from pneuma.config import as_fields
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.execute import (
@@ -19,7 +18,6 @@ from pneuma.study.execute import (
     OnProgress,
     execute,
     prepare,
-    recorded_selection,
 )
 from pneuma.study.executors.base import Supervision
 from pneuma.study.plan import Plan, Selection, make_plan
@@ -81,16 +79,6 @@ def test_one_configuration_is_trained_once_for_two_conditions(together: Executed
     names = [cell.run_id for cell in together.plan.cells]
     assert names[0] == names[1] and names[2] == names[3]
     assert together.store.runs() == sorted({*names})
-
-
-def test_the_selection_is_recorded(together: Executed) -> None:
-    record = together.store.selection("tiny")
-    assert record is not None
-    expected = [(cell.condition, cell.seed, cell.run_id) for cell in together.plan.cells]
-    assert [(run["condition"], run["seed"], run["run_id"]) for run in record["runs"]] == expected
-    assert recorded_selection(record) == Selection()
-    assert record["same"] == [["one", "other"]]
-    assert record["runs"][0]["run"] == as_fields(together.plan.cells[0].run)
 
 
 # --- The same run, the same bits ---------------------------------------------------------------------
