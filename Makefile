@@ -130,8 +130,8 @@ test: install lint  ## Check style and types, and run the fast tests
 storm: install  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
 
-test-all: install lint docs  ## The same with the slow tests, and the links of the pages
-	$(BIN)/python -m pytest
+test-all: test docs  ## The same, then the slow tests, and the links of the pages
+	$(BIN)/python -m pytest -m slow
 
 lint: install
 	$(BIN)/ruff check .
