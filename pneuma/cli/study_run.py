@@ -16,7 +16,6 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import check_folder, command, print_json, print_table, say
 from pneuma.cli.study_records import file_of, shipped_name
 from pneuma.errors import UserError, install_extra
-from pneuma.reading import read_whole
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.progress import ProgressDisplay, duration
@@ -228,10 +227,8 @@ def _tell_results(
             say(f"{told} diverged at step {state.step:,}; its records count", as_json)
         elif state.name in UNWELL:
             trace, why = store.run_folder(result.cell.run_id) / "error.txt", result.reason
-            if trace.is_file():
-                last = read_whole(trace).decode(errors="replace").strip().rpartition("\n")[2]
-                why = f"{why or last} ({trace})"
-            say(f"{told} {state.name}: {why or f'at step {state.step:,}'}", as_json)
+            why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
+            say(f"{told} {state.name}: {why}", as_json)
     trained = sum(result.trained for result in results)
     states = _counts(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"

@@ -240,15 +240,11 @@ def monster_stats(
 
 def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return how far from its centre, on either axis, any body can reach within one tick."""
-    knock = players["knock_speed"].max()
-    speeds = np.maximum(players["speed"], players["dash_speed"])
-    reach = [
-        max(row["half_width"], row["half_height"]) + speed for row, speed in zip(players, speeds, strict=True)
-    ]
-    for row in monsters:
-        fastest = max(row["speed"], knock, row["knock_speed"])
-        reach.append(max(row["half_width"], row["half_height"]) + fastest)
-    return float(max(reach))
+    walks = np.maximum(players["speed"], players["dash_speed"])
+    flies = np.maximum(monsters["knock_speed"], players["knock_speed"].max())
+    both = (players, walks), (monsters, np.maximum(monsters["speed"], flies))
+    reach = (np.maximum(own["half_width"], own["half_height"]) + speed for own, speed in both)
+    return float(max(each.max(initial=0.0) for each in reach))
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:

@@ -32,7 +32,7 @@ from pydantic import Field
 from scipy.ndimage import label
 
 from pneuma.env import rules
-from pneuma.env_fields import EnvConfig
+from pneuma.env_fields import SHIPPED_LEVELS, EnvConfig, is_own_level
 from pneuma.errors import UserError, unknown_name
 from pneuma.reading import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
@@ -108,6 +108,20 @@ class Level:
         return self.left, self.top, self.left + columns * self.tile, self.top + rows * self.tile
 
 
+def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Level]:
+    """Load a world's level, or so many random ones numbered from the first on, and mark the slow ground."""
+    from pneuma.env.random_level import parse_name  # builds on this module
+
+    names = [config.level]
+    if config.random_levels > 1:
+        split, first = parse_name(config.level)
+        names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
+    levels = [load_level(name, monster_codes) for name in names]
+    for level in levels:
+        level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
+    return levels
+
+
 def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
     """Load a level by its name.
 
@@ -156,24 +170,18 @@ def level_files(name: str) -> list[Path]:
     Raises:
         UserError: when there is no such level.
     """
-    if name.startswith(RANDOM) or name in _shipped():
-        return []
-    return _folder_files(_level_path(name))
-
-
-def _shipped() -> list[str]:
-    return sorted(path.name for path in LEVELS.iterdir() if path.is_dir())
+    return _folder_files(_level_path(name)) if is_own_level(name) else []
 
 
 def _level_path(name: str) -> Path:
     """Return the folder that a name other than `random:…` stands for."""
-    if name in _shipped():
+    if name in SHIPPED_LEVELS:
         return LEVELS / name
     path = Path(os.path.expanduser(name))
     if _folder_files(path):
         return path
     forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder with obstacles.csv and objects.csv"
-    raise UserError(f"{unknown_name('level', name, _shipped())}, {forms}")
+    raise UserError(f"{unknown_name('level', name, SHIPPED_LEVELS)}, {forms}")
 
 
 def _folder_files(folder: Path) -> list[Path]:

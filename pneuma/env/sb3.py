@@ -11,7 +11,6 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
-from pneuma.env import rules
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST
 from pneuma.env.watch import Rendering
@@ -61,7 +60,6 @@ class PneumaVecEnv(Rendering, VecEnv):
         self.state = Worlds(len(seeds), config)
         self.state.seed(seeds)
         self.slots = Slots(self.state)
-        self._begun = False
         self._set_up_rendering(self.state, render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
         self.metadata = {**Rendering.metadata, **self.metadata}  # type: ignore[misc]
@@ -97,14 +95,14 @@ class PneumaVecEnv(Rendering, VecEnv):
         self.state.reset(starts=starts)
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        self._begun = True
+        self.slots.begun = True
         self._show()
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the next step, shape (slots,)."""
         self._actions[:] = self.slots.checked(actions)
-        if not self._begun:
+        if not self.slots.begun:
             raise ResetNeeded("no episode has begun: call reset first")
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -149,18 +147,12 @@ class PneumaVecEnv(Rendering, VecEnv):
         """Put a saved state into one world, and return what all slots see, as `reset` does.
 
         If the saved episode had ended, the next begins. What the `episode` of its info will say counts
-        from the episode's beginning; from here on, if another face saved it. See `Worlds.restore`.
-
-        Raises:
-            ResetNeeded: before the first reset of all worlds.
+        from the episode's beginning; from here on, if another face saved it. See `Slots.restore`.
         """
-        if not self._begun and len(self.state) > 1:
-            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
-        self.state.restore(world, snapshot)
-        self._begun = True
+        runs = self.slots.restore(world, snapshot)
         slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
         self._returns[slots], self._lengths[slots] = 0.0, 0
-        if self.state.worlds["ending"][world] != rules.RUNNING:
+        if not runs:
             self.state.reset(np.arange(len(self.state)) == world)
         elif snapshot.returns is not None:
             self._returns[slots], self._lengths[slots] = snapshot.returns, self.state.worlds["steps"][world]
@@ -192,7 +184,7 @@ class PneumaVecEnv(Rendering, VecEnv):
             if saved[name].shape != _bytes(array).shape:
                 raise ValueError(f"{name} of {saved[name].size} bytes where there are {array.nbytes}")
             _bytes(array)[:] = saved[name]
-        self._begun = True
+        self.slots.begun = True
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
         """Go on with other random streams, and XP anew if asked for; return what all slots see."""

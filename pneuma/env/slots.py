@@ -11,15 +11,17 @@ import operator
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Snapshot, Worlds
 
 
 class Slots:
     """The bookkeeping of slots over `Worlds`; slot i is player i % P of world i // P.
 
     Attributes:
+        begun: whether all worlds were ever reset.
         terminated, truncated: (slots,) what the last step ended.
         world_over: (N,) which worlds it ended.
     """
@@ -29,6 +31,7 @@ class Slots:
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
         self._action_count = int(worlds.action_space.n)
+        self.begun = False
         self._none = np.zeros(self.count, np.bool_)
         self.terminated = self.truncated = self._none
         self.world_over = np.zeros(len(worlds), np.bool_)
@@ -45,6 +48,18 @@ class Slots:
             if whole.view(np.uint64).max() < self._action_count:  # below zero is huge without its sign
                 return whole
         raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
+
+    def restore(self, world: int, snapshot: Snapshot) -> bool:
+        """Put a saved state into one world; tell whether its episode goes on.
+
+        Raises:
+            ResetNeeded: before the first reset of all worlds.
+        """
+        if not self.begun and len(self.worlds) > 1:
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
+        self.worlds.restore(world, snapshot)
+        self.begun = True
+        return bool(self.worlds.worlds["ending"][world] == rules.RUNNING)
 
     def step(self, actions: np.ndarray) -> bool:
         """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""

@@ -11,7 +11,6 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pneuma.env import rules
 from pneuma.env.single import VectorRewards
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
@@ -60,7 +59,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
-        self._keyed = False
         self._every = np.ones(num_envs, np.bool_)
         self._note_over(np.zeros(len(self.state), np.bool_))
 
@@ -82,14 +80,14 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         starts = chosen_starts(self.state, told.get("start"))
         seeds = self._seeds(seed)
         mask = self._reset_mask(told.get("reset_mask"))
-        if not self._keyed and not mask.all():
+        if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=None if seeds is None else seeds[0])
-        if not self._keyed:
+        if not self.slots.begun:
             seeds = seeds or self._seeds(int(self.np_random.integers(2**62)))
         if seeds:
             self.state.seed(seeds, mask)
-            self._keyed = True
+            self.slots.begun = True
         self.state.reset(mask, starts)
         self._note_over(self._over & ~mask)
         self._show()
@@ -103,16 +101,9 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Put a saved state into one world, and return what all slots see, as `reset` does.
 
         The world goes on as the saved one would have here: if its episode had ended, this autoreset
-        mode decides when the next begins. See `Worlds.restore`.
-
-        Raises:
-            ResetNeeded: before the first reset of all worlds.
+        mode decides when the next begins. See `Slots.restore`.
         """
-        if not self._keyed and len(self.state) > 1:
-            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
-        self.state.restore(world, snapshot)
-        self._keyed = True
-        self._over[world] = self.state.worlds["ending"][world] != rules.RUNNING
+        self._over[world] = not self.slots.restore(world, snapshot)
         self._note_over(self._over)
         self.state.observe()
         self._show()
@@ -142,7 +133,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
         actions = self.slots.checked(actions)
-        if not self._keyed:
+        if not self.slots.begun:
             raise ResetNeeded("no episode has begun: call reset first")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")

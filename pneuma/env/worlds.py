@@ -18,9 +18,8 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 
 from pneuma.env import characters, rules, state
-from pneuma.env.level import RANDOM, Level, load_level, refuse_bad_places, room_for_bodies
+from pneuma.env.level import Level, load_levels, refuse_bad_places, room_for_bodies
 from pneuma.env.observation import fill_scales, observation_space
-from pneuma.env.random_level import parse_name
 from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
 from pneuma.env_fields import DASH, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
@@ -78,7 +77,7 @@ class Worlds:
         if config.dash:
             self.player_stats["dash_speed"] = characters.DASH_PACE * self.player_stats["speed"]
         self.action_names = action_names(config.magic, config.dash)
-        self.levels = _load_levels(config, characters.monster_codes(cast))
+        self.levels = load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [REWARD_CODES.get(name, rules.REWARD_CUSTOM) for name in rewards]
         self._custom = [
@@ -139,17 +138,11 @@ class Worlds:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the addresses behind: a copy's arrays lie elsewhere."""
-        return {name: value for name, value in self.__dict__.items() if name not in _ADDRESSES} | {
-            "_rest": tuple(self._arrays[3:])
-        }
+        return {name: value for name, value in vars(self).items() if name not in _ADDRESSES}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         """Take the copied arrays and note their addresses."""
-        rest = kept.pop("_rest")
-        self.__dict__.update(kept)
-        self._arrays = state.State(self.worlds, self.players, self.monsters, *rest)
-        self.player_stats, self.monster_stats, self.settings = rest[:3]
-        self.events, self.observations, self.masks = rest[6:9]
+        vars(self).update(kept)
         self._take_addresses()
 
     def _take_addresses(self) -> None:
@@ -396,17 +389,5 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("_handle", "_arrays", "_shown", "raw")
+_ADDRESSES = ("_handle", "_shown", "raw")
 """What of `Worlds` holds only where it is."""
-
-
-def _load_levels(config: EnvConfig, codes: dict[int, str]) -> list[Level]:
-    """Load the level, or so many random ones numbered from the first on, and mark their slow ground."""
-    names = [config.level]
-    if config.random_levels > 1:
-        split, first = parse_name(config.level)
-        names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
-    levels = [load_level(name, codes) for name in names]
-    for level in levels:
-        level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
-    return levels

@@ -31,7 +31,7 @@ class CellResult:
         cell: the cell.
         status: its run's.
         trained: whether this call trained it.
-        reason: why it went wrong, where its executor knows.
+        reason: why it went wrong.
     """
 
     cell: Cell
@@ -99,16 +99,17 @@ def execute(
 
     if todo or how.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
-    results = [_result(cell, store.status(cell.run_id), ended.get(cell.run_id)) for cell in plan.cells]
+    results = [_result(cell, store, ended.get(cell.run_id)) for cell in plan.cells]
     return [own for own in results if own.status.finished or own.cell.run_id not in plan.published]
 
 
-def _result(cell: Cell, stored: Status, end: Event | None) -> CellResult:
+def _result(cell: Cell, store: Store, end: Event | None) -> CellResult:
     """Return how a cell stands; an end that could not be stored counts as it was reported."""
-    if end is None:
-        return CellResult(cell, stored, trained=False)
-    status = stored if stored.finished else Status(end["status"], stored.step)
-    return CellResult(cell, status, bool(end["trained"]), end.get("reason", ""))
+    status = store.status(cell.run_id)
+    if end and not status.finished:
+        status = Status(end["status"], status.step)
+    reason = (end or {}).get("reason") or store.failure(cell.run_id)
+    return CellResult(cell, status, bool(end and end["trained"]), reason)
 
 
 def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:

@@ -199,6 +199,12 @@ class Store:
         files = {"run.json": run_document(run, run_id), "error.txt": why.encode()}
         self.save_run(run_id, Status(status), files)
 
+    def failure(self, run_id: str) -> str:
+        """Return the last line of why a run failed; empty where it did not."""
+        with suppress(UserError):
+            return self.read_file(run_id, "error.txt").decode(errors="replace").strip().rpartition("\n")[2]
+        return ""
+
     def read_file(self, run_id: str, name: str) -> bytes:
         """Return one file of a run.
 
