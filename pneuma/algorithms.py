@@ -24,8 +24,6 @@ ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
 
 ALGORITHMS = tuple(ALGORITHM_ENGINES)
 TABULAR = ("q-learning", "double-q-learning")
-VALUE_BASED = ("dqn", "double-dqn", *TABULAR)
-"""Those that act by estimated values of actions (thesis chapter 3)."""
 
 _NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots")
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
@@ -47,6 +45,9 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "double-q-learning": _TABLE,
 }
 """Which fields each algorithm reads, beside those that all read; an optimizer's own come on top."""
+
+VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "exploration" in fields)
+"""Those that act by estimated values of actions (thesis chapter 3)."""
 
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.algorithms import ALGORITHMS, MAILMAN, TABULAR
+from pneuma.algorithms import ALGORITHMS, MAILMAN, TABULAR, VALUE_BASED
 from pneuma.config import (
     BASES,
     OPTIMIZER_FIELDS,
@@ -106,7 +106,7 @@ def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
     expected: dict[str, Any] = {
         "critic": (64,) if algorithm in ("ppo", "a2c", "trpo") else (256,),
         "clip_range": 0.3 if algorithm == "ppo" else 0.1,
-        "buffer_size": 32 if algorithm in ("dqn", "double-dqn") else None,
+        "buffer_size": 32 if algorithm in VALUE_BASED and algorithm not in TABULAR else None,
         "target_kl": 0.5 if algorithm == "trpo" else None,
         "reward_noise": 2.0 if algorithm in TABULAR else None,
         "betas": None if algorithm in TABULAR else (0.9, 0.999),

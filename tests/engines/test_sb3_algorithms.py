@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from pneuma.algorithms import TABULAR, VALUE_BASED
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.base import load_engine
@@ -29,7 +30,7 @@ CASES: dict[str, dict[str, Any]] = {
     "dqn": {"algorithm": "dqn", **DQN_SETTINGS},
     "double-dqn": {"algorithm": "double-dqn", **DQN_SETTINGS, "slots": 2},
 }
-OF_VALUES = ("dqn", "double-dqn")
+OF_VALUES = tuple(name for name in VALUE_BASED if name not in TABULAR)
 
 
 def run_of(case: str, **settings: object) -> Run:
