@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pneuma.config import BASES, Run, make_run
+from pneuma.engines.environment import make_vec_env
 from pneuma.study.executors.local import one_thread_environment
 
 SIZES: dict[str, dict[str, object]] = {"small": {}, "mid": {"actor": [512], "critic": [2048, 2048]}}
@@ -64,7 +65,7 @@ def engine_rates(own: Sequence[Run], reference: Run, rounds: int) -> tuple[list[
         batched.train_one(run, lambda progress: True, evaluated=False)
 
     def theirs(run: Run) -> None:
-        sb3.train_one(run, lambda progress: True, env=sb3.make_env(run))
+        sb3.train_one(run, lambda progress: True, env=make_vec_env(run))
 
     ours(own[0])  # compiles
     rates: tuple[list[float], list[float]] = ([], [])

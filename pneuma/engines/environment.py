@@ -1,20 +1,18 @@
 """The seam between engines and environments: all that an engine asks of what a run is trained in.
 
-    run → environment_of → check, collector, vec_env, evaluation
+    run → check_environment; make_collector, make_vec_env, make_evaluation
 
-Pneuma's own worlds are one implementation, here; every other environment of Gymnasium's is the second
+Pneuma's own worlds are one implementation, every other environment of Gymnasium's the second
 (`gymnasium_env.py`). What is heavy is imported when it is asked for: each engine needs but a part.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
 from pneuma.config import Run, env_config, is_gymnasium_id, stream_seed
-from pneuma.engines.records import Row
 
 
 class Collects(Protocol):
@@ -61,70 +59,57 @@ class Collects(Protocol):
         ...
 
 
-class Evaluates(Protocol):
-    """Judges policies where they were not trained."""
+def check_environment(run: Run) -> None:
+    """Make a run's environment once.
 
-    def evaluate(self, policy: Any, step: int) -> Row:
-        """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps."""
-        ...
-
-
-class Environment(Protocol):
-    """What a run's environment is to its engine."""
-
-    def check(self, run: Run) -> None:
-        """Make it once.
-
-        Raises:
-            UserError: where that fails, or the run's engine cannot train in it.
-        """
-        ...
-
-    def collector(self, run: Run) -> Collects:
-        """Return what plays for the engine `batched`."""
-        ...
-
-    def vec_env(self, run: Run) -> Any:
-        """Return a `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`, `fork`."""
-        ...
-
-    def evaluation(self, run: Run) -> Evaluates:
-        """Return what judges the run's policies."""
-        ...
-
-
-def environment_of(run: Run) -> Environment:
-    """Return what a run is trained in."""
+    Raises:
+        UserError: where that fails, or the run's engine cannot train in it.
+    """
     if is_gymnasium_id(run.env):
-        foreign: Environment = import_module("pneuma.engines.gymnasium_env").GymnasiumEnvironment()
-        return foreign
-    return PneumaWorlds()
+        from pneuma.engines.gymnasium_env import check_spaces
+
+        return check_spaces(run)
+    from pneuma.env.worlds import Worlds
+
+    Worlds(1, env_config(run))
+    return None
+
+
+def make_collector(run: Run) -> Collects:
+    """Return what plays for the engine `batched`."""
+    if is_gymnasium_id(run.env):
+        from pneuma.engines.batched.gymnasium_rollout import Collector as Foreign
+
+        return Foreign(run)
+    from pneuma.engines.batched.rollout import Collector
+
+    return Collector(run)
+
+
+def make_vec_env(run: Run) -> Any:
+    """Return a `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`, `fork`."""
+    if is_gymnasium_id(run.env):
+        from pneuma.engines.gymnasium_vec_env import GymnasiumVecEnv
+
+        return GymnasiumVecEnv(run)
+    from pneuma.env.sb3 import PneumaVecEnv
+
+    env = PneumaVecEnv(slot_seeds(run), env_config(run))
+    env.keep_finished = True
+    return env
+
+
+def make_evaluation(run: Run) -> Any:
+    """Return what judges a run's policies where they were not trained, by `evaluate(policy, step)`."""
+    if is_gymnasium_id(run.env):
+        from pneuma.engines.gymnasium_env import Evaluation as Foreign
+
+        return Foreign(run)
+    from pneuma.engines.evaluation import Evaluation
+
+    return Evaluation(run)
 
 
 def slot_seeds(run: Run) -> list[int]:
     """Return the seeds of the worlds of a run's slots."""
     return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]
-
-
-class PneumaWorlds:
-    """Pneuma's own."""
-
-    def check(self, run: Run) -> None:
-        """Make the world."""
-        import_module("pneuma.env.worlds").Worlds(1, env_config(run))
-
-    def collector(self, run: Run) -> Collects:
-        """Return the compiled rollout."""
-        own: Collects = import_module("pneuma.engines.batched.rollout").Collector(run)
-        return own
-
-    def vec_env(self, run: Run) -> Any:
-        """Return the worlds of the run's slots, each with a random stream of its own."""
-        env = import_module("pneuma.env.sb3").PneumaVecEnv(slot_seeds(run), env_config(run))
-        env.keep_finished = True
-        return env
-
-    def evaluation(self, run: Run) -> Evaluates:
-        """Return the evaluation on worlds that training never sees."""
-        own: Evaluates = import_module("pneuma.engines.evaluation").Evaluation(run)
-        return own

@@ -14,13 +14,13 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -28,7 +28,6 @@ from gymnasium import spaces
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, stream_seed
-from pneuma.engines.environment import Collects, Evaluates
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.env.reward import module_files as source_files
@@ -41,30 +40,13 @@ LOGGED_AT_ONCE = 4096
 NAN = float("nan")
 
 
-class GymnasiumEnvironment:
-    """See `pneuma.engines.environment.Environment`."""
-
-    def check(self, run: Run) -> None:
-        """Make it, and refuse spaces that the run's engine or algorithm cannot learn in."""
-        slots = Slots(run, [0])
-        if isinstance(slots.action_space, spaces.Box):
-            if run.algorithm in VALUE_BASED:
-                raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
-            if run.engine != "sb3":
-                raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
-
-    def collector(self, run: Run) -> Collects:
-        """Return the rollout of the engine `batched`."""
-        own: Collects = import_module("pneuma.engines.batched.gymnasium_rollout").Collector(run)
-        return own
-
-    def vec_env(self, run: Run) -> Any:
-        """Return the slots as Stable-Baselines3 wants them."""
-        return import_module("pneuma.engines.gymnasium_vec_env").GymnasiumVecEnv(run)
-
-    def evaluation(self, run: Run) -> Evaluates:
-        """Return the evaluation on seeds that training never sees."""
-        return Evaluation(run)
+def check_spaces(run: Run) -> None:
+    """Make an environment, and refuse spaces that the run's engine or algorithm cannot learn in."""
+    if isinstance(Slots(run, [0]).action_space, spaces.Box):
+        if run.algorithm in VALUE_BASED:
+            raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
+        if run.engine != "sb3":
+            raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -147,21 +129,17 @@ class Slots:
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         """Advance one slot: its reward, whether it terminated or was truncated, and what else it tells."""
-        try:
+        with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
             observation, reward, ended, cut, info = self.envs[slot].step(action)
-            reward = float(reward)
-            self.observations[slot] = self._flatten(observation)
-        except Exception as error:  # whatever a stranger's environment does
-            self._blame(slot, f"raised {told(error)}")
-        if not math.isfinite(reward):
-            self._blame(slot, f"gave the reward {reward}")
-        if not math.isfinite(self.observations[slot].sum()):
-            self._blame(slot, "gave an observation that is not finite")
+            self._see(slot, observation)
+            if not math.isfinite(reward := float(reward)):
+                raise ValueError(f"its reward is {reward}")
         return reward, bool(ended), bool(cut), info
 
-    def _blame(self, slot: int, what: str) -> NoReturn:
-        where = f"in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"
-        raise UserError(f"{self.run.env} {what} {where}: mend the environment") from None
+    def _see(self, slot: int, observation: Any) -> None:
+        self.observations[slot] = self._flatten(observation)
+        if not math.isfinite(self.observations[slot].sum()):
+            raise ValueError("its observation is not finite")
 
     def _end(self, slot: int, ending: str) -> None:
         """Note an ended episode, and begin the next."""
@@ -184,13 +162,8 @@ class Slots:
 
     def _reset(self, slot: int) -> None:
         seed, self._seeds[slot] = self._seeds[slot], None
-        try:
-            observation, _ = self.envs[slot].reset(seed=seed)
-            self.observations[slot] = self._flatten(observation)
-        except Exception as error:
-            raise UserError(f"{self.run.env} raised {told(error)} when it was reset: mend it") from None
-        if not math.isfinite(self.observations[slot].sum()):
-            raise UserError(f"{self.run.env} begins with an observation that is not finite: mend it")
+        with blamed(f"{self.run.env} when it is reset"):
+            self._see(slot, self.envs[slot].reset(seed=seed)[0])
 
     # --- Where it stands ---------------------------------------------------------------------------
 
@@ -259,25 +232,30 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     if run.env_module:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
+    mend = "; else install its package, or name the module that registers it as env_module"
     try:
-        if run.env not in gymnasium.registry:
-            _register_installed(run.env.partition("/")[0])
-        with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+        with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # which is no place for a document
+            if run.env not in gymnasium.registry:
+                _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
-    except gymnasium.error.UnregisteredEnv as error:
-        mend = "Else install its package, or name the module that registers it as env_module"
-        raise UserError(f"env = {run.env}: {told(error).partition(': ')[2]} {mend}") from None
-    except Exception as error:
-        raise UserError(f"env = {run.env} cannot be made: {told(error)}") from None
+    except UserError as error:
+        raise UserError(f"{error}{mend if run.env not in gymnasium.registry else ''}") from None
     for name in run.wrappers:
         module, _, kind = name.rpartition(":")
-        try:
+        with blamed(f"wrappers = {name}"):
             env = getattr(_load(module), kind)(env)
-        except UserError:
-            raise
-        except Exception as error:
-            raise UserError(f"wrappers = {name}: {told(error)}") from None
     return env
+
+
+@contextmanager
+def blamed(what: str) -> Iterator[None]:
+    """Tell whatever a user's own code raises in one line, as the fault of what it is."""
+    try:
+        yield
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise UserError(f"{what}: {told(error)}") from None
 
 
 def _register_installed(namespace: str) -> None:
@@ -289,11 +267,8 @@ def _register_installed(namespace: str) -> None:
 
 def _load(name: str) -> Any:
     """Import a module by its name or the path of its file."""
-    try:
-        with redirect_stdout(sys.stderr):
-            return import_module(_importable(name))
-    except (Exception, SystemExit) as error:
-        raise UserError(f"module {name} cannot be imported: {told(error)}") from None
+    with blamed(f"module {name} cannot be imported"), redirect_stdout(sys.stderr):
+        return import_module(_importable(name))
 
 
 def _importable(name: str) -> str:

@@ -113,33 +113,27 @@ def overflows(policy: Policy, observations: np.ndarray) -> bool:
     return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())
 
 
-def read_policy(data: bytes) -> Policy:
-    """Read a policy back from `Policy.to_bytes`."""
-    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    about = json.loads(header["__metadata__"]["pneuma"])
-    arrays = load(data)
-
-    def layers(part: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        count = sum(name.startswith(f"{part}.") for name in arrays) // 2
-        return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
-
-    told = about.get("exploration"), arrays.get("deviation")
-    return Policy(about["activation"], layers("actor"), layers("critic"), *told)
-
-
 def read_sound_policy(data: bytes) -> Policy:
-    """Read a stored policy that may be a stranger's, and check that it is one.
+    """Read a policy back from `Policy.to_bytes`; it may be a stranger's.
 
     Raises:
         UserError: when it is no policy, or its layers do not fit each other.
     """
+
+    def layers(part: str) -> Layers:
+        count = sum(name.startswith(f"{part}.") for name in arrays) // 2
+        return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
+
     try:
-        policy = read_policy(data)
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
+        told = about.get("exploration"), arrays.get("deviation")
+        policy = Policy(about["activation"], layers("actor"), layers("critic"), *told)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes each fail in their own way
         sound = False
     if not sound:
-        raise UserError(f"{POLICY_FILE}: is no policy of Pneuma's")
+        raise UserError(f"{POLICY_FILE}: is no policy, or its layers do not fit each other")
     return policy
 
 

@@ -23,7 +23,7 @@ from torch import nn
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.base import OnUpdate, Result
-from pneuma.engines.environment import Evaluates, environment_of, slot_seeds
+from pneuma.engines.environment import make_evaluation, make_vec_env, slot_seeds
 from pneuma.engines.loop import begins_fork, train_run
 from pneuma.engines.policy import Policy, dead_share, overflows
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row, action_shares
@@ -87,7 +87,7 @@ def train_one(
 
     `env` stands in for the run's own environment in benchmarks; then nothing is evaluated.
     """
-    model = make_model(run, env or make_env(run))
+    model = make_model(run, env or make_vec_env(run))
     with GradientNorms(model, run) as norms:
         return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated=env is None)
 
@@ -103,8 +103,8 @@ class Sb3Trainer:
         self._policy = extract_policy(model, run)
 
     @cached_property
-    def _evaluation(self) -> Evaluates:
-        return environment_of(self.run).evaluation(self.run)
+    def _evaluation(self) -> Any:
+        return make_evaluation(self.run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint, or begin as the fork of a parent's."""
@@ -209,11 +209,6 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     seen = env.fork(slot_seeds(run), run.fork_reset == "xp")
     model._last_obs = seen.copy()  # as this run sees it: its scale and order may be others
     seed_streams(model, run)
-
-
-def make_env(run: Run) -> Any:
-    """Return the environments of a run's slots, each with a random stream of its own."""
-    return environment_of(run).vec_env(run)
 
 
 # --- Gradients -------------------------------------------------------------------------------------

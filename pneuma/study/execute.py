@@ -177,7 +177,7 @@ def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
     for own in alike.values():
         run = next(iter(own.values()))
         try:
-            import_module("pneuma.engines.environment").environment_of(run).check(run)
+            import_module("pneuma.engines.environment").check_environment(run)
         except UserError as error:
             broken |= dict.fromkeys(own, str(error))
             if len(broken) == len(runs) or not is_gymnasium_id(run.env):

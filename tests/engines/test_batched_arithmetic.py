@@ -22,6 +22,7 @@ from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.batched.update import joined, run_numbers
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
 
@@ -75,7 +76,7 @@ def run(request: pytest.FixtureRequest) -> Run:
 
 def torch_model(run: Run, learner: Learner) -> PPO:
     """Return Stable-Baselines3's learner with the networks of ours."""
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     model._setup_learn(run.steps)
     for module, (weight, bias) in linear_layers(model, learner.networks):
         module.weight.data = torch.tensor(weight.T.copy())

@@ -11,9 +11,9 @@ from pneuma.config import BASES, Run, make_run
 from pneuma.engines.action_values import ActionValues
 from pneuma.engines.base import evaluation_updates
 from pneuma.engines.batched.learner import initial_networks
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.sb3 import make_env
 
 
 def run_of(**settings: object) -> Run:
@@ -68,7 +68,7 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     run = run_of(seed=3, slots=16, minibatch=64)
     evaluation = Evaluation(run)
     evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
-    training = set(make_env(run).state.worlds["key"].tolist())
+    training = set(make_vec_env(run).state.worlds["key"].tolist())
     held_out = set(evaluation.worlds.worlds["key"].tolist())
     assert len(training) == 16
     assert not training & held_out

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines import gymnasium_env
-from pneuma.engines.environment import environment_of, slot_seeds
+from pneuma.engines.environment import check_environment, slot_seeds
 from pneuma.engines.gymnasium_env import Evaluation, Slots
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
@@ -98,7 +98,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         "CartPole.*install its package, or name the module that registers it",
     ),
     "module": ({"env_module": "no_such_module"}, "module no_such_module cannot be imported"),
-    "argument": ({"env_kwargs": {"speed": 2}}, "cannot be made: TypeError: .*speed"),
+    "argument": ({"env_kwargs": {"speed": 2}}, "env = Corridor-v0: TypeError: .*speed"),
     "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),
     "actions": ({"env_kwargs": {"kind": "pairs"}}, "actions in MultiDiscrete"),
     "observations": ({"env_kwargs": {"kind": "text"}}, "observations in Sequence"),
@@ -112,7 +112,7 @@ def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
     fields, told = BAD[name]
     run = make_run({**SMALL, **CORRIDOR, **fields})
     with pytest.raises(UserError, match=told) as refused:
-        environment_of(run).check(run)
+        check_environment(run)
     assert "\n" not in str(refused.value)
 
 
@@ -120,16 +120,16 @@ def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest
     entry = EntryPoint("Mine", "tests.engines.own_envs:register_more", "gymnasium.envs")
     monkeypatch.setattr(gymnasium_env, "entry_points", lambda group: [entry] * (group == entry.group))
     run = make_run({**SMALL, "env": "Mine/Corridor-v0"})
-    environment_of(run).check(run)
+    check_environment(run)
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
 def test_a_step_that_raises_or_pays_no_number_ends_the_run_with_the_reason(engine: str) -> None:
     for fault, told in (
-        ("raises", "raised ZeroDivisionError: by the corridor"),
-        ("nan", "gave the reward nan"),
+        ("raises", "ZeroDivisionError: by the corridor"),
+        ("nan", "ValueError: its reward is nan"),
     ):
-        with pytest.raises(UserError, match=f"Corridor-v0 {told} in step 3 of episode 0"):
+        with pytest.raises(UserError, match=f"Corridor-v0 in step 3 of episode 0: {told}"):
             train(replace(corridor(**{fault: 3}), engine=engine))
 
 

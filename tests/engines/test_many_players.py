@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.engines import sb3
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EPISODE_COLUMNS
 
 from .trained import train
@@ -38,7 +38,7 @@ def rollouts(run: Run, count: int = 3) -> list[Rollout]:
 def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) -> None:
     """The same actions through `pneuma.env.sb3`: what is seen, paid, ended and told."""
     run = make_run({**SMALL, "episode_steps": 90, "classes": ("tank", "mage", "mage"), **settings})
-    env = sb3.make_env(run)
+    env = make_vec_env(run)
     seen: Any = env.reset()
     begins, step = np.ones(6, np.float32), 0
     for rollout in rollouts(run):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.engines.policy import Policy, dead_share, read_policy
+from pneuma.engines.policy import Policy, dead_share, read_sound_policy
 
 
 def tiny(activation: str) -> Policy:
@@ -49,7 +49,7 @@ def test_sampled_actions_follow_the_softmax() -> None:
 def test_stored_policy_comes_back_whole_and_twice_with_the_same_bytes() -> None:
     policy = tiny("leaky-relu")
     data = policy.to_bytes()
-    again = read_policy(data)
+    again = read_sound_policy(data)
     assert again.activation == "leaky-relu"
     assert again.to_bytes() == data
     np.testing.assert_array_equal(again.logits(OBSERVATION), policy.logits(OBSERVATION))
@@ -83,6 +83,6 @@ def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
     shares = np.bincount(policy.sample(shown, np.random.default_rng(0)), minlength=4) / len(shown)
     # Four fifths greedy, and a fifth shared out over all four; one standard error is at most 0.002.
     np.testing.assert_allclose(shares, [0.05, 0.85, 0.05, 0.05], atol=0.008)
-    again = read_policy(policy.to_bytes())
+    again = read_sound_policy(policy.to_bytes())
     assert (again.exploration, again.critic) == (0.2, ())
     assert again.to_bytes() == policy.to_bytes()

@@ -13,6 +13,7 @@ from stable_baselines3.common.logger import Logger
 
 from pneuma.config import BASES, OPTIMIZER_FIELDS, Run, make_run
 from pneuma.engines import sb3, sb3_learners
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EPISODE_COLUMNS
 
 from .trained import train
@@ -51,7 +52,7 @@ def test_gradient_norms_are_those_that_the_clipping_saw(monkeypatch: pytest.Monk
 def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
     settings = BASES[base]
     run = make_run({**settings, "steps": 2048})
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     limit = settings["gradient_limit"]
     assert model.gamma == 0.99
     assert model.gae_lambda == 0.95
@@ -72,7 +73,7 @@ def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
 def test_every_optimizer_trains_with_its_own_arguments(optimizer: str) -> None:
     extra = {"sgd": {"momentum": 0.9, "dampening": 0.9}, "rmsprop": {"smoothing": 0.95}}.get(optimizer, {})
     run = small_run(optimizer=optimizer, weight_decay=1e-3, **extra)
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     group = model.policy.optimizer.param_groups[0]
     expected: Any = {
         "adam": {"betas": (0.9, 0.9), "eps": 1e-5},
@@ -106,7 +107,7 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:
 def test_a_trained_network_is_let_go() -> None:
     """Hooks on gradients once kept every network of a process in memory."""
     run = small_run()
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     kept = weakref.ref(next(model.policy.parameters()))
     with sb3.GradientNorms(model, run) as norms:
         model.learn(64, log_interval=None)

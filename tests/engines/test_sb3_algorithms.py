@@ -12,6 +12,7 @@ from pneuma.algorithms import TABULAR, VALUE_BASED
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.base import load_engine
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.checkpoints import decode, encode
 
@@ -41,7 +42,7 @@ def run_of(case: str, **settings: object) -> Run:
 def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> None:
     torch.set_num_threads(1)  # as engines do; sums over more threads round otherwise
     run = run_of(case, seed=5)
-    alone = sb3_learners.make_model(run, sb3.make_env(run))
+    alone = sb3_learners.make_model(run, make_vec_env(run))
     alone.learn(run.steps, log_interval=None)
     theirs = sb3.extract_policy(alone, run)
     ours, other = (train(each)[0].policy for each in (run, run_of(case, seed=6)))
@@ -116,7 +117,7 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
 )
 def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.MonkeyPatch) -> None:
     run = run_of(algorithm, minibatch=2, slots=1)
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     for network, values in ((model.q_net, [1, 3, 2, 0, 0]), (model.q_net_target, [5, 4, 9, 0, 0])):
         for parameter in network.parameters():
             parameter.data.zero_()
@@ -139,7 +140,7 @@ def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.M
 
 def test_without_a_baseline_advantages_are_the_returns() -> None:
     run = run_of("a2c-no-baseline", gamma=0.5)
-    model = sb3_learners.make_model(run, sb3.make_env(run))
+    model = sb3_learners.make_model(run, make_vec_env(run))
     buffer = model.rollout_buffer
     buffer.values[:] = 7.0
     buffer.rewards[:] = 1.0

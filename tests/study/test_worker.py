@@ -18,7 +18,7 @@ import pytest
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines.base import OnUpdate, Progress, Result
-from pneuma.engines.policy import Policy, read_policy
+from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
 from pneuma.study.executors.local import one_thread_environment
@@ -73,7 +73,7 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
         {"event": "end", "run_id": FIRST, "status": "done", "step": 512, "trained": True},
         {"event": "end", "run_id": SECOND, "status": "diverged", "step": 256, "trained": True},
     ]
-    assert read_policy(store.read_file(FIRST, "policy.safetensors")).activation == "tanh"
+    assert read_sound_policy(store.read_file(FIRST, "policy.safetensors")).activation == "tanh"
     files = {path.name for path in store.run_folder(SECOND).iterdir()}
     assert files == {*TABLES, "run.json", "provenance.json", "status.json"}
     (row,) = from_parquet(store.read_file(SECOND, "metrics.parquet")).to_pylist()

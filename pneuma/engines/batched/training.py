@@ -11,7 +11,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
-from pneuma.engines.environment import Evaluates, environment_of
+from pneuma.engines.environment import make_collector, make_evaluation
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
@@ -27,12 +27,12 @@ class BatchedTrainer:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self.collector = environment_of(run).collector(run)
+        self.collector = make_collector(run)
         self.learner = Learner(run, self.collector.features, self.collector.actions)
 
     @cached_property
-    def _evaluation(self) -> Evaluates:
-        return environment_of(self.run).evaluation(self.run)
+    def _evaluation(self) -> Any:
+        return make_evaluation(self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Collect one horizon, and learn from it."""
