@@ -42,12 +42,12 @@ EVALUATION_COLUMNS = (
     "hunter_share_killed",
 )
 
-VALUE_COLUMNS = ("q_estimate", "q_true", "q_error", "success", "random_return", "random_spread")
+VALUE_COLUMNS = ("q_estimate", "q_true", "success", "random_return", "random_spread")
 """What some evaluations have on top.
 
-Where values of actions are learned the first three, `q_error` only where all are known; in environments that
-are not Pneuma's, what a random player's episodes return, mean and standard deviation, and `success`, a share
-of episodes, where the environment tells of it.
+Where values of actions are learned the first two; in environments that are not Pneuma's, what a random
+player's episodes return, mean and standard deviation, and `success`, a share of episodes, where the
+environment tells of it.
 """
 
 Row = Mapping[str, Any]

@@ -176,8 +176,8 @@ def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
     """Return one row: returns and lengths as played, explored as at training's end; values as computed.
 
     `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
-    post office and letters, the latter of the greedy route's discounted value; `q_error` is the
-    greatest distance of any entry from the best route's. Tables are (1 or 2, places, actions).
+    post office and letters, the latter of the greedy route's discounted value. Tables are (1 or 2, places,
+    actions).
     """
     assert run.action_slip is not None
     process, mean = decision_process(run.action_slip), tables.mean(axis=0)
@@ -193,7 +193,6 @@ def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
         "argmax_return": float(policy_values(process, greedy, 1.0)[POST_OFFICE]),
         "q_estimate": float(estimated_values(tables)[:HOME].mean()),
         "q_true": float(policy_values(process, greedy, run.gamma).mean()),
-        "q_error": float(np.abs(mean[:HOME] - optimal_values(process, run.gamma)).max()),
     }
 
 
@@ -227,16 +226,6 @@ def estimated_values(tables: np.ndarray) -> np.ndarray:
         for i in range(count)
     ]
     return np.asarray(np.mean(rated, axis=0))
-
-
-def optimal_values(process: tuple[np.ndarray, np.ndarray], gamma: float) -> np.ndarray:
-    """Return the best route's values of actions, (post office and letters, actions)."""
-    chances, rewards = process
-    values, worth = rewards, np.zeros(HOME + 1)
-    for _ in range(LONGEST_ROUTE):
-        values = rewards + gamma * chances @ worth
-        worth[:HOME] = values.max(axis=1)
-    return values
 
 
 def policy_values(process: tuple[np.ndarray, np.ndarray], actions: np.ndarray, gamma: float) -> np.ndarray:

@@ -26,6 +26,8 @@ def save_run(
     started: str = "2020-01-01",
     played: float = 50,
     valued: bool = False,
+    end: int = 1000,
+    status: str = "done",
     **about: Any,
 ) -> None:
     """Store a run whose numbers have no short binary form, so that any rounding would show."""
@@ -42,7 +44,7 @@ def save_run(
         for k in range(1, 5)
     ]  # fmt: skip
     about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc", **about}
-    hand_made.save_run(store, run_id, episodes, updates, evaluations, 1000, **about)
+    hand_made.save_run(store, run_id, episodes, updates, evaluations, end, status, **about)
 
 
 def publish(data: StudyData, store: Store, times: bool = True, **options: Any) -> None:

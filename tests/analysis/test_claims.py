@@ -6,14 +6,11 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from pneuma.analysis.claims import Claim, load_claims
-from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
-from .claim_files import changed, write_files
+from .claim_files import write_files
 
 SHIPPED = load_claims()
 
@@ -31,27 +28,6 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
     assert claim.seeds == {"high": tuple(range(8)), "low": tuple(range(8))}
     assert claim.steps == {"high": 1024, "low": 1024}
     assert claims.digest == hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-MISTAKES: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
-    # name: (text in CLAIMS, what it becomes, line of the mistake, words of the message)
-    "unknown condition": ('"low"', '"lwo"', 10, ("b: ", "'lwo'", "did you mean low?")),
-    "equal without margin": ('"greater"\nmargin = 0.04', '"equal"', 5, ("'margin'", "missing")),
-    "b and value": ('b = "low"', 'b = "low"\nvalue = 1', 5, ("either b", "or value")),
-    "two effects of one arm": ("margin = 0.04", 'c = "middle"', 14, ("a difference of two effects",)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_with_file_line_and_what_to_mend(mistake: str, tmp_path: Path) -> None:
-    old, new, line, words = MISTAKES[mistake]
-    with pytest.raises(UserError) as refused:
-        load_claims(write_files(tmp_path, changed((old, new))))
-    message = str(refused.value)
-    assert f"claims.toml, line {line}: " in message, message
-    assert len(message.splitlines()) == 1
-    for word in words:
-        assert word in message
 
 
 # --- The shipped claims ----------------------------------------------------------------------------

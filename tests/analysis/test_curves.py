@@ -99,16 +99,6 @@ def test_a_point_is_the_mean_of_what_ended_in_the_last_twentieth(at: float, valu
     assert _one_run({0: EXAMPLE})[at] == pytest.approx(value, nan_ok=True)
 
 
-def test_both_ends_of_the_window_are_exact_for_the_quick_budget() -> None:
-    """50,176 / 200 = 250.88; point 25 is 6,272, and point 35 lies 5 % (2,508.8) after it: 8,780.8."""
-    values = list(_one_run({0: [(6272, 1.0), (43_904, 2.0)]}, budget=50_176).values())
-    assert np.isnan(values[23]) and np.isnan(values[173])
-    assert values[24:34] == [1.0] * 10
-    assert np.isnan(values[34])
-    assert values[174:184] == [2.0] * 10  # 43,904 is point 175
-    assert np.isnan(values[184])
-
-
 def test_a_curve_is_blank_until_every_slot_has_finished_an_episode() -> None:
     curve = _one_run({0: [(12, 4.0), (25, 6.0)], 1: [(30, 8.0)]}, slot_count=2)
     assert all(np.isnan(curve[t]) for t in range(1, 30))

@@ -194,24 +194,6 @@ def test_alpha_is_split_by_weights_fixed_beforehand(tmp_path: Path) -> None:
     ) == pytest.approx(1)
 
 
-@pytest.mark.parametrize(
-    ("high", "margin", "direction", "standing"),
-    [
-        (HIGH, 0.6, "greater", "decided by the letter"),
-        (NEAR, 0.04, "greater", "decided with content"),
-        (WIDE, 0.04, "greater", "open"),
-    ],
-)
-def test_a_verdict_is_counted_by_what_it_says_of_size(
-    high: list[float], margin: float, direction: str, standing: str, store: Store, tmp_path: Path
-) -> None:
-    """0.5 more is a difference, but no more than a margin of 0.6: only the letter supports that it is."""
-    claims = changed(("margin = 0.04", f"margin = {margin}"), ('"greater"', f'"{direction}"'))
-    save_runs(store, tmp_path, {"high": high, "low": LOW})
-    one = judge_one(store, tmp_path, claims)
-    assert one.standing == standing
-
-
 # --- What cannot be tested: every reason for which there is no verdict ----------------------------
 
 

@@ -17,36 +17,17 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import CURVES
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
-from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Status, Store
 
-from .. import hand_made
 from ..hand_made import record_of
-from .published_runs import publish, republished
+from .published_runs import publish, republished, save_run
 
 BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
 WriteEvents = Callable[[Path, Any], Path]
 SHIPPED = Path(__file__).parents[2] / "results"
 B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
-
-
-def save_run(store: Store, run_id: str, seed: int, end: int = BUDGET, status: str = "done") -> None:
-    """Store a run of an episode every 50 steps, an update every 100 and an evaluation every 500.
-
-    Episode k returns k + seed in k steps and kills k, update k has the value k / 4 throughout.
-    """
-    episodes = [
-        {"episode": k, "step": 50 * k, "return": float(k + seed), "length": k, "kills": k, "hp": 0.5}
-        for k in range(1, 21)
-    ]
-    updates = [{**dict.fromkeys(METRIC_COLUMNS, k / 4), "step": 100 * k} for k in range(1, 11)]
-    evaluations = [
-        {"step": 500 * k, "share_killed": k / 4 + seed / 8, "random_share_killed": 0.1} for k in (1, 2)
-    ]
-    about = {"started": "now", "wall_seconds": 1.5, "packages": {}}
-    hand_made.save_run(store, run_id, episodes, updates, evaluations, end, status, **about)
 
 
 def trained(store: Store) -> dict[str, Any]:

@@ -62,17 +62,6 @@ def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> 
     assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
 
 
-def test_returns_of_unlike_rewards_are_not_held_against_each_other(tmp_path: Path) -> None:
-    data = study(tmp_path, FINALS)
-    runs = [{**run, "run": {**run["run"], "reward": run["condition"]}} for run in data.record["runs"]]
-    unlike = open_study(Store(tmp_path / "results"), {**data.record, "runs": runs})
-    for those, held in ((data, True), (unlike, False)):
-        table = summary_table(those)
-        better = set(table[table["statistic"] == "improvement"]["outcome"])
-        assert ("final-return" in better, "auc-return" in better) == (held, held)
-        assert "final-share-killed" in better
-
-
 def test_the_interval_of_improvement_is_of_comparing_every_pair_of_a_resample() -> None:
     draws = np.random.default_rng(8)
     a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pneuma.config import make_run
-from pneuma.engines.base import Progress, checkpoint_steps, load_engine
+from pneuma.engines.base import Progress, load_engine
 from pneuma.engines.records import Checkpoint, CheckpointError
 from pneuma.study.checkpoints import (
     decode,
@@ -86,11 +86,3 @@ def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], eng
 
 
 # --- As files --------------------------------------------------------------------------------------
-
-
-def test_checkpoints_to_keep_are_spread_over_the_run_from_its_first_update() -> None:
-    run = make_run({**SMALL, "steps": 640})  # 10 updates of 64
-    assert checkpoint_steps(run, 4) == {64, 192, 320, 512, 640}  # updates 1, 3, 5, 8 and 10
-    assert checkpoint_steps(run, 1) == {64, 640}
-    assert checkpoint_steps(run, 0) == set()
-    assert checkpoint_steps(run, 100) == {64 * update for update in range(1, 11)}

@@ -69,7 +69,6 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
         "actions": [0.98, 0.02, 0, 0, 0],
         "evaluation": {
             "return": 0.544806, "length": 2.0, "argmax_return": 1.0, "q_estimate": 0.731302, "q_true": 0.95,
-            "q_error": 0.845375,
         },
     },
 }  # fmt: skip

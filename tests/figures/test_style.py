@@ -14,7 +14,6 @@ from pneuma.figures.style import (
     condition_looks,
     house_style,
     save_figure,
-    short_names,
 )
 
 
@@ -28,16 +27,6 @@ def test_table_6_2_has_one_colour_under_all_its_names() -> None:
 def test_crossed_conditions_share_a_colour_where_each_has_a_panel() -> None:
     crossed = [f"limit={limit}, {kind}" for limit in (1, 2, 3) for kind in ("tanh", "relu", "leaky-relu")]
     assert [look["color"] for look in condition_looks(crossed).values()] == [*COLOURS[:3]] * 3
-
-
-def test_names_with_the_same_factors_go_by_their_levels_if_these_tell_them_apart() -> None:
-    names = ["scale=raw, lr=1, tanh", "scale=unit, lr=1, tanh"]
-    assert short_names(names) == (
-        dict(zip(names, ["raw, 1, tanh", "unit, 1, tanh"], strict=True)),
-        "scale, lr, condition",
-    )
-    for alike in (["a name"], ["a=1, b=1", "b=1, c=1"], ["a=x, b=y", "a=x, b=y, "], ["c", "a=1, b=1"]):
-        assert short_names(alike) == ({name: name for name in alike}, "")
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
