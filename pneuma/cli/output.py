@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pneuma.errors import UserError, nearest_name, plain
@@ -102,22 +102,12 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
 
 
 def check_file(out: Path, endings: Collection[str]) -> None:
-    """Refuse a file that cannot be written, or ends otherwise, before any work is done."""
+    """Refuse a file that is a folder, or ends otherwise, before any work is done."""
     if out.suffix.lower() not in endings:
         hint = nearest_name(out.suffix, endings) if out.suffix else ""
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
-    check_folder(out.parent)
-
-
-def check_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be written, or made, before any work is done; make none yet."""
-    there = next((path for path in (folder, *folder.resolve().parents) if path.exists()), folder)
-    try:
-        TemporaryFile(dir=there).close()
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written ({error.strerror}); see --out, --results") from None
 
 
 def write_file(out: Path, data: bytes) -> None:
@@ -133,12 +123,9 @@ def write_file(out: Path, data: bytes) -> None:
 
 
 def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
-    """Return the kinds of file that figures are written as; refuse a folder that cannot be written."""
-    if out is not None:
-        ending = out.suffix.lower()[1:]
-        if ending in FIGURE_FORMATS and not out.is_dir():
-            raise UserError(f"--out {out}: is the folder of figures; name one, and --format {ending}")
-        check_folder(out)
+    """Return the kinds of file that figures are written as; refuse a file in place of their folder."""
+    if out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir():
+        raise UserError(f"--out {out}: is the folder of figures; name one, and --format {out.suffix[1:]}")
     return tuple(asked or ("png", "svg"))
 
 
@@ -152,15 +139,11 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
         out: where; None for the results.
         draw: draws into a folder that is removed afterwards, and returns its files.
     """
-    check_folder(out or store.root)
-    target = out or store.root / "figures"
+    target, write = (store.root / "figures", store.write) if out is None else (out, write_file)
     with TemporaryDirectory() as folder:
         files = {path.name: path.read_bytes() for path in draw(Path(folder))}
     for name, content in files.items():
-        if out is None:
-            store.write(target / name, content)
-        else:
-            write_file(target / name, content)
+        write(target / name, content)
     return [target / name for name in files]
 
 

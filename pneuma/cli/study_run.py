@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_folder, command, print_json, print_table, say
+from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.study_records import file_of, shipped_name
 from pneuma.errors import UserError, install_extra
 from pneuma.study import execute, plan, spec
@@ -163,7 +163,6 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     """Return where the TensorBoard log of each run is to lie, by names that `pneuma import` reads."""
     if find_spec("tensorboard") is None:
         raise UserError(f"--tensorboard needs the tensorboard package: {install_extra('tensorboard')}")
-    check_folder(folder)
     of_study = folder.resolve() / planned.study.name
     names = {name: re.sub(r"[^\w.=-]", "-", name) for name in planned.conditions}
     return {cell.run_id: str(of_study / f"{names[cell.condition]}_{cell.seed}") for cell in planned.cells}
