@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.study.store import Status, Store, to_json
+from pneuma.study.files import to_json
+from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 
 BUDGET = 10_000

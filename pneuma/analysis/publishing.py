@@ -18,8 +18,8 @@ from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.series import EXTREMES, GRID_POINTS
 from pneuma.errors import UserError
+from pneuma.study.files import to_json
 from pneuma.study.provenance import other_processors
-from pneuma.study.store import to_json
 
 CURVES = (
     "return", "length", "entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "dead_units",

@@ -132,13 +132,9 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
     Raises:
         UserError: where no claim is about the study, or the budget is not told.
     """
-    if study.path is None:
-        raise UserError(f"--preset {CLAIMS}: study {study.name} is no file, so no claims stand beside it")
     found = fixed_amounts(study)
     if not found:
-        beside = study.path.parent / CLAIMS_FILE
-        lacks = f"has no claim on study {study.name}" if beside.exists() else "is not there"
-        raise UserError(f"--preset {CLAIMS}: {beside} {lacks}")
+        raise UserError(f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it")
     if len(found) > 1 and steps is None:
         budgets = " or ".join(f"{each:,}" for each in found)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")

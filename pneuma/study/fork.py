@@ -119,18 +119,8 @@ def _plan(
     notes: tuple[str, ...],
 ) -> Plan:
     """Plan every parent's fork with every seed as a study; those of several parents are numbered through."""
-    study = Study(
-        name=name,
-        path=None,
-        title=title,
-        section="",
-        about=f"{about}, beside an unchanged control.",
-        figure=name,
-        baseline=CONTROL,
-        base="",
-        shared={},
-        conditions={condition: {} for condition in conditions},
-    )
+    about = f"{about}, beside an unchanged control."
+    study = Study(name, None, title, about, name, CONTROL, {condition: {} for condition in conditions})
     forks = [*product(range(len(conditions[CONTROL])), seeds)]
     places = tuple(seeds if len(conditions[CONTROL]) == 1 else range(len(forks)))
     cells = tuple(
@@ -161,10 +151,8 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
         raise UserError(f"run {parent}: a fork would {' and '.join(own.values())}; --trust allows it")
     whole = make_run(settings)
     if run_id(whole) != parent:
-        raise UserError(
-            f"run {parent} was trained by other rules or another engine, or its own files have changed: "
-            "a fork would not go on from where it stood"
-        )
+        why = "was trained by other rules or another engine, or its own files have changed"
+        raise UserError(f"run {parent} {why}: a fork would not go on from where it stood")
     step = _checkpoint_step(store, parent, at, whole)
     return make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})
 
@@ -174,17 +162,12 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
     from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
 
     if at >= whole.steps:
-        raise UserError(
-            f"--at {at}: run {parent} ends at step {whole.steps}, so nothing would be left to train"
-        )
+        ends = f"run {parent} ends at step {whole.steps}"
+        raise UserError(f"--at {at}: {ends}, so nothing would be left to train")
     files = checkpoint_files(store.run_folder(parent))
     if not files:
-        mend = (
-            f"remove {store.run_folder(parent)} and run a study of it with keep_checkpoints = 20 at the top"
-        )
-        if whole.parent:
-            mend = f"as it is a fork: fork run {whole.parent} with both changes"
-        raise UserError(f"run {parent} kept no checkpoints: {mend}")
+        kept = "those of a study do that says keep_checkpoints, and forks never"
+        raise UserError(f"run {parent} kept no checkpoints: {kept}")
     sound = next((file.step for file in files if file.step <= at and read_checkpoint(file)), None)
     if sound is None:
         told = f"the first checkpoint of run {parent} is at step {files[-1].step}"

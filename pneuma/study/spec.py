@@ -84,13 +84,13 @@ class Study:
     name: str
     path: Path | None
     title: str
-    section: str
     about: str
     figure: str
     baseline: str
-    base: str
-    shared: Mapping[str, Any]
     conditions: Mapping[str, Mapping[str, Any]]
+    section: str = ""
+    base: str = ""
+    shared: Mapping[str, Any] = field(default_factory=dict)
     presets: Mapping[str, Preset] = field(default_factory=dict)
     keep_checkpoints: int = 0
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -120,12 +120,8 @@ class Study:
         there = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
         if world == self.worlds[0]:
             return there
-        return replace(
-            there,
-            name=in_world(self.name, world),
-            title=f"{self.title} ({world})",
-            figure=in_world(self.figure, world),
-        )
+        name, figure = in_world(self.name, world), in_world(self.figure, world)
+        return replace(there, name=name, figure=figure, title=f"{self.title} ({world})")
 
     def variant(self, name: str) -> Study:
         """Return the study under the name that it has with fields changed: STUDY+NAME."""

@@ -41,11 +41,8 @@ from pneuma.study.files import (
     replace_files,
     seal,
     to_json,
-    write_whole,
 )
 from pneuma.study.locks import is_held, run_lock
-
-__all__ = ["FINISHED", "STATUSES", "Status", "Store", "read_whole", "run_document", "to_json", "write_whole"]
 
 STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",

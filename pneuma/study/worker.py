@@ -30,10 +30,11 @@ from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import RunCheckpoints, table_files
+from pneuma.study.files import to_json
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
 from pneuma.study.provenance import Attempt, finished_provenance
-from pneuma.study.store import Status, Store, run_document, to_json
+from pneuma.study.store import Status, Store, run_document
 
 REPORT_SECONDS = 0.25
 BEGINS = "begins (compiling for the first time takes up to a minute)"

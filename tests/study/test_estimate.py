@@ -12,9 +12,10 @@ import pytest
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.study.estimate import START_SECONDS, expected_seconds, stored_paces
+from pneuma.study.files import to_json
 from pneuma.study.identity import run_id
 from pneuma.study.provenance import Attempt, finished_provenance, machine
-from pneuma.study.store import Status, Store, run_document, to_json
+from pneuma.study.store import Status, Store, run_document
 
 RUN = make_run({"steps": 2560})
 HERE = {"cpu": machine()["cpu"], "device": "cpu"}

@@ -20,9 +20,9 @@ from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.executors.local import run_groups
-from pneuma.study.files import checksum, seal
+from pneuma.study.files import checksum, seal, to_json
 from pneuma.study.identity import run_id
-from pneuma.study.store import Status, Store, to_json
+from pneuma.study.store import Status, Store
 
 from ..cli.calls import call
 
