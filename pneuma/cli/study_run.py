@@ -147,14 +147,8 @@ def train(
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
     if json and document:
-        ended = {own.cell.run_id: own for own in results}
-        rows = []
-        for cell in planned.cells:
-            own, stored = ended.get(cell.run_id), store.status(cell.run_id)
-            trained = own.trained if own else stored.finished and cell.run_id in todo
-            if stored.finished or cell.run_id not in planned.published:
-                status = own.status if own else stored
-                rows.append({**_cell(cell), "status": status.name, "trained": trained})
+        results = results or execute.standing(planned, store, todo)
+        rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
         print_json({"study": planned.study.name, "runs": rows})
     return code
 
@@ -169,34 +163,18 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
-    """Plan a study; name the rewards of a user's own before any code of theirs is loaded."""
+    """Plan a study; `unpublished`, without the runs that any published table holds."""
     study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
-    selection = chosen.selection
-    told = [study.fields(own, selection.settings or {}).get("reward") or () for own in study.conditions]
-    rewards = (reward for own in told for reward in ([own] if isinstance(own, str) else own))
-    for reward in dict.fromkeys(reward for reward in rewards if ":" in reward):
-        say(f"Note: the study's file names the reward {reward}, which is loaded and called.", aside=True)
-    planned = plan.make_plan(study, selection)
-    return replace(planned, published=_published(chosen.store, planned)) if unpublished else planned
+    planned = plan.make_plan(study, chosen.selection)
+    if not unpublished:
+        return planned
+    from pneuma.analysis.run_index import RunIndex
 
-
-def _published(store: Store, planned: plan.Plan) -> frozenset[str]:
-    """Return which of a plan's runs a published table holds, of its study or another.
-
-    Raises:
-        UserError: when the study's own is damaged.
-    """
-    from pneuma.analysis.published import published_studies, read_published
-
-    found: set[str] = set()
-    for study in published_studies(store, shipped=True):
-        try:
-            found |= read_published(store, study).finished
-        except UserError as error:
-            if study == planned.study.name:
-                raise
-            say(f"Note: {error}; its runs are trained.", aside=True)
-    return frozenset(cell.run_id for cell in planned.cells if cell.run_id in found)
+    index = RunIndex(chosen.store, stored=False)
+    held = index.of_record(execute.selection_record(planned))
+    for error in index.damaged:
+        say(f"Note: {error}; its runs are trained.", aside=True)
+    return replace(planned, published=frozenset(name for name, own in held.items() if own.published))
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

@@ -99,17 +99,26 @@ def execute(
 
     if todo or how.executor == SLURM:  # whose jobs may have ended, and wait to be put away
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
-    results = [_result(cell, store, ended.get(cell.run_id)) for cell in plan.cells]
-    return [own for own in results if own.status.finished or own.cell.run_id not in plan.published]
+    return standing(plan, store, todo, ended)
 
 
-def _result(cell: Cell, store: Store, end: Event | None) -> CellResult:
-    """Return how a cell stands; an end that could not be stored counts as it was reported."""
-    status = store.status(cell.run_id)
-    if end and not status.finished:
-        status = Status(end["status"], status.step)
-    reason = (end or {}).get("reason") or store.failure(cell.run_id)
-    return CellResult(cell, status, bool(end and end["trained"]), reason)
+def standing(
+    plan: Plan, store: Store, todo: Mapping[str, Run], ended: Mapping[str, Event] | None = None
+) -> list[CellResult]:
+    """Return how a plan's cells stand, by the store and by what ended; without those published alone.
+
+    An end that could not be stored counts as reported. Where none was, what is finished now was trained.
+    """
+    results = []
+    for cell in plan.cells:
+        status, end = store.status(cell.run_id), (ended or {}).get(cell.run_id, {})
+        trained = bool(end["trained"]) if end else ended is None and status.finished and cell.run_id in todo
+        if end and not status.finished:
+            status = Status(end["status"], status.step)
+        if status.finished or cell.run_id not in plan.published:
+            reason = end.get("reason") or store.failure(cell.run_id)
+            results.append(CellResult(cell, status, trained, reason))
+    return results
 
 
 def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
