@@ -56,6 +56,12 @@ def _studies(typed: Mapping[str, Any]) -> list[str]:
     return [*spec.list_studies(), *_store(typed).studies(), *own]
 
 
+def _searches(typed: Mapping[str, Any]) -> list[str]:
+    recorded = (_store(typed).root / "searches").glob("[!.]*.json")
+    own = [path.name for path in Path().glob("*.toml") if "[space." in path.read_text(encoding="utf-8")]
+    return [*spec.shipped_names(spec.studies_folder() / "search"), *(path.stem for path in recorded), *own]
+
+
 def _conditions(typed: Mapping[str, Any]) -> list[str]:
     return [*_study(typed).get("conditions", {})]
 
@@ -82,7 +88,7 @@ def _environments(typed: Mapping[str, Any]) -> Iterable[str]:
     return REGISTERED
 
 
-studies, conditions, presets, fields, outcomes, environments = map(
-    offering, (_studies, _conditions, _presets, _fields, _outcomes, _environments)
+studies, searches, conditions, presets, fields, outcomes, environments = map(
+    offering, (_studies, _searches, _conditions, _presets, _fields, _outcomes, _environments)
 )
 runs = offering(lambda typed: _store(typed).runs())

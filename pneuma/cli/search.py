@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_file,
@@ -44,7 +45,7 @@ app = typer.Typer(
 )
 
 SearchName = Annotated[
-    str, typer.Argument(metavar="NAME", help="A search's name, or the path of a search file (….toml).")
+    str, opt.argument("NAME", "A search's name, or the path of a search file (….toml).", complete.searches)
 ]
 
 
@@ -58,11 +59,13 @@ def list_(json: opt.Json = False) -> None:
 
 
 @app.command()
-def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) -> None:
+def show(
+    name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
+) -> None:
     """Show what a search varies, what it seeks, and its presets."""
-    from pneuma.search.spec import load_search
+    from pneuma.search.storage import find_search
 
-    search = load_search(name, world)
+    search = find_search(Store(results), name, world)
     if json:
         return print_json({"search": search.name, **vars(search)})
     say(search.title + (f" (thesis section {search.section})" if search.section else ""))
@@ -84,14 +87,14 @@ def status(
     name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
 ) -> None:
     """Show how far a search is, and the best that it has found."""
-    from pneuma.search.storage import journal_path, read_record
+    from pneuma.search.storage import read_record
 
     store = Store(results)
     searched = read_record(store, name, world)
     search, budget, best = searched.task.search, searched.task.budget, searched.best
     if json:
         amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
-        return print_json({**_document(searched.task, searched.trials, store), **amount})
+        return print_json({**_document(searched.task, searched.trials), **amount})
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
     for own in search.objectives:
         say(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
@@ -104,12 +107,12 @@ def status(
         mark = "*" if trial.number in among else ""
         rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
     print_table(("", "trial", "", "value", "", ""), rows)
+    named = (name, *world_option(world or TEXT), "--results", store.root)
     if isinstance(best, int):
-        told = command("search", "promote", name, *world_option(world or TEXT), "--results", store.root)
-        say(f"Best (*): trial {best}. Confirm it with: {told}")
+        say(f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *named)}")
     else:
         print(f"Pareto front (*): trials {', '.join(map(str, best or [])) or 'none yet'}.")
-    return say(f"Look closer with: optuna-dashboard {journal_path(store, search.name)}")
+    return say(f"Look closer with: {command('search', 'plot', *named)}")
 
 
 @app.command(short_help="Draw a search.")
@@ -165,8 +168,9 @@ def run(
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     over = {**dict(set_ or ()), **({"engine": engine} if engine else {})}
-    task = _task(name, world, preset, over, trials=trials, seeds=seeds, steps=steps)
-    store, how = Store(results), replace(place, workers=opt.most_workers(workers, place))
+    store = Store(results)
+    task = _task(store, name, world, preset, over, trials=trials, seeds=seeds, steps=steps)
+    how = replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     told: list[Told] = []
@@ -189,7 +193,7 @@ def run(
         say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
         code = 130
     if json:
-        print_json(_document(task, told, store))
+        print_json(_document(task, told))
     elif not code:
         at = (task.search.name, "--results", store.root)
         say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
@@ -197,24 +201,30 @@ def run(
     return code
 
 
-def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
+def _task(
+    store: Store,
+    name: str,
+    world: str | None,
+    preset: str,
+    over: Mapping[str, Any],
+    amount: Mapping[str, Any],
+) -> Task:
     """Return a search with the fields set over its own, and its preset's budget with the amounts given."""
     from pneuma.config import Run
     from pneuma.env_fields import read_field
     from pneuma.search.space import FIXABLE
-    from pneuma.search.spec import load_search
+    from pneuma.search.storage import find_search
     from pneuma.search.trials import Task
 
     for key in over:
         if key not in FIXABLE.names:
             raise unknown_name("key of --set", key, FIXABLE.names)
     over = {key: read_field(Run, key, value) for key, value in over.items()}
-    search = load_search(name, world)
+    search = find_search(store, name, world)
     if preset not in search.presets:
         raise unknown_name(f"preset of search {search.name}", preset, search.presets)
     given = {key: value for key, value in amount.items() if value is not None}
-    file = str(Path(name).resolve()) if name.endswith(".toml") else ""
-    return Task(search.with_settings(over, over), replace(search.presets[preset], **given), file, over)
+    return Task(search.with_settings(over, over), replace(search.presets[preset], **given), over)
 
 
 def train(
@@ -241,16 +251,15 @@ def train(
             raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
 
 
-def _document(task: Task, trials: Sequence[Told], store: Store) -> dict[str, Any]:
+def _document(task: Task, trials: Sequence[Told]) -> dict[str, Any]:
     """Return what a search came to, as JSON has it."""
-    from pneuma.search.storage import journal_path, trial_document
+    from pneuma.search.storage import trial_document
     from pneuma.search.trials import best_number
 
     return {
         "search": task.search.name,
         "trials": [trial_document(trial, task.search) for trial in trials],
         "best": best_number(trials, task.search),
-        "journal": journal_path(store, task.search.name),
     }
 
 
@@ -266,7 +275,7 @@ def _value(trial: Told) -> str:
 def promote(
     names: Annotated[
         list[str],
-        typer.Argument(metavar="NAME…", help="Searches, or their files; several must be tuned alike."),
+        opt.argument("NAME…", "Searches, or their files; several must be tuned alike.", complete.searches),
     ],
     seeds: opt.Seeds = "10",
     steps: opt.Steps = None,
@@ -284,15 +293,16 @@ def promote(
 ) -> int:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search.promote import find_winners, gains, winners_study
-    from pneuma.search.storage import read_record
+    from pneuma.search.storage import read_record, refuse_own_code
 
     if trial is not None and len(names) > 1:
         raise UserError(f"--trial {trial}: is of one search; name one")
     store = Store(results)
     searches = [read_record(store, name, world) for name in names]
     winners = find_winners(searches, trial, seeds)
-    for name, winner in zip(names, winners, strict=True):
-        _refuse_untrusted(winner, name)
+    for name, task in zip(names, (searched.task for searched in searches), strict=True):
+        of_record = {key: [value] for key, value in task.over.items()}
+        refuse_own_code(name, of_record if name.endswith(".toml") else task.search.space.all_values())
     steps = steps or searches[0].task.budget.steps
     text = winners_study(winners, seeds, steps).encode()
     chosen: list[dict[str, Any]] = [
@@ -335,18 +345,6 @@ def promote(
         if count:
             print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
     return 0
-
-
-def _refuse_untrusted(winner: Winner, name: str) -> None:
-    """Refuse what a record, or a file that it alone names, would have run or read: both may be untrusted."""
-    from pneuma.study.identity import own_things
-
-    task = winner.searched.task
-    space = task.search.space
-    for settings in (space.fixed, space.fields(winner.trial.params)):
-        for key, deed in own_things(settings).items():
-            if key in task.over or not name.endswith(".toml"):
-                raise UserError(f"search {task.search.name} would {deed}: say so in its file, and name that")
 
 
 def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:

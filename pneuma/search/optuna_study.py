@@ -1,17 +1,14 @@
-"""What Optuna does of a search: asking for trials, and showing those that have ended.
+"""What Optuna does of a search: asking for trials, and telling the best of those that have ended.
 
 The study that asks lives in memory. Before each ask the sampler is made anew with a seed of the trial's
 own, so that what is suggested depends on the trials told before and on nothing else: not on the number
 of workers, nor on how often the search was stopped (Akiba et al. 2019 describe ask and tell).
-
-The journal file, for optuna-dashboard, is written and never read back: what a search knows is in its runs.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import optuna
@@ -19,9 +16,8 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from optuna.exceptions import ExperimentalWarning
 from optuna.pruners import MedianPruner, NopPruner
 from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
-from optuna.storages.journal import JournalFileBackend
 from optuna.study import StudyDirection
-from optuna.trial import FrozenTrial, TrialState, create_trial
+from optuna.trial import TrialState, create_trial
 
 from pneuma.config import stream_seed
 from pneuma.search.space import Parameter
@@ -38,14 +34,11 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 # --- Asking ---------------------------------------------------------------------------------------
 
 
-def create_study(
-    search: Search, objectives: int | None = None, storage: optuna.storages.BaseStorage | None = None
-) -> optuna.Study:
-    """Return a study without trials, of the first so many objectives: in memory, or in a storage."""
+def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
+    """Return a study in memory without trials, of the first so many objectives."""
     sought, own = search.objectives[:objectives], search.pruner
     pruner = MedianPruner(own.startup_trials, n_min_trials=1) if isinstance(own, Median) else NopPruner()
     study = optuna.create_study(
-        storage=storage or optuna.storages.InMemoryStorage(),
         sampler=RandomSampler(seed=0),
         pruner=pruner,
         study_name=search.name,
@@ -99,7 +92,7 @@ def _sampler(own: Sampler, seed: int) -> BaseSampler:
     return RandomSampler(seed=seed)
 
 
-# --- Showing --------------------------------------------------------------------------------------
+# --- What has ended -------------------------------------------------------------------------------
 
 
 def ended_study(told: Iterable[Told], search: Search, objectives: int | None = None) -> optuna.Study:
@@ -109,31 +102,18 @@ def ended_study(told: Iterable[Told], search: Search, objectives: int | None = N
         ValueError: for a parameter or a value that the search cannot have had.
     """
     study = create_study(search, objectives)
-    study.add_trials(frozen_trials(told, search, objectives))
-    return study
-
-
-def new_journal(path: Path, search: Search) -> optuna.Study:
-    """Return a study without trials that writes a journal file, in place of what is there."""
-    for old in (path, Path(f"{path}.lock")):
-        old.unlink(missing_ok=True)
-    return create_study(search, storage=optuna.storages.JournalStorage(JournalFileBackend(str(path))))
-
-
-def frozen_trials(told: Iterable[Told], search: Search, objectives: int | None = None) -> list[FrozenTrial]:
-    """Return trials that have ended as Optuna has them."""
     parameters = {parameter.name: _distribution(parameter) for parameter in search.space.parameters}
-    return [
+    study.add_trials(
         create_trial(
             state=STATES[trial.state],
             values=list(trial.values[:objectives]) if trial.state == "complete" else None,
             params=dict(trial.params),
             distributions={name: parameters[name] for name in trial.params},
-            user_attrs={"runs": list(trial.run_ids), "note": trial.note},
             intermediate_values=dict(trial.rungs),
         )
         for trial in told
-    ]
+    )
+    return study
 
 
 def _distribution(parameter: Parameter) -> BaseDistribution:

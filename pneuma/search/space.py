@@ -188,6 +188,13 @@ class Space:
                 params[parameter.name] = suggest(parameter)
         return params
 
+    def all_values(self) -> dict[str, list[Any]]:
+        """Return every value that a field which is set may have, but of ranges."""
+        return {
+            **{key: [value] for key, value in self.fixed.items()},
+            **{own.name: list(own.choices.values()) for own in self.parameters},
+        }
+
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return what a trial sets on top of the base, in fields of the run."""
         given = dict(self.fixed)

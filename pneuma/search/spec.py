@@ -115,6 +115,7 @@ class Search:
         sampler, pruner: with all their options.
         presets: by name.
         world: of `pneuma.worlds.WORLDS`.
+        file: its path, where it is not a shipped one.
     """
 
     name: str
@@ -129,6 +130,7 @@ class Search:
     pruner: Pruner
     presets: Mapping[str, Budget]
     world: str = TEXT
+    file: str = ""
 
     @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
@@ -188,7 +190,8 @@ def load_search(name: str, world: str | None = None) -> Search:
         UserError: naming file, line, key, value and what is allowed.
     """
     path, world = find_file("search", name, world, studies_folder() / "search")
-    return read_search(path).in_world(world or TEXT)
+    search = read_search(path).in_world(world or TEXT)
+    return replace(search, file=str(path.resolve()) if name.endswith(".toml") else "")
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:

@@ -1,8 +1,7 @@
 """A search in a results folder: its record, and the lock that keeps a second process out.
 
-The record results/searches/NAME.json is rewritten after every generation. A copy of it in
-results/published/searches is for version control, and is read wherever the search was not run. A record
-holds trials; what was searched stands in the search's file, which must still say the same.
+The record results/searches/NAME.json is rewritten after every generation. It holds trials; what was searched
+stands in the search's file, which must still say the same.
 """
 
 from __future__ import annotations
@@ -11,23 +10,24 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from pneuma.config import Run
 from pneuma.env_fields import read_fields
-from pneuma.errors import UserError, counted, nearest_name
-from pneuma.search.optuna_study import ended_study, frozen_trials, new_journal
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.search.optuna_study import ended_study
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import Outcomes, Task, Told, Train, best_number, conduct
 from pneuma.study.execute import broken_environments
-from pneuma.study.files import read_sealed, seal, to_json
+from pneuma.study.files import names_in, read_sealed, seal, to_json
+from pneuma.study.identity import own_things
 from pneuma.study.locks import run_lock
+from pneuma.study.spec import files_called
 from pneuma.study.store import Store
 from pneuma.worlds import TEXT, check_world, in_world, split_world
 
-FOLDER, PUBLISHED = Path("searches"), Path("published", "searches")
-"""Where records are, in a results folder."""
 VERSIONS = ("optuna", "rules", "engines")
 """What of a search's identity nobody chooses."""
 
@@ -63,34 +63,28 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     for reason in broken_environments(corners).values():
         raise UserError(reason)
     store.check_writable()
-    folder = store.root / FOLDER / f".{search.name}"
-    if not folder.resolve().is_relative_to(store.root.resolve()):
-        raise UserError(f"{folder}: leads out of the results folder; link the whole folder instead")
-    folder.mkdir(parents=True, exist_ok=True)
-    with run_lock(folder) as mine:
+    with run_lock(store.root / "searches" / f".{search.name}") as mine:
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
-        journal = new_journal(journal_path(store, search.name), search)
         told: list[Told] = []
         save_record(store, task, told)
         for generation in conduct(task, train, Outcomes(task, store)):
             told += generation
-            journal.add_trials(frozen_trials(generation, search))
             save_record(store, task, told)
             yield told
-
-
-def journal_path(store: Store, name: str) -> Path:
-    """Return the file of a search that optuna-dashboard reads."""
-    return store.root / FOLDER / f"{name}.journal"
 
 
 # --- The record ------------------------------------------------------------------------------------
 
 
+def record_path(store: Store, name: str) -> Path:
+    """Return where the record of a search is."""
+    return store.root / "searches" / f"{name}.json"
+
+
 def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
     """Write a search's record; while a stopped search is replayed, the trials it had more are kept."""
-    path = store.root / FOLDER / f"{task.search.name}.json"
+    path = record_path(store, task.search.name)
     trials, asked = [trial_document(trial, task.search) for trial in told], task.budget.trials
     held = read_sealed(path)
     if held and held.get("digest") == task.digest:
@@ -99,7 +93,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
             trials, asked = before, max(asked, len(before))
     document = {
         "search": task.search.name,
-        "file": task.file,
+        "file": task.search.file,
         "set": task.over,
         "digest": task.digest,
         "identity": task.identity,
@@ -109,8 +103,30 @@ def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
     store.write(path, seal(document))
 
 
+def find_search(store: Store, name: str, world: str | None = None) -> Search:
+    """Load a search by its path or its name; one that was run by its path is known by its name, too.
+
+    Raises:
+        UserError: where it is none, or a file that only the record names would use code of a user's own.
+    """
+    check_world(world)
+    path = _recorded_file(store, in_world(name, world or TEXT))
+    if name.endswith(".toml") or split_world(name)[0] in list_searches() or not path:
+        return load_search(name, world)
+    search = load_search(path, world or split_world(name)[1])
+    refuse_own_code(search.name, search.space.all_values())
+    return search
+
+
+def refuse_own_code(name: str, fields: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse values of fields that would use a user's own code or files: a record may be untrusted."""
+    for env, (key, values) in product(fields.get("env", [None]), fields.items()):
+        for deed in (deed for value in values for deed in own_things({"env": env, key: value}).values()):
+            raise UserError(f"search {name} would {deed}: name its file, which must say so, if you trust it")
+
+
 def read_record(store: Store, name: str, world: str | None = None) -> Searched:
-    """Return a search as it was recorded: by its run here, else by the published record.
+    """Return a search as it was recorded.
 
     Args:
         store: the results folder.
@@ -118,27 +134,38 @@ def read_record(store: Store, name: str, world: str | None = None) -> Searched:
         world: of `pneuma.worlds.WORLDS`; the text's when neither this nor the name says so.
 
     Raises:
-        UserError: where it was never run here nor published, its record is damaged, or its file says
-            something else now.
+        UserError: where it was never run here, its record is damaged, or its file says something else now.
     """
     check_world(world)
     file = name if name.endswith(".toml") else ""
     name = in_world(Path(name).stem if file else name, world or TEXT)
-    paths = [store.root / folder / f"{name}.json" for folder in (FOLDER, PUBLISHED)]
-    found = [_read(path, name, file) for path in paths if path.exists()]
-    if found:
-        return next((own for own in found if own.trials), found[0])
-    own = split_world(name)[0]
-    hint = "" if own in list_searches() else nearest_name(own, list_searches())
+    path = record_path(store, name)
+    if path.exists():
+        return _read(path, name, file)
+    known = [*list_searches(), *recorded_searches(store), *files_called(name)]
+    if split_world(name)[0] not in known and not file:
+        raise unknown_name("search", name, known)
     raise UserError(
-        f"search {name} was not run in {store.root}{hint}: `pneuma search run` it first, "
+        f"search {name} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
 
 
+def recorded_searches(store: Store) -> list[str]:
+    """Return the names of the searches that were run here."""
+    names = names_in(store.root / "searches")
+    return [Path(name).stem for name in names if name.endswith(".json") and not name.startswith(".")]
+
+
+def _recorded_file(store: Store, name: str) -> str:
+    """Return the path by which a search was run, if it is there still; else an empty text."""
+    file = (read_sealed(record_path(store, name)) or {}).get("file")
+    return file if isinstance(file, str) and Path(file).is_file() else ""
+
+
 def replaced_note(store: Store, task: Task) -> str:
     """Say what of a record a search is about to take the place of; empty where there is nothing."""
-    held = read_sealed(store.root / FOLDER / f"{task.search.name}.json") or {}
+    held = read_sealed(record_path(store, task.search.name)) or {}
     if held.get("digest") == task.digest or not held.get("trials"):
         return ""
     changed = ", ".join(_changed(held.get("identity"), task)) or "files"
@@ -168,14 +195,14 @@ def _changed(identity: object, task: Task) -> list[str]:
 
 
 def _read(path: Path, name: str, file: str) -> Searched:
-    """Return a search from its record, which may be untrusted, and from its file: by its path where given."""
+    """Return a search from its record, which may be untrusted, and its file, by a path if given."""
     document = read_sealed(path) or {}
     try:
         over = read_fields(Run, document["set"])
         identity, file = document["identity"], file or str(document["file"])
         budget = Budget(int(document["trials_asked"]), tuple(identity["seeds"]), int(identity["steps"]))
         own = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
-        task = Task(own, budget, file, over)
+        task = Task(own, budget, over)
         if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"

@@ -46,13 +46,11 @@ class Task:
     Attributes:
         search: its file.
         budget: trials, seeds and steps.
-        file: its path, where it is not a shipped one.
         over: fields of the run that are set over the file's.
     """
 
     search: Search
     budget: Budget
-    file: str = ""
     over: Mapping[str, Any] = field(default_factory=dict)
 
     @property

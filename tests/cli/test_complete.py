@@ -31,6 +31,7 @@ OWN = "[conditions.mine]\nhorizon = 128\n[conditions.yours]\nhorizon = 256\n[pre
         ("env play pneuma/PneumaA", "pneuma/PneumaArena-v0"),
         ("study show missing.toml --world ", "arena godot text"),
         ("study run missing.toml --condition ", ""),
+        ("search run arch", "architecture"),
     ],
 )
 def test_names_are_offered(

@@ -63,8 +63,11 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(searched: tuple[Path,
     assert best == min(trial["value"] for trial in document["trials"])
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
     told = described("search", "status", "small", "--results", results, "--json")  # by its name alone
-    assert told["trials"] == document["trials"] and Path(told["journal"]).is_file()
+    assert told["trials"] == document["trials"]
     assert "Best (*)" in printed("search", "status", path, "--results", results)
+    again = described("search", "run", "small", "--results", results, "--json")
+    assert again["trials"] == document["trials"]
+    assert "A small search" in printed("search", "show", "small", "--results", results)
 
 
 @pytest.mark.parametrize("stop", [Unfinished("trial-002 seed 1000 crashed"), KeyboardInterrupt()])
@@ -116,6 +119,6 @@ def test_no_code_that_a_record_or_its_file_names_is_run(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pneuma", "search", "run", *map(str, [path, *words])]
     subprocess.run(command, cwd=tmp_path, check=True)
     out = tmp_path / "out.toml"
-    told = refused("search", "promote", "evil", "--results", results, "--out", out)
-    assert "would run the reward mine:pay" in told
+    for verb in ("run", "show", "promote"):
+        assert "would run the reward mine:pay" in refused("search", verb, "evil", "--results", results)
     printed("search", "promote", path, "--results", results, "--out", out)
