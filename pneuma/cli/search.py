@@ -207,7 +207,7 @@ def _task(
     world: str | None,
     preset: str,
     over: Mapping[str, Any],
-    amount: Mapping[str, Any],
+    **amount: Any,
 ) -> Task:
     """Return a search with the fields set over its own, and its preset's budget with the amounts given."""
     from pneuma.config import Run
