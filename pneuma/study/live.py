@@ -15,7 +15,6 @@ from typing import Any
 from pneuma.engines.base import Progress
 from pneuma.engines.records import Row
 
-FLUSH_SECONDS = 5
 TRAILING_EPISODES = 100
 """Over which Stable-Baselines3 averages returns and lengths."""
 
@@ -34,15 +33,14 @@ class LiveLog:
         from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
         self._event = Event
-        self._writer = EventFileWriter(folder, flush_secs=FLUSH_SECONDS)
+        self._writer = EventFileWriter(folder)
         self._first = first
         self._seen: dict[str, int] = {}
-        if first:  # what was logged from there on before a kill is replaced
-            started = SessionLog(status=SessionLog.START)
-            self._writer.add_event(Event(wall_time=time.time(), step=first + 1, session_log=started))
+        started = SessionLog(status=SessionLog.START)  # replaces what was logged from here on before a kill
+        self._writer.add_event(Event(wall_time=time.time(), step=first + 1, session_log=started))
 
     def update(self, progress: Progress) -> None:
-        """Write what an update added."""
+        """Write what an update added, to the file: a checkpoint that comes after it may be gone on from."""
         records = progress.records
         for row in self._new("episodes", records.episodes):
             self._write(row["step"], {tag: row[name] for name, tag in EPISODE_TAGS.items()})
@@ -55,6 +53,7 @@ class LiveLog:
             self._write(row["step"], _tagged(row, "train", UPDATE_TAGS))
         for row in self._new("evaluations", records.evaluations):
             self._write(row["step"], _tagged(row, "eval", EVALUATION_TAGS))
+        self._writer.flush()
 
     def close(self) -> None:
         """Write what is left."""

@@ -171,10 +171,10 @@ def _train_once(
         attempt.update(progress.step)
         reporter.step(name, progress.step)
         stopping = stop.is_set()
-        checkpoints.update(progress, attempt, stopping)
         if log:
             with suppress(OSError):  # a full disk: training goes on
                 log.update(progress)
+        checkpoints.update(progress, attempt, stopping)
         return not stopping
 
     try:

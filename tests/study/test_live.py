@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from pneuma.api import open_data
 from pneuma.study.imported import read_event_file
+from pneuma.study.store import Store
 
-from ..cli.calls import TINY, described
+from ..cli.calls import TINY, described, printed
+from .storm import children, kill, wait_for_end
 
 TABLES = ("episodes", "metrics")
 
@@ -51,3 +56,34 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         (back,), (own,) = again.of_condition(condition), data.of_condition(condition)
         ends = [held.curve(run, "return", "trailing-100")[-1] for held, run in ((again, back), (data, own))]
         assert back.seed == 5 and ends[0] == pytest.approx(ends[1])
+
+
+@pytest.mark.slow
+def test_a_log_over_a_kill_has_every_point_of_one_without_once(tmp_path: Path) -> None:
+    """As TensorBoard reads it; killed is a worker with the command that started it."""
+    run = ["study", "run", "activation", *TINY[2:4], *TINY[6:], "--seeds", "5,", "--steps", "200_000"]
+    run += ["--checkpoint-seconds", "0.5", "--quiet"]
+    words = {own: [*run, "--results", tmp_path / own, "--tensorboard", tmp_path / own] for own in ("a", "b")}
+    process = subprocess.Popen([sys.executable, "-m", "pneuma", *map(str, words["a"])])
+    store = Store(tmp_path / "a")
+    while not any(store.status(run_id).step for run_id in store.runs()):
+        time.sleep(0.1)
+    time.sleep(0.3)  # so that more is logged than is kept
+    workers = [*children(process.pid)]
+    for pid in (process.pid, *workers):
+        kill(pid)
+    process.wait()
+    wait_for_end(workers)
+    printed(*words["a"])
+    printed(*words["b"])
+    killed, whole = (_points(path) for path in sorted(tmp_path.glob("?/activation+*/tanh_5")))
+    assert len([*tmp_path.glob("a/activation+*/tanh_5/*")]) == 2
+    assert killed == whole and whole["charts/episodic_return"]
+
+
+def _points(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log = EventAccumulator(str(folder), {"scalars": 0})
+    log.Reload()
+    return {tag: [(own.step, own.value) for own in log.Scalars(tag)] for tag in log.Tags()["scalars"]}
