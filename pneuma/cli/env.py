@@ -11,7 +11,7 @@ import typer
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, print_json, print_table
+from pneuma.cli.output import check_file, print_json, print_rows
 from pneuma.errors import UserError, unknown_name
 
 app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
@@ -47,9 +47,7 @@ def list_(json: opt.Json = False) -> None:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
         rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
-    if json:
-        return print_json({"environments": rows})
-    return print_table([*rows[0]], [[*row.values()] for row in rows])
+    return print_rows("environments", rows, json)
 
 
 @app.command(short_help="Check that an environment is sound.")
@@ -57,7 +55,6 @@ def check(
     name: Annotated[
         str | None, opt.argument("[ID]", "The environment; left out: all.", complete.environments)
     ] = None,
-    all_: Annotated[bool, opt.flag("--all", "Check all, as without an ID and --set.")] = False,
     set_: opt.Settings = None,
     json: opt.Json = False,
 ) -> int:
@@ -68,7 +65,7 @@ def check(
 
     settings = dict(set_ or ())
     rows = []
-    for each in [name or ENVIRONMENTS[0]] if (name or settings) and not all_ else REGISTERED:
+    for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
         for check_name, problem in check_environment(each, settings):
             rows.append({"env": each, "check": check_name, "problem": problem})
             if not json:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, command, print_json, print_table, say, write_file
+from pneuma.cli.output import check_file, command, print_json, print_rows, print_table, say, write_file
 from pneuma.cli.study_records import nothing_yet
 from pneuma.study.store import Store
 
@@ -51,20 +51,15 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """Say what is installed here and whether it works, with the mend for what does not."""
     from pneuma.doctor import BROKEN, examine
 
-    signs = {"good": "ok", "note": "note", "broken": "BROKEN"}
-    findings = []
-    for finding in examine(results):
-        findings.append(finding)
-        say(f"{signs[finding.state]:<7} {finding.check:<19} {finding.told}", quiet=json)
-        if finding.mend:
-            say(f"{'':<27} -> {finding.mend}", quiet=json)
+    findings = [*examine(results)]
     sound = all(finding.state != BROKEN for finding in findings)
     if json:
         print_json({"ok": sound, "checks": findings})
-    elif sound:
-        print("\nAll that Pneuma needs is here. Begin with: pneuma study run activation")
     else:
-        print("\nSomething that Pneuma needs is broken: mend what is marked above, then ask again.")
+        rows = [(own.check, own.state, own.told, own.mend and f"-> {own.mend}") for own in findings]
+        print_table([""] * 4, rows)
+        begin = "All that Pneuma needs is here. Begin with: pneuma study run activation"
+        print(f"\n{begin}" if sound else "\nSomething that Pneuma needs is broken: mend it, then ask again.")
     if not sound:
         raise typer.Exit(1)
 
@@ -108,8 +103,7 @@ def env(json: opt.Json = False) -> None:
     """Measure the environment's faces in agent steps a second, on one core."""
     from pneuma.bench.env import bench_env
 
-    cases = bench_env()
-    return print_json({"cases": cases}) if json else _print_cases(cases)
+    return print_rows("cases", bench_env(), json)
 
 
 @bench.command(short_help="Compare the engines in steps a second.")
@@ -120,7 +114,7 @@ def engines(json: opt.Json = False) -> None:
     report = bench_engines()
     if json:
         return print_json(report)
-    _print_cases(report["cases"])
+    print_rows("cases", report["cases"], json)
     for case, ratio in report["ratios"].items():
         print(f"{case}: batched over sb3, median of rounds: {ratio:.2f}")
     return None
@@ -139,13 +133,8 @@ def calibration(
     tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
     for table, row in bench_calibration(lists):
         tables[table].append(row)
-        say("  ".join(f"{key} {_number(value)}" for key, value in row.items()), aside=json)
-    return print_json(tables) if json else None
-
-
-def _print_cases(cases: list[dict[str, Any]]) -> None:
-    print_table([*cases[0]], [[_number(value) for value in case.values()] for case in cases])
-
-
-def _number(value: object) -> str:
-    return f"{value:,.4g}" if isinstance(value, float) else str(value)
+    if json:
+        return print_json(tables)
+    for table, rows in tables.items():
+        print_rows(table, rows, json)
+    return None

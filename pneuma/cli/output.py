@@ -84,6 +84,17 @@ def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
     return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
+def print_rows(many: str, rows: Sequence[Mapping[str, Any]], json: bool) -> None:
+    """Print rows, one at least, as a document or as a table whose heads are their keys."""
+    if json:
+        return print_json({many: rows})
+    return print_table([*rows[0]], [[_shown(own) for own in row.values()] for row in rows])
+
+
+def _shown(value: object) -> str:
+    return f"{value:,.4g}" if isinstance(value, float) else str(value)
+
+
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
     """Print names, titles, sections and figures of shipped files."""
     from pneuma.schema import read_toml
@@ -95,7 +106,7 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
         for name, own in tables.items()
         if "title" in own
     ]
-    return print_json({many: rows}) if json else print_table((kind, *keys), [[*row.values()] for row in rows])
+    return print_rows(many, rows, json)
 
 
 # --- Files ----------------------------------------------------------------------------------------
