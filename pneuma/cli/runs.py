@@ -122,40 +122,28 @@ def export(
     store = Store(results)
     run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
     try:
-        data, note = _exported(store, run, out.suffix.lower(), trust)
+        data = _exported(store, run, out.suffix.lower(), trust)
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     write_file(out, data)
     if json:
-        return print_json({"run_id": run.run_id, "file": out, "bytes": len(data), "note": note})
-    if note:
-        print(f"Note: {note}.")
+        return print_json({"run_id": run.run_id, "file": out, "bytes": len(data)})
     return say(
         f"wrote {out}: {len(data):,} bytes, the policy of run {run.run_id} after {run.status.step:,} steps"
     )
 
 
-def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> tuple[bytes, str]:
-    """Return the file's contents, and what a person should know about them."""
+def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
+    """Return the file's contents."""
     from pneuma.engines import export as exports
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
-    if not run.status.finished:
-        raise UserError(f"is {run.status.name}: it has no final policy to export")
-    if POLICY_FILE not in store.file_names(run.run_id):
-        raise UserError(f"is {run.status.name}: it left no policy to export")
-    if not run.settings:
-        raise UserError("run.json: holds no configuration")
+    if POLICY_FILE not in store.file_names(run.run_id) or not run.settings:
+        raise UserError(f"is {run.status.name}: it has no policy to export")
     settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
-    if suffix == ".onnx":
-        about = {"run_id": run.run_id, "env": settings.env}
-        if settings.algorithm not in TABULAR:
-            about["observation"] = settings.observation
-        return exports.to_onnx(policy, about), ""
-    space = exports.observation_space(policy, settings, trust)
-    bounded = trust or exports.reads_only_shipped_files(settings)
-    note = (
-        "the run names level or characters files of its own, which were not opened: the observation "
-        "space in the file has no bounds, so load it without env=, or export again with --trust"
-    )
-    return exports.to_sb3(policy, settings, space), "" if bounded else note
+    if suffix == ".zip":
+        return exports.to_sb3(policy, settings, exports.observation_space(policy, settings, trust))
+    about = {"run_id": run.run_id, "env": settings.env}
+    if settings.algorithm not in TABULAR:
+        about["observation"] = settings.observation
+    return exports.to_onnx(policy, about)

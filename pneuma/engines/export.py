@@ -87,28 +87,25 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
     """Return what a policy observes, so that the exported file loads beside its environment.
 
-    A run that names a level or characters file of its owner's opens it only with `trust`; without, the
-    space has the right size and no bounds. Rewards do not matter to it and are never imported.
+    A level or characters file of its owner's is opened with `trust` alone. Rewards do not matter to it and
+    are never imported.
 
     Raises:
-        UserError: when the environment observes another number of features than the policy.
+        UserError: where the environment observes another number of features, or is not trusted.
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
     if policy.deviation is not None:
         raise UserError(".zip is of actions to choose from, and this policy's are numbers: choose .onnx")
     features = policy.actor[0][0].shape[0]
-    if is_gymnasium_id(run.env) or not (trust or reads_only_shipped_files(run)):
+    if is_gymnasium_id(run.env):
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
+    if (is_own_level(run.level) or are_own_characters(run.characters)) and not trust:
+        raise UserError("names a level or characters file of its own, which --trust opens")
     space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
     if space.shape != (features,):
         raise UserError(f"the policy observes {features} features, its environment has {space.shape[0]}")
     return space
-
-
-def reads_only_shipped_files(run: Run) -> bool:
-    """Tell whether a run's level and characters come with Pneuma."""
-    return not (is_own_level(run.level) or are_own_characters(run.characters))
 
 
 class _Spaces(gymnasium.Env[np.ndarray, np.int64]):
