@@ -169,7 +169,7 @@ class Renderer:
                 continue
             flash = sprites.RED if bitten >> index & 1 else ""
             yield from self._standing(_player_picture(index, player, flash), player, stats)
-            if player["busy"] > 0 and player["armed"]:
+            if player["busy"] > 0 and player["armed"] == rules.BLADE:
                 yield self._sword(player, stats)
 
     def _bitten(self, world: int) -> int:

@@ -16,6 +16,7 @@ import pytest
 
 import pneuma.env.godot as godot
 from pneuma.config import make_run
+from pneuma.engines.environment import environment_of
 from pneuma.env.godot import GodotGame, receive, send
 from pneuma.errors import UserError
 from pneuma.study.identity import own_things
@@ -229,3 +230,19 @@ def test_a_game_that_does_not_start_is_told(tmp_path: Path) -> None:
     broken.chmod(0o755)
     with pytest.raises(UserError, match="ended with exit code 3 before it connected"):
         GodotGame(str(broken))
+
+
+def test_a_game_that_never_connects_is_told_of_before_it_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(godot, "START_SECONDS", 1)
+    monkeypatch.setattr(godot, "SILENT_SECONDS", 0)
+    mute = tmp_path / "game"
+    mute.write_text("#!/bin/sh\nexec sleep 60\n")
+    mute.chmod(0o755)
+    run = make_run({"env": "Godot-v0", "env_kwargs": {"env_path": str(mute)}})
+    with pytest.raises(
+        UserError, match=f"^env = Godot-v0 cannot be made: {mute}: did not connect within 1 s$"
+    ):
+        environment_of(run).check(run)
+    assert f"{mute}: has not connected to port" in capsys.readouterr().err
