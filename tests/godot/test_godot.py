@@ -16,7 +16,7 @@ import pytest
 
 import pneuma.env.godot as godot
 from pneuma.config import make_run
-from pneuma.engines.environment import environment_of
+from pneuma.engines.environment import check_environment
 from pneuma.env.godot import GodotGame, receive, send
 from pneuma.errors import UserError
 from pneuma.study.identity import own_things
@@ -242,5 +242,5 @@ def test_a_game_that_never_connects_is_told_of_before_it_is_given_up(
     mute.chmod(0o755)
     run = make_run({"env": "Godot-v0", "env_kwargs": {"env_path": str(mute)}})
     with pytest.raises(UserError, match=f"cannot be made: {mute}: did not connect within 1 s$"):
-        environment_of(run).check(run)
+        check_environment(run)
     assert f"{mute}: has not connected to port" in capsys.readouterr().err
