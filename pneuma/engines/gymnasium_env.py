@@ -299,8 +299,6 @@ def wrapper_files(names: Sequence[str]) -> list[Path]:
 def told(error: BaseException) -> str:
     """Return an error as one line."""
     lines = str(error).strip().splitlines()
-    if lines and isinstance(error, UserError):
-        return lines[0]
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
