@@ -158,6 +158,26 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
     return [target / name for name in files]
 
 
+def draw_indexed(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
+    """Write what is drawn, as `draw_files`, into an index of the folder too; return the figures.
+
+    Args:
+        store: the results folder.
+        out: where; None for the results.
+        draw: draws into a folder that is removed afterwards, and returns what `index_entries` tells of it.
+    """
+    from pneuma.figures.index import INDEX, encode_index, read_index
+
+    there = read_index(out or store.root / "figures")
+
+    def draw_all(folder: Path) -> list[Path]:
+        entries = draw(folder)
+        (folder / INDEX).write_bytes(encode_index([*there, *entries]))
+        return [*(folder / entry["file"] for entry in entries), folder / INDEX]
+
+    return [path for path in draw_files(store, out, draw_all) if path.name != INDEX]
+
+
 def tell_written(files: Iterable[Path], json: bool = False) -> None:
     """Say which figures were written."""
     if json:

@@ -23,7 +23,15 @@ from pneuma.analysis import (
 )
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, draw_files, print_json, read_formats, say, tell_written, write_file
+from pneuma.cli.output import (
+    check_file,
+    draw_indexed,
+    print_json,
+    read_formats,
+    say,
+    tell_written,
+    write_file,
+)
 from pneuma.cli.study_records import (
     each_study,
     is_shipped,
@@ -81,14 +89,12 @@ def plot(
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, settle
-    from pneuma.figures.index import INDEX, encode_index, index_entries, read_index
+    from pneuma.figures.index import index_entries
     from pneuma.figures.summary import draw_summary, shown_outcome
 
-    there = read_index(out or store.root / "figures")
     other = open_study(store, study_record(store, beside)) if beside else None
-    entries: list[dict[str, Any]] = []
 
-    def draw_one(name: str, folder: Path) -> None:
+    def draw_one(name: str, folder: Path) -> list[dict[str, Any]]:
         data = open_data(picked, name)
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
@@ -102,17 +108,16 @@ def plot(
         look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
         look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
         words += [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
-        entries.extend(index_entries(paths, shlex.join(words), data, {"figure": figure, **drawn}))
+        return index_entries(paths, shlex.join(words), data, {"figure": figure, **drawn})
 
-    def draw(folder: Path) -> list[Path]:
-        for name in names or ():
-            draw_one(name, folder)
-        if not names:
-            each_study(known_studies(store, picked.world), lambda name: draw_one(name, folder))
-        (folder / INDEX).write_bytes(encode_index([*there, *entries]))
-        return [*(folder / entry["file"] for entry in entries), folder / INDEX]
+    def draw(folder: Path) -> list[dict[str, Any]]:
+        def one(name: str) -> list[dict[str, Any]]:
+            return draw_one(name, folder)
 
-    tell_written([path for path in draw_files(store, out, draw) if path.name != INDEX], json)
+        drawn = map(one, names) if names else each_study(known_studies(store, picked.world), one)
+        return [entry for entries in drawn for entry in entries]
+
+    tell_written(draw_indexed(store, out, draw), json)
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:

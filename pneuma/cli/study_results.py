@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     draw_files,
+    draw_indexed,
     print_json,
     print_table,
     read_formats,
@@ -22,6 +25,7 @@ from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
 from pneuma.values import shown_level, shown_value
+from pneuma.worlds import TEXT, world_option
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -157,13 +161,21 @@ def compare(
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
+        from pneuma.figures.index import index_entries
         from pneuma.figures.panels import stem_of
         from pneuma.figures.summary import draw_comparison
 
         stem = stem_of(data, "compare", *(heads if b else heads[1:]))
-        files = draw_files(
-            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats)
-        )
+        asked = {"outcome": outcome or (), "format": formats}
+        words = ["pneuma", "study", "compare", name, a, *([b] if b else []), "--plot"]
+        words += [*opt.selecting_words(picked.selection), *world_option(picked.world or TEXT)]
+        words += [word for key, values in asked.items() for value in values for word in (f"--{key}", value)]
+
+        def draw(folder: Path) -> list[dict[str, Any]]:
+            paths = draw_comparison(data, table, folder, stem, formats)
+            return index_entries(paths, shlex.join(words), data, {"figure": "comparison"})
+
+        files = draw_indexed(picked.store, out, draw)
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
     say(f"{data.title}: {heads[0]} against {heads[1]}")
