@@ -49,10 +49,13 @@ def counted(count: int, noun: str) -> str:
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near.
 
-    A name that others give the same thing is near as well: `lr` of `learning_rate`.
+    A name that others give the same thing is near as well: `lr` of `learning_rate`, `reward` of
+    `final-return`.
     """
     known, own = list(names), str(word).lower()
-    near = [MEANT[own]] if MEANT.get(own) in known else difflib.get_close_matches(own, known, 1, NEAR)
+    meant = MEANT.get(own, own)
+    near = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in known]
+    near = near or difflib.get_close_matches(own, known, 1, NEAR)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

@@ -44,13 +44,15 @@ def _index(folder: Path) -> dict[str, dict[str, Any]]:
     [
         (("--quantity", "actions", "--band", "minmax"), None),
         (("--figure", "summary"), "fig-mine-summary.svg"),
+        (("compare", "tanh", "relu", "--plot"), "fig-mine-compare-tanh-relu.svg"),
         (("--window", "trailing-100", "--condition", "tanh", "--seeds", "1"), "fig-mine-trailing-100.svg"),
     ],
 )
 def test_the_index_tells_runs_and_a_command_that_draws_the_same_bytes(
     results: Path, tmp_path: Path, options: tuple[str, ...], name: str | None
 ) -> None:
-    assert _plot(results, "mine", *options)[0] == 0
+    verb, words = ("compare", options[1:]) if options[0] == "compare" else ("plot", options)
+    assert call("study", verb, "mine", *words, "--format", "svg", "--results", results)[0] == 0
     ((file, entry),) = _index(results / "figures").items()
     assert name in (None, file)
     drawn = (results / "figures" / file).read_bytes()
