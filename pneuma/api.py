@@ -14,12 +14,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.config import make_run
 from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Supervision
 from pneuma.study.identity import own_things
@@ -27,7 +26,7 @@ from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_run
-from pneuma.worlds import TEXT, check_world, in_world
+from pneuma.worlds import check_world
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,23 +111,12 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
     Raises:
         UserError: when the folder has nothing of it, or no run has finished.
     """
-    from pneuma.analysis.published import published_studies
-    from pneuma.analysis.run_index import RunIndex, open_study
+    from pneuma.analysis.run_index import open_study
+    from pneuma.analysis.stored_studies import study_record
 
+    store = _store(results)
     check_world(world)
-    store, path = _store(results), Path(study)
-    is_file = path.suffix == ".toml"
-    name = in_world(path.stem if is_file else os.fspath(study), world or TEXT)
-    index = RunIndex(store)
-    if record := index.record(name):
-        if is_file:
-            execute.check_same_file(record, path, store)
-    elif (damaged := store.selection_path(name)).exists():
-        raise UserError(f"{damaged}: damaged; run, import or fork it anew")
-    else:
-        known = sorted({*store.studies(), *published_studies(store)})
-        raise unknown_name(f"study in {store.root}", name, known)
-    return open_study(index, record)
+    return open_study(store, study_record(store, os.fspath(study), world=world))
 
 
 def compare(

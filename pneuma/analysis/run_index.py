@@ -44,16 +44,6 @@ class RunIndex:
         self.table = cache(self._read_table)
         self._others = cache(self._read_others)
 
-    def record(self, study: str) -> dict[str, Any] | None:
-        """Return what a study's name stands for: the selection of most finished runs, or what is published.
-
-        Raises:
-            UserError: when the published table is damaged.
-        """
-        own = self.store.shown_selection(study) if self._stored else None
-        table = None if own else self.table(study)
-        return table.record if table else own
-
     def of_record(self, record: Mapping[str, Any], tables: Tables = "all") -> dict[str, Records]:
         """Return what is held of every run of a selection, by its id; of what is nowhere, that it is planned.
 

@@ -13,9 +13,10 @@ from typing import Any
 
 from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import open_study
+from pneuma.analysis.stored_studies import known_studies, study_record
 from pneuma.analysis.summaries import summary_table
 from pneuma.cli.options import selecting_words
-from pneuma.cli.study_records import known_studies, run_states, study_record
+from pneuma.cli.study_records import run_states
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted, plain
 from pneuma.figures.report import Part, numbers_table, study_pictures

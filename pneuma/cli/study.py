@@ -9,18 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.analysis.stored_studies import is_shipped, known_studies, shipped_name, study_record
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
-from pneuma.cli.study_records import (
-    each_study,
-    is_shipped,
-    known_studies,
-    run_states,
-    shipped_name,
-    study_record,
-    tell_shown,
-)
+from pneuma.cli.study_records import each_study, run_states, tell_shown
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
 from pneuma.study.execute import selection_record

@@ -21,6 +21,7 @@ from pneuma.analysis import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
+from pneuma.analysis.stored_studies import is_shipped, known_studies, study_record
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -32,15 +33,7 @@ from pneuma.cli.output import (
     tell_written,
     write_file,
 )
-from pneuma.cli.study_records import (
-    each_study,
-    is_shipped,
-    known_studies,
-    nothing_yet,
-    open_data,
-    study_record,
-    tell_left_out,
-)
+from pneuma.cli.study_records import each_study, nothing_yet, open_data, tell_left_out
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_KINDS
 from pneuma.worlds import TEXT, in_world, split_world, world_option

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
+from pneuma.analysis.stored_studies import shipped_name
 from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
-from pneuma.cli.study_records import file_of, shipped_name
+from pneuma.cli.study_records import file_of
 from pneuma.errors import UserError, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision

@@ -6,7 +6,6 @@ Plan → groups of runs → executor → store
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -63,7 +62,7 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
     """
     recorded = store.selection(plan.study.name)
     if recorded is not None and plan.study.own_path is not None:
-        check_same_file(recorded, Path(plan.study.own_path), store)
+        store.check_same_file(recorded, Path(plan.study.own_path))
     if recorded is not None:
         _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
@@ -253,24 +252,6 @@ def _check_same_variant(recorded: Mapping[str, Any], plan: Plan) -> None:
     held, asked = (own.get("settings") or {} for own in (recorded["selection"], asdict(plan.selection)))
     if plan.selection.variant and held != parse_json(to_json(asked)):
         raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(held)}")
-
-
-def check_same_file(record: Mapping[str, Any], path: Path, store: Store) -> None:
-    """Refuse a study's file where the record of its name was made from another one, or from none.
-
-    A file may have moved: one that is there no more stands in nobody's way.
-
-    Raises:
-        UserError: for such a file.
-    """
-    other = record.get("path")
-    if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
-        return
-    of = other or "no file (imported, published or forked)"
-    raise UserError(
-        f"{path}: the runs of study {record['study']} in {store.root} are of {of}; give the file another "
-        "name, or --results another folder"
-    )
 
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:

@@ -273,12 +273,20 @@ class Store:
         others = ({**latest, **own} for own in earlier if isinstance(own, dict)) if latest else ()
         return [*([latest] if latest else []), *(own for own in others if fits(own, Record))]
 
-    def shown_selection(self, study: str) -> dict[str, Any] | None:
-        """Return that of a study's selections of which most runs have finished, the latest of several."""
-        selections = self.selections(study)
-        if len(selections) < 2:
-            return next(iter(selections), None)
-        return max(selections, key=self.finished)
+    def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
+        """Refuse a study's file where the record of its name was made from another one, or from none.
+
+        A file may have moved: one that is there no more stands in nobody's way.
+
+        Raises:
+            UserError: for such a file.
+        """
+        other = record.get("path")
+        if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
+            return
+        of = other or "no file (imported, published or forked)"
+        mend = "give the file another name, or --results another folder"
+        raise UserError(f"{path}: the runs of study {record['study']} in {self.root} are of {of}; {mend}")
 
     def finished(self, record: Mapping[str, Any]) -> int:
         """Return how many runs of a selection have finished here."""

@@ -17,6 +17,7 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import CURVES
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
+from pneuma.analysis.stored_studies import study_record
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Status, Store
@@ -144,10 +145,11 @@ def test_a_name_stands_for_its_latest_selection_or_what_is_published(tmp_path: P
     store = Store(tmp_path / "results")
     record = trained(store)
     publish(open_study(store, record), store)
-    assert (RunIndex(store).record("mine") or {})["source"] == "published"
+    assert study_record(store, "mine")["source"] == "published"
     store.save_selection("mine", record)
-    assert "source" not in (RunIndex(store).record("mine") or {})
-    assert RunIndex(store).record("other") is None
+    assert "source" not in study_record(store, "mine")
+    with pytest.raises(UserError, match="unknown study 'other'"):
+        study_record(store, "other")
     store.write(published_path(store, "bad"), b"PAR1")
     index = RunIndex(store)
     held = index.of_record(record)
@@ -196,7 +198,7 @@ def test_a_record_whose_names_lead_elsewhere_is_refused(tmp_path: Path, key: str
 
 def test_tables_that_come_with_pneuma_stand_beside_runs_of_ones_own(tmp_path: Path) -> None:
     """Two published runs and one of our own, in a folder that holds the latter alone."""
-    shipped = RunIndex(Store(tmp_path / "nowhere")).record("activation-arena") or {}
+    shipped = study_record(Store(tmp_path / "nowhere"), "activation-arena")
     record, store = trained(Store(tmp_path / "results")), Store(tmp_path / "results")
     tanh = [run for run in shipped["runs"] if run["condition"] == "tanh"][:2]
     ours = [{**tanh[0], "condition": "ours", "run_id": A0}]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from pneuma.analysis.stored_studies import study_record
 from pneuma.api import open_data
 from pneuma.study.execute import prepare
 from pneuma.study.plan import Selection, make_plan
@@ -55,7 +56,7 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert _shown(store, "activation", "--steps", "1024") == other
     more = _run(store, seeds=(2,), steps=512)
     assert _shown(store, "activation") == [*first, *more]
-    record = store.shown_selection("activation") or {}
+    record = study_record(store, "activation")
     assert record["selection"]["seeds"] == [0, 1, 2]
     assert open_data("activation", tmp_path).record["runs"] == record["runs"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.cli.study_records import study_record
+from pneuma.analysis.stored_studies import study_record
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.execute import (

@@ -1,0 +1,138 @@
+"""Which runs a study's name stands for: those recorded under it in a results folder, or else published."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pneuma.errors import UserError, unknown_name
+from pneuma.study import spec
+from pneuma.study.plan import Selection
+from pneuma.study.store import Store
+from pneuma.worlds import chosen_world, in_world, split_world
+
+ALL = Selection()
+
+
+def study_record(
+    store: Store,
+    name: str,
+    picked: Selection = ALL,
+    world: str | None = None,
+    tell: Callable[[str], object] = lambda told: None,
+) -> dict[str, Any]:
+    """Return the stored runs that a selection picks of a study or a variant, which the name stands for.
+
+    Of several amounts that were run it is the one of `picked.steps`, or of most finished runs. A study that
+    was only run in another world, or with changed settings, is shown as it was run, which `tell` is told.
+
+    Raises:
+        UserError: where nothing is stored, or nothing that is picked.
+    """
+    asked = world
+    own, world = chosen_world(Path(name).stem if name.endswith(".toml") else shipped_name(name), world)
+    stem = spec.name_in_world(own, world)
+    records = store.selections(stem)
+    if records and name.endswith(".toml"):
+        store.check_same_file(records[0], Path(name))
+    if not records and store.published_path(stem).exists():
+        from pneuma.analysis.published import read_published
+
+        records = [read_published(store, stem).record]
+    otherwise = [] if records or asked else related_studies(store, stem)
+    if otherwise:
+        shown = f"{otherwise[0]}, of {', '.join(otherwise)}"
+        tell(f"Note: {stem} was not run as it stands; shown is {shown}.")
+        return study_record(store, otherwise[0], picked)
+    if not records:
+        raise _unknown(store, name, stem)
+    fitting = [record for record in records if picked.steps is None or _has_steps(record, picked.steps)]
+    if not fitting:
+        stored = ", ".join(f"{steps_of(record):,}" for record in records)
+        raise UserError(f"--steps {picked.steps}: study {stem} has runs of {stored} steps")
+    return _pick(fitting[0] if len(fitting) == 1 else max(fitting, key=store.finished), picked)
+
+
+def related_studies(store: Store, study: str) -> list[str]:
+    """Return what else there is of a study: in other worlds, and its variants, those of its world first."""
+    own, world = split_world(study)
+    found = [name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == own]
+    return sorted((name for name in found if name != study), key=lambda name: split_world(name)[1] != world)
+
+
+def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
+    """Return a record with only the conditions and seeds of a selection."""
+    known = list(dict.fromkeys(run["condition"] for run in record["runs"]))
+    for name in picked.conditions:
+        if name not in known:
+            raise unknown_name(f"condition of study {record['study']}", name, known)
+    wanted = picked.conditions or known
+    seeds = {run["seed"] for run in record["runs"]} if picked.seeds is None else {*picked.seeds}
+    runs = [run for run in record["runs"] if run["condition"] in wanted and run["seed"] in seeds]
+    if record["runs"] and not runs:
+        held = sorted({run["seed"] for run in record["runs"]})
+        raise UserError(f"--seeds: study {record['study']} has none of these; it has {held}")
+    kept = {run["condition"] for run in runs}
+    same = [[name for name in names if name in kept] for names in record["same"]]
+    return {**record, "runs": runs, "same": [names for names in same if len(names) > 1]}
+
+
+def _unknown(store: Store, name: str, stem: str) -> UserError:
+    if store.selection_path(stem).exists():
+        return UserError(f"{store.selection_path(stem)}: damaged; run, import or fork its runs anew")
+    if is_shipped(stem) or name.endswith(".toml"):
+        ran = f"run `{spec.run_command(stem, name if name.endswith('.toml') else None)}` first"
+        return UserError(f"study {stem} has no runs in {store.root}: {ran}, or give --results")
+    return unknown_name("study", name, sorted({*spec.list_studies(), *known_studies(store)}))
+
+
+# --- Names ------------------------------------------------------------------------------------------
+
+
+def shipped_name(name: str) -> str:
+    """Return the shipped study that a figure or section stands for, as fig-6-4 or 6.1; or the name itself.
+
+    Raises:
+        UserError: naming the studies, where they are several.
+    """
+    figure, world = split_world(name)
+    if not re.fullmatch(r"(fig|table)-[\w-]+|\d(\.\d+)?", figure):
+        return name
+    tables = {own: spec.read_head(own) for own in spec.list_studies()}
+    numbered = (figure, f"fig-{figure.replace('.', '-')}")
+    found = [own for own, head in tables.items() if head["figure"] in numbered]
+    found = found or [own for own, head in tables.items() if figure in head["section"].split(" and ")]
+    if len(found) > 1:
+        raise UserError(f"{name} is of several studies: name one of {', '.join(found)}")
+    return in_world(found[0], world) if found else name
+
+
+def is_shipped(name: str) -> bool:
+    """Tell whether a name stands for a shipped study, in any world."""
+    return split_world(name)[0] in spec.list_studies()
+
+
+def known_studies(store: Store, world: str | None = None) -> list[str]:
+    """Return the names of the studies that were run, imported or published here, of a world if one is named.
+
+    What looks like a study's file is none of them: such a name is for a person to give.
+    """
+    names = {*store.studies(), *(path.stem for path in (store.root / "published").glob("*.parquet"))}
+    return sorted(
+        name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
+    )
+
+
+def steps_of(record: Mapping[str, Any]) -> int:
+    """Return the budget of a record's runs: the largest, where they are unlike."""
+    return max((run["run"]["steps"] for run in record["runs"]), default=0)
+
+
+def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
+    """Tell whether a record is of runs of so many steps, rounded up to whole updates."""
+    some: Mapping[str, Any] = next((run["run"] for run in record["runs"]), {})
+    horizon = math.prod(some.get(key) or 1 for key in ("horizon", "slots", "players"))
+    return math.ceil(steps / horizon) * horizon == steps_of(record)
