@@ -99,7 +99,7 @@ class Store:
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            for folder in (self.root / "runs", self.root / "studies"):
+            for folder in (self.root / part for part in ("runs", "studies", "searches")):
                 self._check_within(folder)
             with tempfile.TemporaryFile(dir=self.root):
                 pass

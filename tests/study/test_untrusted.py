@@ -77,6 +77,9 @@ def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Sto
         store.save_run(other, Status("done", 1), {"run.json": b"{}\n"})
     with pytest.raises(UserError, match="leads out of the results folder"):
         store.write(store.run_folder(other) / "checkpoints" / "one", b"data")
+    (store.root / "searches").symlink_to(elsewhere)
+    with pytest.raises(UserError, match="leads out of the results folder"):
+        store.check_writable()
     assert os.listdir(elsewhere) == []
 
 
