@@ -209,11 +209,8 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
         arms = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
         difference, interval = math.nan, (math.nan, math.nan)
         if np.isfinite(arms).all():  # not where a threshold was never reached
-            difference, between = (
-                float(arms[0].mean() - arms[1].mean()),
-                difference_interval(arms[0], arms[1]),
-            )
-            interval = between.low, between.high
+            between = difference_interval(arms[0], arms[1])
+            difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
         alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(planned.seeds)
         sign = 1 if objective.direction == "maximize" else -1
         luck = sign * (seen - value) if alike and won[0].run.steps == searched_steps else math.nan

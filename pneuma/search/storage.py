@@ -26,7 +26,7 @@ from pneuma.study.identity import own_things
 from pneuma.study.locks import run_lock
 from pneuma.study.spec import files_called
 from pneuma.study.store import Store
-from pneuma.worlds import TEXT, check_world, in_world, split_world
+from pneuma.worlds import TEXT, WORLDS, check_world, in_world, split_world
 
 VERSIONS = ("optuna", "rules", "engines")
 """What of a search's identity nobody chooses."""
@@ -109,11 +109,10 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
     Raises:
         UserError: where it is none, or a file that only the record names would use code of a user's own.
     """
-    check_world(world)
-    path = _recorded_file(store, in_world(name, world or TEXT))
-    if name.endswith(".toml") or split_world(name)[0] in list_searches() or not path:
+    own, there = split_world(name)
+    if name.endswith(".toml") or own in list_searches():
         return load_search(name, world)
-    search = load_search(path, world or split_world(name)[1])
+    search = load_search(_recorded_file(store, own), world or there)
     refuse_own_code(search.name, search.space.all_values())
     return search
 
@@ -142,25 +141,26 @@ def read_record(store: Store, name: str, world: str | None = None) -> Searched:
     path = record_path(store, name)
     if path.exists():
         return _read(path, name, file)
-    known = [*list_searches(), *recorded_searches(store), *files_called(name)]
-    if split_world(name)[0] not in known and not file:
-        raise unknown_name("search", name, known)
+    if not file and split_world(name)[0] not in list_searches():
+        _recorded_file(store, split_world(name)[0])
     raise UserError(
         f"search {name} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
 
 
-def recorded_searches(store: Store) -> list[str]:
-    """Return the names of the searches that were run here."""
-    names = names_in(store.root / "searches")
-    return [Path(name).stem for name in names if name.endswith(".json") and not name.startswith(".")]
-
-
 def _recorded_file(store: Store, name: str) -> str:
-    """Return the path by which a search was run, if it is there still; else an empty text."""
-    file = (read_sealed(record_path(store, name)) or {}).get("file")
-    return file if isinstance(file, str) and Path(file).is_file() else ""
+    """Return the path by which a search that is not shipped was run, in any world.
+
+    Raises:
+        UserError: where it was not.
+    """
+    for world in WORLDS:
+        file = (read_sealed(record_path(store, in_world(name, world))) or {}).get("file")
+        if file and isinstance(file, str):
+            return file
+    recorded = (Path(own).stem for own in names_in(store.root / "searches") if own.endswith(".json"))
+    raise unknown_name("search", name, [*list_searches(), *recorded, *files_called(name)])
 
 
 def replaced_note(store: Store, task: Task) -> str:
