@@ -98,10 +98,6 @@ class Effects:
 def study_effects(data: StudyData, name: str | None = None) -> Effects:
     """Test every main effect and two-way interaction of the factors that a study crosses.
 
-    Args:
-        data: the study.
-        name: an outcome; the study's primary one when left out.
-
     Raises:
         UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed, a
             cell without a run that has the outcome, or no more runs than the effects take up.

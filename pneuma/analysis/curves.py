@@ -50,11 +50,7 @@ class Curve:
         return _mean(self.runs)
 
     def band(self, name: str) -> Edges:
-        """Return both edges of a band of `BANDS`.
-
-        Raises:
-            UserError: for a name that is no band's.
-        """
+        """Return both edges of a band of `BANDS`."""
         if name not in BANDS:
             raise unknown_name("band", name, BANDS)
         edges = BANDS[name].edges
@@ -98,14 +94,7 @@ class LogCurve(Curve):
 def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
     """Return the training curve of a quantity of `StudyData.quantities` of every condition.
 
-    Args:
-        data: the study's finished runs.
-        quantity: `return`, `length`, `kills`, or what updates have, such as `entropy`.
-        window: 'budget-5%', or 'trailing-100' for the mean of the last 100 episodes of a run, which
-            is what Stable-Baselines3 logs; the study's usual one when left out.
-
-    Raises:
-        UserError: for a quantity or window that the study's data does not have.
+    The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs.
     """
     return [
         _curve(runs, data.grid, np.array([data.curve(run, quantity, window) for run in runs]))
@@ -138,11 +127,7 @@ def curve_names(data: StudyData) -> list[str]:
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
-    """Return some of `curve_names` of every condition, over evaluations or over training, by name.
-
-    Raises:
-        UserError: for a name or window that the study's data does not have.
-    """
+    """Return some of `curve_names` of every condition, over evaluations or over training, by name."""
     evaluated = {*EVALUATION_QUANTITIES} & {*curve_names(data)}
     return {
         name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)

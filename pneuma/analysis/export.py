@@ -23,15 +23,7 @@ def encode_table(
 
     The same runs give the same bytes; no table holds wall-clock values.
 
-    Args:
-        data: the study's finished runs.
-        table: which.
-        form: csv, parquet, latex or markdown.
-        window: of curves, one of `WINDOWS`; the study's usual one when left out.
-        band: of curves, one of `EDGED_BANDS`, whose edges are the columns `low` and `high`.
-
-    Raises:
-        UserError: where the data holds no such table or window.
+    Form is csv, parquet, latex or markdown; window and band, whose edges are low and high, are of curves.
     """
     if table == "curves":
         frame = _curves(data, window, band)

@@ -200,11 +200,7 @@ class StudyData:
         return [name for name in some if all(name in own for own in held)]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some conditions alone, on the same grid and for the same figure.
-
-        Raises:
-            UserError: when no run of theirs has finished.
-        """
+        """Return the study with some conditions alone, on the same grid and for the same figure."""
         runs = [run for run in self.record["runs"] if run["condition"] in names]
         same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]
@@ -222,9 +218,6 @@ class StudyData:
         """Return one of `RECORD_TABLES` of the finished runs in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
-
-        Raises:
-            UserError: where there is no such table.
         """
         if name not in self.tables:
             held = ", ".join((*self.tables, "curves"))
@@ -243,9 +236,6 @@ class StudyData:
             run: one of the finished runs; blank throughout where it lacks the quantity.
             quantity: one of `quantities`.
             window: one of `windows`, the first when left out; what updates have has only one.
-
-        Raises:
-            UserError: for a quantity or window that there is not.
         """
         window, records = self.checked_window(window), run.records
         if quantity in self.quantities and quantity not in records.quantities:
@@ -263,11 +253,7 @@ class StudyData:
         return all(run.records.has_curve(quantity, window) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
-        """Return a window of `windows`, the first for None.
-
-        Raises:
-            UserError: for another.
-        """
+        """Return a window of `windows`, the first for None."""
         if window is None:
             return self.windows[0]
         if window not in self.windows:

@@ -111,10 +111,6 @@ def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the standard error of a difference of means and its degrees of freedom.
 
     Source: Welch (1947). Arms that do not spread have an error of 0, and 1 degree.
-
-    Args:
-        a: (..., runs) of one arm.
-        b: (..., runs) of the other.
     """
     part_a, part_b = (arm.var(axis=-1, ddof=1) / arm.shape[-1] for arm in (a, b))
     squared = np.asarray(part_a + part_b)

@@ -114,13 +114,7 @@ class Verdict:
 def judge(claims: ClaimList, store: Store, stored: bool = True) -> list[Verdict]:
     """Return the verdict on every claim of a list in every world that it is about.
 
-    Args:
-        claims: all of them: none can be judged without the others.
-        store: the results folder, with its published tables.
-        stored: whether runs in the folder count, or published tables alone.
-
-    Raises:
-        UserError: for a damaged published table.
+    Unless `stored`, by published tables alone. None can be judged without the others of the list.
     """
     refused = not_admitted(claims)
     return [
@@ -297,12 +291,7 @@ def found(contrast: Contrast) -> str:
 
 
 def together(verdicts: Sequence[str], need: str) -> str:
-    """Return the verdict on a claim by those on its contrasts; empty where some of them is neither.
-
-    Args:
-        verdicts: of each contrast, at least one.
-        need: "all" or "any", of how many of its contrasts a claim speaks.
-    """
+    """Return the verdict on a claim by those on its contrasts; empty where some of them is neither."""
     by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
     if by_one in verdicts:
         return by_one

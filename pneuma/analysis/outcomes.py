@@ -85,11 +85,7 @@ def primary(data: StudyData) -> str:
 
 
 def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
-    """Refuse to compare conditions, or all, by an outcome that is of another unit in some.
-
-    Raises:
-        UserError: for a return, where rewards or numbers of players differ.
-    """
+    """Refuse to compare conditions, or all, by an outcome that is of another unit in some."""
     if is_return(name) and not have_one_return(data, conditions):
         raise UserError(
             f"outcome {name}: returns of unlike rewards, or of more players, cannot be compared; "
@@ -98,11 +94,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
-    """Return a run's outcome, as the run stood at a step or at its budget; NaN where it has none.
-
-    Raises:
-        UserError: for a name that is no outcome's.
-    """
+    """Return a run's outcome, as the run stood at a step or at its budget; NaN where it has none."""
     found = find_outcome(name)
     if run.ends_before(at_step):
         return NAN
@@ -111,22 +103,14 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
-    """Return an outcome of every finished run of a condition, in the selection's order, (seeds,).
-
-    Raises:
-        UserError: for a name that is no outcome's, or a condition that the study does not have.
-    """
+    """Return an outcome of every finished run of a condition, in the selection's order, (seeds,)."""
     if condition not in data.conditions:
         raise unknown_name(f"condition of study {data.study}", condition, data.conditions)
     return np.array([outcome(data, run, name, at_step) for run in data.of_condition(condition)], float)
 
 
 def find_outcome(name: str) -> Outcome:
-    """Return an outcome by its name.
-
-    Raises:
-        UserError: for a name that is none's.
-    """
+    """Return an outcome by its name."""
     if name in OUTCOMES:
         return OUTCOMES[name]
     if sought := re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name):

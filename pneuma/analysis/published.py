@@ -292,11 +292,7 @@ def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
 
 
 def unpack_signs(text: str) -> dict[str, list[Stretch]]:
-    """Return what `pack_signs` was given.
-
-    Raises:
-        ValueError: for a text that it did not make.
-    """
+    """Return what `pack_signs` was given."""
     packed = parse_json(text)
     try:
         found: dict[str, list[Stretch]] = {}

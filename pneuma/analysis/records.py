@@ -149,11 +149,7 @@ class Records:
         return None
 
     def provenance(self) -> dict[str, Any]:
-        """Return what produced the run.
-
-        Raises:
-            UserError: when its file is missing, damaged or nonsense.
-        """
+        """Return what produced the run."""
         try:
             return parse_json(self._store.read_file(self.run_id, "provenance.json"))
         except ValueError as error:

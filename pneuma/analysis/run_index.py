@@ -25,10 +25,7 @@ Tables = Literal["all", "own", "none"]
 class RunIndex:
     """What a results folder holds of runs, by their ids.
 
-    Args:
-        store: the folder.
-        stored: whether its own runs count, or published tables alone.
-        shipped: whether tables that come with Pneuma count too.
+    Unless `stored`, by published tables alone; unless `shipped`, without those that come with Pneuma.
 
     Attributes:
         damaged: of the tables of other studies that were asked for, what is wrong with those that cannot be
@@ -45,11 +42,7 @@ class RunIndex:
         self._others = cache(self._read_others)
 
     def of_record(self, record: Mapping[str, Any], tables: Tables = "all") -> dict[str, Records]:
-        """Return what is held of every run of a selection, by its id; of what is nowhere, that it is planned.
-
-        Raises:
-            UserError: when the study's own table is needed and damaged.
-        """
+        """Return what is held of every run of a selection, by its id; of others that they are planned."""
         found = {run["run_id"]: self._own(run["run_id"]) for run in record["runs"]}
         if tables != "none":
             own = self.table(record["study"]) if _lacking(found) else None
@@ -64,11 +57,7 @@ class RunIndex:
         return (LoggedRecords if logged else Records)(self.store, run_id, status)
 
     def _read_table(self, study: str) -> PublishedTable | None:
-        """Return a study's published table, if it has one.
-
-        Raises:
-            UserError: when it is damaged.
-        """
+        """Return a study's published table, if it has one."""
         path = (self.store.published_path if self._shipped else partial(published_path, self.store))(study)
         return read_published(self.store, study) if path.exists() else None
 
@@ -85,11 +74,6 @@ class RunIndex:
 
 def open_study(where: Store | RunIndex, record: Mapping[str, Any], tables: Tables = "all") -> StudyData:
     """Return the finished runs of a selection, from wherever they are.
-
-    Args:
-        where: the results folder.
-        record: a selection, as `pneuma.study.execute.selection_record` makes it.
-        tables: which published tables count.
 
     Raises:
         UserError: when no run of the selection has finished, or its published table is damaged.
@@ -116,11 +100,7 @@ def join_studies(one: StudyData, other: StudyData) -> StudyData:
 
 
 def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
-    """Return studies by the published tables of a results folder alone; all when none is named.
-
-    Raises:
-        UserError: when one is damaged or missing.
-    """
+    """Return studies by the published tables of a results folder alone; all when none is named."""
     index = RunIndex(Store(results), stored=False, shipped=False)
     tables = [read_published(index.store, name) for name in names or published_studies(index.store)]
     return [open_study(index, table.record) for table in tables]

@@ -71,13 +71,7 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
     is the share of runs that get there.
 
-    Args:
-        data: the study.
-        outcomes: names of docs/outcomes.md; none for the usual ones. How many runs there are, diverged and
-            `collapsed` is told anyway.
-
-    Raises:
-        UserError: for a name that there is not.
+    How many runs there are, diverged and `collapsed` is told whatever outcomes are named.
     """
     at_step = common_step(data)
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
@@ -204,15 +198,6 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     of a is better than one of b (ties count half), NaN for an outcome that has no better way. Runs that
     have no value are left out and counted in `without_value`. Runs of unlike budgets are compared at the
     last step that all reached.
-
-    Args:
-        data: the study.
-        a: a condition.
-        b: another one.
-        outcomes: names of docs/outcomes.md.
-
-    Raises:
-        UserError: for an unknown name, twice the same condition, or conditions trained by different engines.
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")

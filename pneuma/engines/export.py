@@ -55,9 +55,6 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     The optimizer starts afresh: a stored run keeps no state of it.
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
     weights, which would be another. Where actor and critic were clipped each by itself, both are together.
-
-    Raises:
-        UserError: when the policy is not of the run's shape.
     """
     actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
     if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
@@ -89,9 +86,6 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 
     A level or characters file of its owner's is opened with `trust` alone. Rewards do not matter to it and
     are never imported.
-
-    Raises:
-        UserError: where the environment observes another number of features, or is not trusted.
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")

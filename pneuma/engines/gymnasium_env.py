@@ -55,11 +55,6 @@ def check_spaces(run: Run) -> None:
 class Slots:
     """Environments side by side, each begun anew as its episode ends.
 
-    Args:
-        run: whose environment it is.
-        seeds: one for each.
-        logged: whether actions are kept, for `saved_state`.
-
     Attributes:
         observations: (S, features) float32, as they are now.
         terminal: (S, features), what the last step of each slot's last episode showed.
@@ -224,11 +219,7 @@ def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
 
 
 def make_env(run: Run) -> gymnasium.Env[Any, Any]:
-    """Make a run's environment, in its wrappers.
-
-    Raises:
-        UserError: in one line that says what to do.
-    """
+    """Make a run's environment, in its wrappers."""
     if run.env_module:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")

@@ -153,11 +153,7 @@ def _is_sound(policy: Policy) -> bool:
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
-    """Return what draws actions, (N, P), from a stored policy in worlds.
-
-    Raises:
-        UserError: as `check_fits` does.
-    """
+    """Return what draws actions, (N, P), from a stored policy in worlds."""
     check_fits(policy, worlds)
 
     def act(shown: Worlds) -> np.ndarray:
@@ -168,11 +164,7 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
 
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
-    """Check that a stored policy can play in worlds.
-
-    Raises:
-        UserError: where it was trained on something else than these worlds are.
-    """
+    """Check that a stored policy can play in worlds."""
     for what, trained, here in (
         ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
         ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),

@@ -199,9 +199,6 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     """Put a learner where its parent's checkpoint was taken, with random streams of its own from there on.
 
     What the run asks to reset is as it is at a run's start instead.
-
-    Raises:
-        CheckpointError: for settings that the checkpoint does not fit.
     """
     left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(run.fork_reset, ())
     restore_checkpoint(model, checkpoint, left_out)

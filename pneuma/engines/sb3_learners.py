@@ -198,9 +198,6 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
     """Put a learner, and torch's and NumPy's global generators, where a checkpoint was taken.
 
     Arrays whose names begin with one of `left_out` stay as the learner has them.
-
-    Raises:
-        CheckpointError: for one that does not fit this learner.
     """
     env: Any = model.env
     numbers = checkpoint.numbers

@@ -113,11 +113,7 @@ class TableTrainer:
         return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from where a checkpoint was taken.
-
-        Raises:
-            CheckpointError: for one of another algorithm.
-        """
+        """Go on from where a checkpoint was taken."""
         try:
             if checkpoint.arrays["tables"].shape != self.tables.shape:
                 raise ValueError("it is of another number of tables")

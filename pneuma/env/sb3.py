@@ -173,11 +173,7 @@ class PneumaVecEnv(Rendering, VecEnv):
         return {"layout": layout} | {name: _bytes(array).copy() for name, array in self._state_arrays()}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Go on from where `saved_state` was taken, in this process or another.
-
-        Raises:
-            ValueError: for a state of other worlds, or laid out otherwise.
-        """
+        """Go on from where `saved_state` was taken, in this process or another."""
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for name, array in self._state_arrays():

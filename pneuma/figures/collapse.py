@@ -51,9 +51,6 @@ def draw_collapse(
 
     On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
     held of its curves; on the right the share of each condition's runs that did, with its interval.
-
-    Raises:
-        UserError: where no run has records that a collapse shows in.
     """
     found, shares = diagnoses(data), incidence(data)
     known = shares[shares["runs"] > 0]

@@ -76,13 +76,7 @@ def draw_study(
 ) -> list[Path]:
     """Draw a study's curves from its finished runs; return the files written.
 
-    Args:
-        data: the study.
-        folder: where to write.
-        drawing: how; as `settle` does when left out.
-        formats: of `FIGURE_FORMATS`.
-        shown: what the headline says that is shown; when left out, the thesis's figure if it has one.
-        beside: another study, or imported logs, whose runs are drawn as dashed lines, each its own.
+    `shown` is what the headline says; runs of `beside` are drawn as dashed lines, each its own.
 
     Raises:
         UserError: for a quantity that the study's data does not have, or more than one quantity, or another
@@ -126,9 +120,6 @@ def settle(
         quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
             is, and the first of them alone where each condition has a panel. Where returns are of unlike
             rewards, the length of episodes stands in their place.
-
-    Raises:
-        UserError: for a window that the study's data does not have.
     """
     window = data.checked_window(window)
     names = tuple(dict.fromkeys(quantities))

@@ -43,11 +43,7 @@ def index_entries(
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:
-    """Return the entries of a folder's index whose files are still in it, or in a folder of it.
-
-    Raises:
-        UserError: where a file of its name is no index.
-    """
+    """Return the entries of a folder's index whose files are still in it, or in a folder of it."""
     path, whole = folder / INDEX, folder.resolve()
     if not path.is_file():
         return []

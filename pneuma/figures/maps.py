@@ -55,15 +55,7 @@ def study_maps(data: StudyData) -> list[Map]:
 def draw_robustness(
     data: StudyData, maps: Sequence[Map], folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
-    """Draw maps of one outcome, a panel each; return the files written.
-
-    Args:
-        data: the study.
-        maps: of it.
-        folder: where to write.
-        stem: the files' name without its end.
-        formats: of `FIGURE_FORMATS`.
-    """
+    """Draw maps of one outcome, a panel each; return the files written."""
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
     with house_style():

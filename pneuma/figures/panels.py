@@ -108,13 +108,7 @@ def put_texts(
 ) -> None:
     """Put headline and legend above the panels and a caption below, and give the figure its size.
 
-    Args:
-        figure: with constrained layout.
-        panels_inches: height of the panels.
-        headline: the first line.
-        entries: artists of the legend, by their label.
-        caption: sentences, those that matter most first.
-        legend_title: what lines and bands are.
+    The figure has a constrained layout, a caption the sentences first that matter most.
     """
     points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / WIDTH
     heading = textwrap.wrap(headline, characters(1.2 * points))

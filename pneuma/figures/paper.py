@@ -80,13 +80,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
 
     What the index knew of and is not drawn any more is removed.
 
-    Args:
-        folder: where.
-        results: with published tables.
-        beside: imported logs whose runs are drawn with a study's own, by the study's name.
-
-    Raises:
-        UserError: when a published table, or the index that is there, is damaged.
+    `beside` are imported logs whose runs are drawn with a study's own, by the study's name.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
     known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged one

@@ -114,9 +114,6 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
 
     Of more conditions than share a panel, those that differ in crossed factors alone look alike: each has
     a panel or row of its own there, and `tanh` is to be seen as such under every limit.
-
-    Args:
-        conditions: all of the selection's, of which a figure may show some.
     """
     many = len(conditions) > MOST_IN_A_PANEL
     kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}

@@ -99,12 +99,7 @@ def draw_comparison(
 ) -> list[Path]:
     """Draw differences of means with their intervals: a panel for each outcome, a row for each comparison.
 
-    Args:
-        data: the study.
-        table: as `pneuma.analysis.summaries.compare_conditions` makes it, of several pairs one below another.
-        folder: where to write.
-        stem: name of the files without its ending.
-        formats: of `FIGURE_FORMATS`.
+    The table is `compare_conditions` of several pairs, one below another.
     """
     outcomes = list(dict.fromkeys(table["outcome"]))
     with style.house_style():

@@ -85,13 +85,7 @@ def judged_claims(
 
     The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
 
-    Args:
-        store: the results folder.
-        studies: by name.
-        stored: whether its runs count, or published tables alone, by which every clone says the same.
-
-    Raises:
-        UserError: for a damaged published table.
+    Unless `stored`, by published tables alone: every clone says the same.
     """
     known = load_claims()
     verdicts: Verdicts = {}
