@@ -36,12 +36,6 @@ MINUS = " - "
 """Between two outcomes of one run whose difference is what a claim is about."""
 
 
-def _fraction(value: object) -> object:
-    """Return 1/28 where a text says so: a share that has no exact decimal number."""
-    above, slash, below = value.partition("/") if isinstance(value, str) else ("", "", "")
-    return int(above) / int(below) if slash and above.isdigit() and below.strip("0").isdigit() else value
-
-
 def _one_line(value: object) -> object:
     return " ".join(value.split()) if isinstance(value, str) else value
 
@@ -51,8 +45,7 @@ def _find_outcomes(names: tuple[str, ...]) -> None:
         find_outcome(outcome)
 
 
-Finite = Annotated[float, BeforeValidator(_fraction)]
-Positive = Annotated[Finite, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
 Kind = Literal["mean", "incidence"]
@@ -95,7 +88,7 @@ class Pilot(Table):
     """
 
     command: Text = ""
-    spreads: dict[str, dict[str, Annotated[Finite, Field(ge=0)]]] = {}
+    spreads: dict[str, dict[str, Annotated[float, Field(ge=0)]]] = {}
 
 
 class Claim(ClaimedRuns, Table):
@@ -126,10 +119,10 @@ class Claim(ClaimedRuns, Table):
     context: Text = ""
     section: Words
     group: Text = ""
-    value: Finite | None = None
+    value: float | None = None
     outcome: Outcomes
-    above: Finite | None = None
-    below: Finite | None = None
+    above: float | None = None
+    below: float | None = None
     only: Literal["", "collapsed"] = ""
     kind: Kind
     direction: Literal["greater", "less", "different", "equal"]

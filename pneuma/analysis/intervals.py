@@ -4,8 +4,8 @@ The seed is the unit. Estimates take finite values with the runs along the last 
 each row, NaN of no runs. A value that is not finite is refused, so that the caller drops it, counts it and
 says so.
 
-Every interval has its level and its method. Where there are too few runs, or none that differ, there is
-none: its ends are NaN and its method is "none". What each covers at which number of runs is printed by
+Every interval names its method. Where there are too few runs, or none that differ, there is none: its ends
+are NaN and its method is "none". What each covers at which number of runs is printed by
 `pneuma bench calibration` and told in docs/evidence.md.
 """
 
@@ -128,13 +128,11 @@ class Interval:
     Attributes:
         low: the lower end.
         high: the upper end.
-        level: how often it is to cover, 0 to 1.
         method: what made it, or "none".
     """
 
     low: float
     high: float
-    level: float
     method: str
 
     @property
@@ -143,22 +141,22 @@ class Interval:
         return self.method != "none"
 
 
-def no_interval(level: float = LEVEL) -> Interval:
+def no_interval() -> Interval:
     """Return the interval that says that there is none."""
-    return Interval(float("nan"), float("nan"), level, "none")
+    return Interval(float("nan"), float("nan"), "none")
 
 
 def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
     """Return Student's interval of an estimate by its standard error."""
     half = error * special.stdtrit(freedom, (1 + level) / 2)
-    return Interval(float(centre - half), float(centre + half), level, method)
+    return Interval(float(centre - half), float(centre + half), method)
 
 
 def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
     runs = finite(values)
     if runs.size < 2 or np.ptp(runs) == 0:
-        return no_interval(level)
+        return no_interval()
     error = runs.std(ddof=1) / np.sqrt(runs.size)
     return around(runs.mean(), error, runs.size - 1, level, "t")
 
@@ -167,7 +165,7 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
     """Return Welch's t interval of the difference of means, a less b."""
     first, second = finite(a), finite(b)
     if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
-        return no_interval(level)
+        return no_interval()
     error, freedom = welch_error(first, second)
     return around(first.mean() - second.mean(), float(error), float(freedom), level, "Welch t")
 
@@ -179,7 +177,7 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     """
     runs = finite(values)
     if runs.size < 5 or np.ptp(runs) == 0:
-        return no_interval(level)
+        return no_interval()
     z = special.ndtri((1 + level) / 2)
     cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
     kept = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
@@ -188,17 +186,17 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     factor = runs.size / (runs.size - z)
     centre, half = np.log(factor * runs.var(ddof=1)), z * factor * error
-    return Interval(math.exp((centre - half) / 2), math.exp((centre + half) / 2), level, "Bonett")
+    return Interval(math.exp((centre - half) / 2), math.exp((centre + half) / 2), "Bonett")
 
 
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
     """Return Clopper and Pearson's interval of a share: the only one that never covers too little."""
     if runs < 1:
-        return no_interval(level)
+        return no_interval()
     tail = (1 - level) / 2
     low = special.betaincinv(count, runs - count + 1, tail) if count else 0.0
     high = special.betaincinv(count + 1, runs - count, 1 - tail) if count < runs else 1.0
-    return Interval(float(low), float(high), level, "Clopper-Pearson")
+    return Interval(float(low), float(high), "Clopper-Pearson")
 
 
 def incidence_difference_interval(
@@ -209,13 +207,13 @@ def incidence_difference_interval(
     Source: Newcombe (1998), method 10.
     """
     if min(runs_a, runs_b) < 1:
-        return no_interval(level)
+        return no_interval()
     share_a, low_a, high_a = _wilson(count_a, runs_a, level)
     share_b, low_b, high_b = _wilson(count_b, runs_b, level)
     centre = share_a - share_b
     low = centre - np.hypot(share_a - low_a, high_b - share_b)
     high = centre + np.hypot(high_a - share_a, share_b - low_b)
-    return Interval(float(low), float(high), level, "Newcombe")
+    return Interval(float(low), float(high), "Newcombe")
 
 
 def _wilson(count: int, runs: int, level: float) -> tuple[float, float, float]:
@@ -247,7 +245,7 @@ def bootstrap_interval(
     """
     runs = finite(values)
     if runs.size < LEAST_RESAMPLED or np.ptp(runs) == 0:
-        return no_interval(level)
+        return no_interval()
     seen = float(statistic(runs))
     drawn = statistic(runs[generator.integers(0, runs.size, (resamples, runs.size))])
     below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / resamples
@@ -256,8 +254,8 @@ def bootstrap_interval(
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
     low, high = np.quantile(drawn, shares)
     if low == high:  # most runs are equal; an interval of no width would claim that all ever will be
-        return no_interval(level)
-    return Interval(float(low), float(high), level, "BCa bootstrap")
+        return no_interval()
+    return Interval(float(low), float(high), "BCa bootstrap")
 
 
 def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]) -> float:

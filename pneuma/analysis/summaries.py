@@ -151,7 +151,7 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
     if np.ptp(drawn) == 0:
         return no_interval()
     low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Interval(float(low), float(high), LEVEL, "bootstrap percentiles")
+    return Interval(float(low), float(high), "bootstrap percentiles")
 
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:

@@ -35,8 +35,6 @@ from pneuma.errors import UserError
 
 BEST_EPISODES = 5
 """Of an evaluation, those with the most probable actions, beside the drawn ones."""
-LOGGED_AT_ONCE = 4096
-"""Steps for whose actions room is made together."""
 NAN = float("nan")
 
 
@@ -76,6 +74,9 @@ class Slots:
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.finished: list[dict[str, Any]] = []
         self._logged = logged
+        discrete = isinstance(self.action_space, spaces.Discrete)
+        few = discrete and self.action_space.n <= 256  # type: ignore[union-attr]
+        self._kind = np.dtype(np.uint8 if few else np.int64 if discrete else np.float32)
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
@@ -84,7 +85,7 @@ class Slots:
             array[:] = 0
         self.steps = 0
         self.finished.clear()
-        self._log: list[np.ndarray] = []
+        self._log = bytearray()
         self._seedings: list[list[int]] = []
         self.reseed(seeds)
         for slot in range(len(self.envs)):
@@ -101,7 +102,7 @@ class Slots:
         Of what ended, `terminated` and `truncated`; never both.
         """
         if self._logged:
-            self._note(actions)
+            self._log += actions.astype(self._kind).tobytes()
         rewards = np.zeros(len(self.envs))
         terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
         self.steps += 1
@@ -162,21 +163,14 @@ class Slots:
 
     # --- Where it stands ---------------------------------------------------------------------------
 
-    def _note(self, actions: np.ndarray) -> None:
-        place = self.steps % LOGGED_AT_ONCE
-        if place == 0:
-            few = isinstance(self.action_space, spaces.Discrete) and self.action_space.n <= 256
-            kind = np.dtype(np.uint8) if few else actions.dtype
-            self._log.append(np.zeros((LOGGED_AT_ONCE, *actions.shape), kind))
-        self._log[-1][place] = actions
-
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return all that the next step follows from, and what it is known again by: arrays by name."""
-        log = np.concatenate([self._log[0][:0] if self._log else np.zeros(0, np.uint8), *self._log])
-        known = {
-            name: getattr(self, name).copy() for name in ("observations", "returns", "lengths", "episodes")
-        }
-        return {"actions": log[: self.steps], "seeds": np.array(self._seedings), **known}
+        space = self.action_space
+        shape = () if isinstance(space, spaces.Discrete) else (math.prod(space.shape),)
+        log = np.frombuffer(bytes(self._log), self._kind).reshape(self.steps, len(self.envs), *shape)
+        names = ("observations", "returns", "lengths", "episodes")
+        known = {name: getattr(self, name).copy() for name in names}
+        return {"actions": log, "seeds": np.array(self._seedings), **known}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds.
@@ -304,9 +298,10 @@ class Evaluation:
         count = run.evaluation_episodes + BEST_EPISODES
         self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
         self.slots = Slots(run, self._seeds)
-        random = self.slots.action_space
-        random.seed(stream_seed(run.stream, "random-player") % 2**31)
-        returns, _, _ = self._play(lambda rows, _: np.array([self._random(random) for _ in rows]))
+        space = self.slots.action_space
+        space.seed(stream_seed(run.stream, "random-player") % 2**31)
+        first = space.start if isinstance(space, spaces.Discrete) else 0
+        returns, _, _ = self._play(lambda rows, _: np.array([space.sample() - first for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
         self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
 
@@ -336,17 +331,6 @@ class Evaluation:
             "random_spread": self._random_spread,
         }
 
-    def _bounded(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions that are numbers, (N, dimensions), cut off at their bounds."""
-        space = self.slots.action_space
-        if isinstance(space, spaces.Discrete):
-            return actions
-        return np.clip(actions, space.low.reshape(-1), space.high.reshape(-1))
-
-    def _random(self, space: spaces.Discrete | spaces.Box) -> Any:
-        drawn = space.sample()
-        return drawn - space.start if isinstance(space, spaces.Discrete) else drawn.reshape(-1)
-
     def _play(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
         """Play one episode in every slot; return returns, lengths, and successes where told: (N,) each."""
         slots = self.slots
@@ -355,8 +339,11 @@ class Evaluation:
         rows = np.arange(len(slots.envs))
         while len(rows):
             going_on = []
-            chosen = slots.actions(self._bounded(act(rows, slots.observations[rows])))
-            for row, action in zip(rows.tolist(), chosen, strict=True):
+            chosen = act(rows, slots.observations[rows])
+            if isinstance(space := slots.action_space, spaces.Box):  # cut off at their bounds
+                flat = chosen.reshape(len(rows), -1)
+                chosen = np.clip(flat, space.low.reshape(-1), space.high.reshape(-1))
+            for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
                 reward, ended, cut, info = slots.step_one(row, action)
                 returns[row] += reward
                 lengths[row] += 1

@@ -31,7 +31,7 @@ def comparison(
 ) -> Comparison:
     """Return a contrast of tanh against relu that came to an effect."""
     own = of or claim()
-    interval = Interval(*ends, 0.95, "written") if ends else no_interval()
+    interval = Interval(*ends, "written") if ends else no_interval()
     contrast = Contrast(own.kind, effect, interval, 1.0, 1.0, 1.0, seeds, simultaneous=interval)
     return Comparison("tanh", "relu", own.outcome[0], contrast, verdict=verdict, p=p, **more)
 

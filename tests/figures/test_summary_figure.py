@@ -59,7 +59,7 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
 
 def shown(verdict: str, effect: float, low: float, high: float, **fields: Any) -> Comparison:
     own = comparison(verdict, effect, of=claim(**fields))
-    return replace(own, contrast=replace(own.contrast, simultaneous=Interval(low, high, 0.999, "t")))
+    return replace(own, contrast=replace(own.contrast, simultaneous=Interval(low, high, "t")))
 
 
 @pytest.mark.parametrize(
