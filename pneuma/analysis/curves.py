@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -32,12 +33,15 @@ class Curve:
         step: (points,) agent steps.
         runs: (seeds, points) each run's values, NaN where it has none.
         diverged: (seeds,) whether each run ended in a loss, gradient or parameter that is not finite.
+        log: whether mean and bands are of logarithms, for a logarithmic axis: no band reaches below zero, and
+            what is zero or less counts as no value.
     """
 
     condition: str
     step: np.ndarray
     runs: np.ndarray
     diverged: tuple[bool, ...] = ()
+    log: bool = False
 
     @property
     def count(self) -> np.ndarray:
@@ -47,14 +51,24 @@ class Curve:
     @property
     def mean(self) -> np.ndarray:
         """Mean over the runs that have a value, NaN where none has, (points,)."""
-        return _mean(self.runs)
+        return self._back(_mean(self._values))
 
     def band(self, name: str) -> Edges:
         """Return both edges of a band of `BANDS`."""
         if name not in BANDS:
             raise unknown_name("band", name, BANDS)
         edges = BANDS[name].edges
-        return edges(self.runs) if edges else (np.full(self.step.shape, np.nan),) * 2
+        low, high = edges(self._values) if edges else (np.full(self.step.shape, np.nan),) * 2
+        return self._back(low), self._back(high)
+
+    @property
+    def _values(self) -> np.ndarray:
+        if not self.log:
+            return self.runs
+        return np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
+
+    def _back(self, values: np.ndarray) -> np.ndarray:
+        return 10.0**values if self.log else values
 
     @property
     def stops(self) -> list[tuple[float, float]]:
@@ -65,30 +79,6 @@ class Curve:
             for run, end, diverged in zip(self.runs, ends, self.diverged, strict=False)
             if diverged and len(end)
         ]
-
-
-@dataclass(frozen=True)
-class LogCurve(Curve):
-    """A curve whose mean and bands are of logarithms, for a logarithmic axis: no band reaches below zero.
-
-    What is zero or less has no logarithm, and counts as no value.
-    """
-
-    @property
-    def _logs(self) -> Curve:
-        """The curve of logarithms to base 10."""
-        logs = np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
-        return Curve(self.condition, self.step, logs)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Geometric mean over the runs that have a value, (points,)."""
-        return 10.0**self._logs.mean
-
-    def band(self, name: str) -> Edges:
-        """Return both edges of a band of `BANDS`, made of logarithms."""
-        low, high = self._logs.band(name)
-        return 10.0**low, 10.0**high
 
 
 def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
@@ -186,13 +176,10 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
 # --- Bands -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Band:
-    """What a band shows.
+class Band(NamedTuple):
+    """Its words for a legend, and its edges of (runs, points) values, NaN where a run has none.
 
-    Attributes:
-        label: its words, for a legend.
-        edges: of (runs, points) values, NaN where a run has none; None where the runs themselves are drawn.
+    There are no edges where the runs themselves are drawn.
     """
 
     label: str

@@ -55,17 +55,10 @@ class OwnAgent:
         return self._checked(self.choose, observations)
 
     def _checked(self, ask: Act, observations: np.ndarray) -> np.ndarray:
-        """Return what a function answers.
-
-        Raises:
-            UserError: when it is not an action for each observation.
-        """
-        answer, count = ask(observations.copy()), len(observations)
-        try:
-            actions = np.asarray(answer)
-            fits = actions.shape == (count,) and actions.dtype.kind in "iu"
-        except (ValueError, TypeError, RuntimeError):
-            fits = False
+        """Return what a function answers, or refuse what is not an action for each observation."""
+        count = len(observations)
+        actions = np.asarray(answer := ask(observations.copy()))
+        fits = actions.shape == (count,) and actions.dtype.kind in "iu"
         if not fits or not 0 <= actions.min() <= actions.max() < self.actions:
             raise UserError(
                 f"the agent gave {str(answer)[:60]!r}: must be {count} whole numbers from 0 to "

@@ -39,27 +39,13 @@ from pneuma.env_fields import ACTION_NAMES
 
 NAN = float("nan")
 
+_OF_VALUES = {"value_loss": (1, "value_loss"), "explained_variance": (1, "explained_variance")}
+_ENTROPY = {"entropy": (-1, "entropy_loss")}
+_STEPS = {"approx_kl": (1, "approx_kl"), "clip_fraction": (1, "clip_fraction")}
 LOGGED: dict[str, dict[str, tuple[int, str]]] = {
-    "ppo": {
-        "policy_loss": (1, "policy_gradient_loss"),
-        "value_loss": (1, "value_loss"),
-        "entropy": (-1, "entropy_loss"),
-        "approx_kl": (1, "approx_kl"),
-        "clip_fraction": (1, "clip_fraction"),
-        "explained_variance": (1, "explained_variance"),
-    },
-    "a2c": {
-        "policy_loss": (1, "policy_loss"),
-        "value_loss": (1, "value_loss"),
-        "entropy": (-1, "entropy_loss"),
-        "explained_variance": (1, "explained_variance"),
-    },
-    "trpo": {
-        "policy_loss": (-1, "policy_objective"),
-        "value_loss": (1, "value_loss"),
-        "approx_kl": (1, "kl_divergence_loss"),
-        "explained_variance": (1, "explained_variance"),
-    },
+    "ppo": {"policy_loss": (1, "policy_gradient_loss"), **_OF_VALUES, **_ENTROPY, **_STEPS},
+    "a2c": {"policy_loss": (1, "policy_loss"), **_OF_VALUES, **_ENTROPY},
+    "trpo": {"policy_loss": (-1, "policy_objective"), **_OF_VALUES, "approx_kl": (1, "kl_divergence_loss")},
     "dqn": {"value_loss": (1, "loss")},
     "double-dqn": {"value_loss": (1, "loss")},
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,6 @@ from pneuma.analysis.curves import (
     BANDS,
     LEAST_COVERAGE,
     Curve,
-    LogCurve,
     curve_names,
     is_trusted,
     shared_levels,
@@ -268,7 +267,7 @@ def _draw_means(
     On a logarithmic axis they are of logarithms. Conditions without a label are not in the legend.
     """
     if QUANTITIES[name].log:
-        curves = [LogCurve(curve.condition, curve.step, curve.runs, curve.diverged) for curve in curves]
+        curves = [replace(curve, log=True) for curve in curves]
     lines = sum(len(curve.runs) for curve in curves if _shows_runs(curve, band))
     alpha = 0.4 * min(1.0, MANY_RUNS / max(lines, 1))
     shade, width = 0.16 if len(curves) < 5 else 0.09, mpl.rcParams["lines.linewidth"]
