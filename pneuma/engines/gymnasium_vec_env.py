@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
+from pneuma.env.sb3 import WholeVecEnv
 
 
-class GymnasiumVecEnv(VecEnv):
+class GymnasiumVecEnv(WholeVecEnv):
     """A run's slots: actions from 0 on or a row of numbers, observations a row of numbers."""
 
     def __init__(self, run: Run) -> None:
@@ -71,20 +72,3 @@ class GymnasiumVecEnv(VecEnv):
         """Close all."""
         for env in self.slots.envs:
             env.close()
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the environments."""
-        return [getattr(self.slots.envs[i], attr_name, None) for i in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the environments."""
-        for i in self._get_indices(indices):
-            setattr(self.slots.envs[i], attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the environments."""
-        return [getattr(self.slots.envs[i], method_name)(*args, **kwargs) for i in self._get_indices(indices)]
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Say that no slot is in a wrapper of Stable-Baselines3's."""
-        return [False for _ in self._get_indices(indices)]

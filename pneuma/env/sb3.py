@@ -19,7 +19,32 @@ from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.errors import UserError
 
 
-class PneumaVecEnv(Rendering, VecEnv):
+class WholeVecEnv(VecEnv):
+    """One whose slots are not environments of their own: attributes and methods are its own."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute, the same for every slot."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute for all slots."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method for every slot asked for; `action_masks` gives each its own mask."""
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        if method_name == "action_masks":
+            return [result[i] for i in self._get_indices(indices)]
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
+        """Say that no slot is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class PneumaVecEnv(Rendering, WholeVecEnv):
     """Slots as Stable-Baselines3 wants them: an ended world resets at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
@@ -210,27 +235,6 @@ class PneumaVecEnv(Rendering, VecEnv):
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for every slot, of its world as its player is shown."""
         return self._frames()
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute, the same for every slot."""
-        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute for all slots."""
-        setattr(self, attr_name, value)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Call a method for every slot asked for; `action_masks` gives each its own mask."""
-        result = getattr(self, method_name)(*method_args, **method_kwargs)
-        if method_name == "action_masks":
-            return [result[i] for i in self._get_indices(indices)]
-        return [result for _ in self._get_indices(indices)]
-
-    def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """Say that no slot is wrapped."""
-        return [False for _ in self._get_indices(indices)]
 
 
 def _bytes(array: np.ndarray) -> np.ndarray:
