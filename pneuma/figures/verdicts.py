@@ -48,7 +48,7 @@ MEANINGS = {
     "refuted": "It finds one in the other direction, or shows that there is none larger than the margin; "
     "where none is claimed, it finds one beyond it.",
     "mixed": "One of two outcomes supports it, and the other refutes it.",
-    "inconclusive": "It finds neither; where it can be told, with how many seeds an arm it might.",
+    "inconclusive": "It finds neither.",
     "untestable": "Nothing can be concluded from these runs, for the reason given.",
 }
 """Every verdict, and what it says."""
