@@ -133,7 +133,10 @@ class Slots:
         return reward, bool(ended), bool(cut), info
 
     def _see(self, slot: int, observation: Any) -> None:
-        self.observations[slot] = self._flatten(observation)
+        seen, room = np.asarray(self._flatten(observation)), self.observations[slot]
+        if seen.shape != room.shape:
+            raise ValueError(f"its observation is of shape {seen.shape}, where its space says {room.shape}")
+        room[:] = seen
         if not math.isfinite(self.observations[slot].sum()):
             raise ValueError("its observation is not finite")
 
