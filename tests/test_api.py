@@ -43,7 +43,7 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
-    """As plain Python: a cell's last expression is printed."""
+    """As plain Python: a cell's last expression is printed as a notebook shows it."""
     notebook = json.loads((PAGE.parent / "first_study.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell.get("outputs") for cell in notebook["cells"])
@@ -54,6 +54,7 @@ def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "4/4 runs ended, 100% of all steps" in done.stderr
     shown = done.stdout.split("--- ")
+    assert any("<td>tanh</td>\n      <td>2</td>" in cell for cell in shown)  # the runs of a condition
     assert "final-share-killed" in shown[3] and len(list((tmp_path / "kept" / "runs").iterdir())) == 4
 
 
@@ -65,7 +66,7 @@ for cell in json.loads(pathlib.Path("cells.json").read_text()):
     *lines, last = ast.parse(cell).body
     exec(compile(ast.Module(lines, []), "cell", "exec"), names)
     shown = eval(compile(ast.Expression(last.value), "cell", "eval"), names)
-    print("---", shown)
+    print("---", getattr(shown, "_repr_html_", lambda: shown)())
 """
 
 

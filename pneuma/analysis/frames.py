@@ -14,6 +14,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,12 @@ class StudyData:
         conditions = ", ".join(f"{name} ({len(self.of_condition(name))})" for name in self.conditions)
         missing = f", {self.left_out} not finished" if self.left_out else ""
         return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}{missing}"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: how many runs each condition has."""
+        rows = [(name, len(self.of_condition(name))) for name in self.conditions]
+        table = pd.DataFrame(rows, columns=["condition", "runs"])
+        return f"<b>{escape(self.title)}</b>{table.to_html(index=False)}"
 
     @property
     def how_to_train(self) -> str:
