@@ -79,7 +79,7 @@ def _play(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, r
         logits = forward(weights, widths, activation, asked, scratch)
         for k in range(asked):
             w, p = rows[k] // players, rows[k] % players
-            chosen[w, p] = sample(logits[k], draws[step, rows[k]]) if w < sampled else _highest(logits[k])
+            chosen[w, p] = sample(logits[k], draws[step, rows[k]]) if w < sampled else np.argmax(logits[k])
         running -= rules.step_worlds(handle, chosen, False)
         for w in range(count):
             paid = 0.0
@@ -87,12 +87,3 @@ def _play(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, r
                 paid += s.events[w, p].reward
             returns[w] += paid / players
     return running
-
-
-@kernel
-def _highest(logits: Any) -> int:
-    best = 0
-    for j in range(1, len(logits)):
-        if logits[j] > logits[best]:
-            best = j
-    return best

@@ -11,7 +11,7 @@ import pytest
 import torch
 from stable_baselines3.common.logger import Logger
 
-from pneuma.config import BASES, OPTIMIZER_FIELDS, Run, make_run
+from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EPISODE_COLUMNS
@@ -67,22 +67,6 @@ def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
     group = model.policy.optimizer.param_groups[0]
     assert isinstance(model.policy.optimizer, torch.optim.Adam)
     assert (group["betas"], group["eps"]) == (settings["betas"], 1e-5)
-
-
-@pytest.mark.parametrize("optimizer", OPTIMIZER_FIELDS)
-def test_every_optimizer_trains_with_its_own_arguments(optimizer: str) -> None:
-    extra = {"sgd": {"momentum": 0.9, "dampening": 0.9}, "rmsprop": {"smoothing": 0.95}}.get(optimizer, {})
-    run = small_run(optimizer=optimizer, weight_decay=1e-3, **extra)
-    model = sb3_learners.make_model(run, make_vec_env(run))
-    group = model.policy.optimizer.param_groups[0]
-    expected: Any = {
-        "adam": {"betas": (0.9, 0.9), "eps": 1e-5},
-        "sgd": {"momentum": 0.9, "dampening": 0.9},
-        "rmsprop": {"alpha": 0.95, "eps": 1e-5, "momentum": 0.0},
-        "upgd": {"betas": (0.9, 0.9), "eps": 1e-5, "utility_decay": 0.999, "noise": 0.001},
-    }.get(optimizer, {})
-    assert {key: group[key] for key in expected} == expected
-    assert group["weight_decay"] == 1e-3
 
 
 def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:

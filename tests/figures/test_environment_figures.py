@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
-from pneuma.env.render import Renderer
-from pneuma.env.watch import fight_worlds, level_worlds
-from pneuma.env.worlds import Worlds
 from pneuma.figures import environment
 
 
@@ -30,13 +24,3 @@ def test_drawing_twice_gives_the_same_bytes(drawn: Path, tmp_path: Path) -> None
     for draw in (environment.draw_mailman, environment.draw_level, environment.draw_screens):
         for path in draw(tmp_path):
             assert path.read_bytes() == (drawn / path.name).read_bytes()
-
-
-@pytest.mark.parametrize(("name", "moment"), [("fig-5-1", level_worlds), ("fig-5-2", fight_worlds)])
-def test_screens_show_the_view_that_follows_the_player(
-    drawn: Path, name: str, moment: Callable[[], Worlds]
-) -> None:
-    worlds = moment()
-    with Image.open(drawn / f"{name}.png") as image:
-        shown = np.asarray(image.convert("RGB"))
-    np.testing.assert_array_equal(shown, Renderer(worlds, "follow").frame())
