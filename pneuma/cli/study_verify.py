@@ -102,37 +102,31 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
     from pneuma.analysis.design import check_design, not_admitted
 
     refused = not_admitted(known)
+    keys = ("world", "outcome", "a", "b", "seeds", "alpha", "spread", "detectable", "provable", "reason")
     plans = [
-        own
+        {
+            "claim": own.claim.name,
+            **{key: getattr(own, key) for key in keys},
+            **{key: own.claim.of(key, own.outcome) for key in ("margin", "plausible")},
+            "admitted": (own.claim.name, own.world) not in refused,
+        }
         for own in check_design(known)
         if (not claims or own.claim.name in claims) and world in (None, own.world)
     ]
     if json:
-        limits = ("alpha", "spread", "detectable", "provable", "reason")
-        keys = ("world", "outcome", "a", "b", "seeds", *limits)
-        documents = [
-            {
-                "claim": own.claim.name,
-                **{key: getattr(own, key) for key in keys},
-                **{key: own.claim.of(key, own.outcome) for key in ("margin", "plausible")},
-                "admitted": (own.claim.name, own.world) not in refused,
-            }
-            for own in plans
-        ]
         head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
-        return print_json({**head, "design": documents})
+        return print_json({**head, "design": plans})
     rows = []
     for own in plans:
-        plausible, margin = (own.claim.of(key, own.outcome) for key in ("plausible", "margin"))
-        numbers = (own.detectable, plausible, own.provable, margin)
+        numbers = (own[key] for key in ("detectable", "plausible", "provable", "margin"))
         cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
-        seeds = "/".join(map(str, own.seeds))
-        rows.append((own.claim.name, own.world, own.outcome, seeds, *cells, own.reason or "decidable"))
+        about = own["claim"], own["world"], own["outcome"], "/".join(map(str, own["seeds"]))
+        rows.append((*about, *cells, own["reason"] or "decidable"))
     print_table(("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", ""), rows)
     if known.pilot is None:
         print("\nThe list has no pilot: every claim is admitted.")
         return None
-    print(f"\nNot admitted, of {len({(own.claim.name, own.world) for own in plans})} claims in worlds:")
+    print(f"\nNot admitted, of {len({(own['claim'], own['world']) for own in plans})} claims in worlds:")
     for (name, where), reason in refused.items():
         print(f"  {plain(name)}, {where}: {plain(reason)}")
     print("found: the least difference found with 80 % power; shown: the least margin shown for arms alike.")
