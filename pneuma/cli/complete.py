@@ -16,6 +16,8 @@ from typing import Any
 
 import typer
 
+from pneuma.config import Run
+from pneuma.env import REGISTERED
 from pneuma.study import spec
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
@@ -50,30 +52,16 @@ def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
-def _studies(typed: Mapping[str, Any]) -> list[str]:
-    texts = {path.name: path.read_text(encoding="utf-8", errors="ignore") for path in Path().glob("*.toml")}
-    own = [name for name, text in texts.items() if "[conditions" in text]
-    return [*spec.list_studies(), *_store(typed).studies(), *own]
+def _own_files(table: str) -> list[str]:
+    """Return the files of this folder that have such a table."""
+    files = Path().glob("*.toml")
+    return [path.name for path in files if table in path.read_text(encoding="utf-8", errors="ignore")]
 
 
 def _searches(typed: Mapping[str, Any]) -> list[str]:
-    recorded = (_store(typed).root / "searches").glob("[!.]*.json")
-    own = [path.name for path in Path().glob("*.toml") if "[space." in path.read_text(encoding="utf-8")]
-    return [*spec.shipped_names(spec.studies_folder() / "search"), *(path.stem for path in recorded), *own]
-
-
-def _conditions(typed: Mapping[str, Any]) -> list[str]:
-    return [*_study(typed).get("conditions", {})]
-
-
-def _presets(typed: Mapping[str, Any]) -> list[str]:
-    return [*_study(typed).get("presets", {}), spec.CLAIMS]
-
-
-def _fields(typed: Mapping[str, Any]) -> list[str]:
-    from pneuma.config import Run
-
-    return [f"{name}=" for name in Run.__dataclass_fields__]
+    recorded = [path.stem for path in (_store(typed).root / "searches").glob("[!.]*.json")]
+    shipped = spec.shipped_names(spec.studies_folder() / "search")
+    return [*shipped, *recorded, *_own_files("[space.")]
 
 
 def _outcomes(typed: Mapping[str, Any]) -> Iterable[str]:
@@ -82,13 +70,10 @@ def _outcomes(typed: Mapping[str, Any]) -> Iterable[str]:
     return re.findall(r'^    "([\w-]+)": Outcome\(', text, re.MULTILINE)
 
 
-def _environments(typed: Mapping[str, Any]) -> Iterable[str]:
-    from pneuma.env import REGISTERED
-
-    return REGISTERED
-
-
-studies, searches, conditions, presets, fields, outcomes, environments = map(
-    offering, (_studies, _searches, _conditions, _presets, _fields, _outcomes, _environments)
-)
+studies = offering(lambda typed: [*spec.list_studies(), *_store(typed).studies(), *_own_files("[conditions")])
+searches, outcomes = offering(_searches), offering(_outcomes)
+conditions = offering(lambda typed: _study(typed).get("conditions", ()))
+presets = offering(lambda typed: [*_study(typed).get("presets", ()), spec.CLAIMS])
+fields = offering(lambda typed: [f"{name}=" for name in Run.__dataclass_fields__])
+environments = offering(lambda typed: REGISTERED)
 runs = offering(lambda typed: _store(typed).runs())

@@ -129,10 +129,6 @@ class Store:
             raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
 
-    def has_checkpoints(self, run_id: str) -> bool:
-        """Tell whether a run has checkpoints; one that has ended can then be forked."""
-        return bool(names_in(self.run_folder(run_id) / CHECKPOINTS))
-
     def lock(self, run_id: str) -> AbstractContextManager[bool]:
         """Return the lock that whoever trains a run must hold.
 

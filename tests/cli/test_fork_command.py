@@ -36,7 +36,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _fork(results: Path, *more: str) -> tuple[int, Any, str]:
-    (parent,) = (name for name in Store(results).runs() if Store(results).has_checkpoints(name))
+    (parent,) = {path.parent.parent.name for path in results.glob("runs/*/checkpoints/*")}
     arguments = ("--at", "200", "--seeds", "1", *more, "--results", str(results))
     code, out, err = call("run", "fork", parent[:6], *arguments, "--json")
     return code, json.loads(out) if out else None, err
