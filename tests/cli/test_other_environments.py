@@ -35,7 +35,7 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     (tmp_path / "mine.toml").write_text(STUDY)
     at = ("--results", tmp_path / "results")
     code, out, err = call("study", "run", tmp_path / "mine.toml", *at)
-    assert code != 0 and "Tunnel-v0 raised ZeroDivisionError: by the corridor in step" in out + err
+    assert code != 0 and "ZeroDivisionError: by the corridor" in out + err
     table = described("study", "summary", "mine", *at, "--json")["summary"]
     told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert told["evaluated-return"] == told["final-success"] == 1
@@ -67,7 +67,7 @@ def test_what_cannot_be_made_fails_with_its_reason_and_the_others_are_trained(tm
     at = ("--results", tmp_path / "results")
     code, out, err = call("study", "run", study, *at)
     told = {
-        "unknown": "env = Cartpole-v1: Environment `Cartpole` doesn't exist",
+        "unknown": "Environment `Cartpole` doesn't exist",
         "raises": "raising.py cannot be imported: OSError: no such display",
         "spaces": "actions in MultiDiscrete([2 2]) cannot be learned: wrap it",
     }

@@ -40,7 +40,7 @@ class _Engine:
     def train(
         self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
     ) -> Iterator[Result]:
-        layer = (np.zeros((3, 2), np.float32), np.zeros(2, np.float32))
+        actor, critic = (((np.zeros((3, n), np.float32), np.zeros(n, np.float32)),) for n in (2, 1))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
         (run,) = runs
         for step in (256, 512):
@@ -48,7 +48,7 @@ class _Engine:
                 return (yield Result(run, "stopped", step, Records(), None))
             time.sleep(self._after * (run.seed == 0))
         if run.seed == 0:
-            yield Result(run, "done", 512, Records(), Policy("tanh", (layer,), (layer,)))
+            yield Result(run, "done", 512, Records(), Policy("tanh", actor, critic))
         elif self._breaks:
             raise RuntimeError("the engine broke")
         else:
