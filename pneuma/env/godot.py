@@ -10,6 +10,8 @@ The package's own client is not used here, because it pins Gymnasium 1.0 and nev
 from __future__ import annotations
 
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -305,7 +307,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 send(self._connection, {"type": "close"})
             self._connection.close()
         if self._process:
-            self._process.terminate()
+            with suppress(ProcessLookupError):  # a game may be a script that starts another program
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
         self._connection = self._process = None
 

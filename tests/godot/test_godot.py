@@ -238,9 +238,11 @@ def test_a_game_that_never_connects_is_told_of_before_it_is_given_up(
     monkeypatch.setattr(godot, "START_SECONDS", 1)
     monkeypatch.setattr(godot, "SILENT_SECONDS", 0)
     mute = tmp_path / "game"
-    mute.write_text("#!/bin/sh\nexec sleep 60\n")
+    mute.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {tmp_path}/child\nwait\n")
     mute.chmod(0o755)
     run = make_run({"env": "Godot-v0", "env_kwargs": {"env_path": str(mute)}})
     with pytest.raises(UserError, match=f"{mute}: did not connect within 1 s$"):
         check_environment(run)
     assert f"{mute}: has not connected to port" in capsys.readouterr().err
+    child = Path("/proc") / (tmp_path / "child").read_text().strip() / "cmdline"
+    assert not child.exists() or child.read_bytes() == b"", "what the game started must end with it"
