@@ -55,6 +55,7 @@ def check(
     name: Annotated[
         str | None, opt.argument("[ID]", "The environment; left out: all.", complete.environments)
     ] = None,
+    all_: Annotated[bool, opt.flag("--all", "Check all environments.")] = False,
     set_: opt.Settings = None,
     json: opt.Json = False,
 ) -> int:
@@ -65,7 +66,7 @@ def check(
 
     settings = dict(set_ or ())
     rows = []
-    for each in [name or ENVIRONMENTS[0]] if name or settings else REGISTERED:
+    for each in REGISTERED if all_ or not (name or settings) else [name or ENVIRONMENTS[0]]:
         for check_name, problem in check_environment(each, settings):
             rows.append({"env": each, "check": check_name, "problem": problem})
             if not json:

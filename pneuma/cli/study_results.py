@@ -54,7 +54,11 @@ def _with_unit(outcome: str) -> str:
 
 @opt.grouped
 def summary(
-    name: opt.StudyName, picked: opt.Chosen, outcome: opt.Outcomes = None, json: opt.Json = False
+    name: opt.StudyName,
+    picked: opt.Chosen,
+    outcome: opt.Outcomes = None,
+    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of all outcomes.")] = False,
+    json: opt.Json = False,
 ) -> None:
     """Say what each condition's runs come to: means with 95 % intervals; of an --outcome all statistics."""
     data = open_data(picked, name)
@@ -76,8 +80,9 @@ def summary(
         )
         for row in table.to_dict("records")
     }
-    if outcome:
-        statistics = list(dict.fromkeys(own for _, name, own in cells if name in outcome))
+    measured = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))
+    if told := measured if all_ else outcome:
+        statistics = list(dict.fromkeys(own for _, name, own in cells if name in told))
         heads = ["outcome", "condition", "n", *statistics]
         runs = table.groupby(["outcome", "condition"])["runs"].first()
         rows = [
@@ -87,16 +92,16 @@ def summary(
                 runs[name, own],
                 *(cells.get((own, name, each), "–") for each in statistics),
             )
-            for name in outcome
+            for name in told
             for own in data.conditions
             if (name, own) in runs
         ]
         print_table(heads, rows)
-        for name, own in ((name, own) for name in outcome for own in data.conditions):
+        for name, own in ((name, own) for name in outcome or () for own in data.conditions):
             if (name, own) not in runs:
                 say(f"{name}, {own}: {_lack(data, own, name)}")
         return None
-    names = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))[:COLUMNS]
+    names = measured[:COLUMNS]
     shares = ("collapsed", "diverged")
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
     rows = [
@@ -104,7 +109,7 @@ def summary(
         for own in data.conditions
     ]
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
-    return print("\nMeans, and shares of runs, with 95 % intervals. More of one outcome: --outcome NAME.")
+    return print("\nMeans, and shares of runs, with 95 % intervals. More: --outcome NAME, or --all.")
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:

@@ -19,6 +19,7 @@ from pneuma.cli.study_records import file_of
 from pneuma.errors import UserError, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
+from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay, duration
 from pneuma.study.store import Status, Store
 from pneuma.worlds import TEXT, split_world
@@ -164,8 +165,12 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
-    """Plan a study; `unpublished`, without the runs that any published table holds."""
+    """Plan a study, naming code of a user's own first; `unpublished`, without runs of published tables."""
     study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
+    fields = [study.fields(own, chosen.selection.settings or {}) for own in study.conditions]
+    deeds = dict.fromkeys(deed for own in fields for deed in own_things(own).values())
+    for deed in (deed for deed in deeds if deed.startswith("run ")):
+        say(f"Note: the study's file asks to {deed}.", aside=True)
     planned = plan.make_plan(study, chosen.selection)
     if not unpublished:
         return planned
