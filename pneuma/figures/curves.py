@@ -16,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.curves import (
@@ -307,7 +307,9 @@ def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]
     if QUANTITIES[name].log and highest > 0:
         axes.set_yscale("log", nonpositive="clip")
         low, high = axes.get_ylim()
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,)))
+        if high < 10 * low:  # within a decade powers of ten alone would label one place or none
+            axes.yaxis.set_major_locator(MaxNLocator(4))
+            axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
     elif QUANTITIES[name].percent:
