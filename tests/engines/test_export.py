@@ -181,5 +181,5 @@ def test_what_is_no_policy_is_refused() -> None:
             )
         ),
     ):
-        with pytest.raises(UserError, match="no policy of Pneuma's"):
+        with pytest.raises(UserError, match="is no policy"):
             read_sound_policy(data)
