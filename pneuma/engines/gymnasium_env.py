@@ -137,7 +137,7 @@ class Slots:
         if seen.shape != room.shape:
             raise ValueError(f"its observation is of shape {seen.shape}, where its space says {room.shape}")
         room[:] = seen
-        if not math.isfinite(self.observations[slot].sum()):
+        if not math.isfinite(room.sum()):
             raise ValueError("its observation is not finite")
 
     def _end(self, slot: int, ending: str) -> None:

@@ -20,7 +20,7 @@ from pneuma.errors import UserError
 
 
 class WholeVecEnv(VecEnv):
-    """One whose slots are not environments of their own: attributes and methods are its own."""
+    """One that answers for all its slots at once: attributes and methods are its own."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, the same for every slot."""
