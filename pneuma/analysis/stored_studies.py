@@ -64,20 +64,22 @@ def related_studies(store: Store, study: str) -> list[str]:
 
 
 def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
-    """Return a record with only the conditions and seeds of a selection."""
+    """Return a record with only the conditions and seeds of a selection, which name its figures too."""
     known = list(dict.fromkeys(run["condition"] for run in record["runs"]))
     for name in picked.conditions:
         if name not in known:
             raise unknown_name(f"condition of study {record['study']}", name, known)
     wanted = picked.conditions or known
-    seeds = {run["seed"] for run in record["runs"]} if picked.seeds is None else {*picked.seeds}
+    known_seeds = {run["seed"] for run in record["runs"]}
+    seeds = known_seeds if picked.seeds is None else {*picked.seeds}
     runs = [run for run in record["runs"] if run["condition"] in wanted and run["seed"] in seeds]
     if record["runs"] and not runs:
-        held = sorted({run["seed"] for run in record["runs"]})
-        raise UserError(f"--seeds: study {record['study']} has none of these; it has {held}")
+        raise UserError(f"--seeds: study {record['study']} has none of these; it has {sorted(known_seeds)}")
     kept = {run["condition"] for run in runs}
     same = [[name for name in names if name in kept] for names in record["same"]]
-    return {**record, "runs": runs, "same": [names for names in same if len(names) > 1]}
+    narrowed = [*(wanted if kept < {*known} else ())]
+    narrowed += ["seeds", *map(str, sorted(seeds & known_seeds))] if not known_seeds <= seeds else []
+    return {**record, "runs": runs, "same": [names for names in same if len(names) > 1], "picked": narrowed}
 
 
 def _unknown(store: Store, name: str, stem: str) -> UserError:

@@ -35,11 +35,11 @@ PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 
 def stem_of(data: StudyData, *parts: str) -> str:
     """Return the name of a figure's files without its ending.
 
-    It carries a variant's name, or the fields that it changed, so that no variant ever replaces the study's
-    own figure.
+    It carries a variant's name, or the fields that it changed, and the conditions and seeds that were picked.
+    So neither a variant nor a part of a study replaces the study's own figure.
     """
     named = {} if data.variant else data.changed
-    slug = settings_name(named, *filter(None, [data.variant, *parts]))
+    slug = settings_name(named, *filter(None, [data.variant, *data.picked, *parts]))
     return "-".join(filter(None, [data.figure, slug]))
 
 

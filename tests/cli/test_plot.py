@@ -45,7 +45,10 @@ def _index(folder: Path) -> dict[str, dict[str, Any]]:
         (("--quantity", "actions", "--band", "minmax"), None),
         (("--figure", "summary"), "fig-mine-summary.svg"),
         (("compare", "tanh", "relu", "--plot"), "fig-mine-compare-tanh-relu.svg"),
-        (("--window", "trailing-100", "--condition", "tanh", "--seeds", "1"), "fig-mine-trailing-100.svg"),
+        (
+            ("--window", "trailing-100", "--condition", "tanh", "--seeds", "1"),
+            "fig-mine-tanh-seeds-0-trailing-100.svg",
+        ),
     ],
 )
 def test_the_index_tells_runs_and_a_command_that_draws_the_same_bytes(
