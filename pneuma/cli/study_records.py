@@ -57,7 +57,7 @@ def open_data(picked: Chosen, name: str, published: bool = True) -> StudyData:
 def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
     """Say what else is stored of a study than what is shown: other amounts, and variants."""
     study, shown = record["study"], steps_of(record)
-    amounts = {steps_of(own): own for own in store.selections(study) if not execute.alike(own, record)}
+    amounts = {steps_of(own): own for own in store.selections(study) if not execute.can_join(own, record)}
     others = [
         f"{counted(store.finished(own), 'run')} of {steps:,} steps (--steps {steps})"
         for steps, own in amounts.items()

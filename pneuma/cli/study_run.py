@@ -149,7 +149,7 @@ def train(
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
     if json and document:
-        results = results or execute.standing(planned, store, todo)
+        results = results or execute.cell_results(planned, store, todo)
         rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
         print_json({"study": planned.study.name, "runs": rows})
     return code

@@ -1,4 +1,4 @@
-"""Execute a plan: train what is not in the store yet, and record the selection.
+"""Execute a plan: train the runs that are not stored yet, and record the selection.
 
 Plan → groups of runs → executor → store
 """
@@ -24,13 +24,12 @@ from pneuma.values import shown_settings
 
 @dataclass(frozen=True)
 class CellResult:
-    """How one cell stands after `execute`.
+    """The state of a cell after `execute`.
 
     Attributes:
-        cell: the cell.
-        status: its run's.
+        status: status of the cell's run.
         trained: whether this call trained it.
-        reason: why it went wrong.
+        reason: why the run failed, if it did.
     """
 
     cell: Cell
@@ -40,25 +39,25 @@ class CellResult:
 
 
 OnProgress = Callable[[Cell, Event], None]
-"""Told of every event of a cell's run; `executors.base.Executor` says what there are."""
+"""Called with each event of a cell's run; `executors.base.Executor` lists the events."""
 
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
     "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic", "dash",
 )  # fmt: skip
-"""Fields by which a run's compiled programs differ."""
+"""Fields on which a run's compiled programs depend."""
 MOST_IN_GROUP = 8
-"""Runs that one worker process trains; another `study run` finds them busy until it ends."""
+"""Most runs per worker process. They are locked for other commands until the process ends."""
 
 
 def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
-    """Check all that can be checked, record the selection; return what is to be trained, by id, and notes.
+    """Check a plan and record its selection; return the runs to train, by id, and notes for the user.
 
-    Runs in an environment that cannot be made are stored as crashed, where other runs are left to train.
+    If the environment of some runs cannot be made, these runs are stored as crashed and the others train.
 
     Raises:
-        UserError: before anything is written, where no environment can be made, or for a results folder
-            that cannot be written or has runs of another file of that name.
+        UserError: before anything is written, if no environment can be made, if the results folder cannot be
+            written, or if it has runs of another file of the same name.
     """
     recorded = store.selection(plan.study.name)
     if recorded is not None and plan.study.own_path is not None:
@@ -78,12 +77,10 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
 def execute(
     plan: Plan, todo: Mapping[str, Run], store: Store, how: Supervision, on_progress: OnProgress
 ) -> list[CellResult]:
-    """Train the runs that `prepare` found missing; return how the plan's cells stand.
-
-    Of runs that are published and not stored there is nothing to tell.
+    """Train the runs that `prepare` found missing; return the plan's cells, without those only published.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
+        KeyboardInterrupt: after Ctrl-C, once every run has reached a checkpoint.
     """
     cells: dict[str, list[Cell]] = {}
     for cell in plan.cells:
@@ -96,17 +93,22 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(cell, event)
 
-    if todo or how.executor == SLURM:  # whose jobs may have ended, and wait to be put away
+    if todo or how.executor == SLURM:  # Slurm jobs may have ended whose files must be cleared away
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
-    return standing(plan, store, todo, ended)
+    return cell_results(plan, store, todo, ended)
 
 
-def standing(
+def cell_results(
     plan: Plan, store: Store, todo: Mapping[str, Run], ended: Mapping[str, Event] | None = None
 ) -> list[CellResult]:
-    """Return how a plan's cells stand, by the store and by what ended; without those published alone.
+    """Return the state of a plan's cells, without those that are only published.
 
-    An end that could not be stored counts as reported. Where none was, what is finished now was trained.
+    Args:
+        plan: the plan.
+        store: where its runs are.
+        todo: the runs that were to be trained.
+        ended: the final event of each run that ended; it holds where the end could not be stored. If None,
+            the runs of `todo` that are finished now were trained.
     """
     results = []
     for cell in plan.cells:
@@ -121,29 +123,29 @@ def standing(
 
 
 def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
-    """Share runs out to worker processes.
+    """Divide runs among worker processes.
 
-    Runs of equal shapes that the compiled engine trains go together, so that its programs are loaded or
-    compiled once for them, and runs of tables, which take less time than a process does to start. But never
-    so many that a worker stands idle.
+    Compiled runs of equal shapes share a process, so that their programs are compiled or loaded once. Tabular
+    runs do too, as they take less time than a process takes to start. Groups stay small enough to keep every
+    worker busy.
     """
-    alike: dict[Any, list[tuple[str, Run]]] = {}
-    for name, run in todo.items():
-        shapes = tuple(getattr(run, key) for key in SHAPED_BY)
-        alike.setdefault(name if run.engine == "sb3" else shapes, []).append((name, run))
+    by_shape: dict[Any, list[tuple[str, Run]]] = {}
+    for run_id, run in todo.items():
+        shape = tuple(getattr(run, key) for key in SHAPED_BY)
+        by_shape.setdefault(run_id if run.engine == "sb3" else shape, []).append((run_id, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / workers))
     return [
-        dict(runs[first : first + size]) for runs in alike.values() for first in range(0, len(runs), size)
+        dict(runs[first : first + size]) for runs in by_shape.values() for first in range(0, len(runs), size)
     ]
 
 
 def kept_step(run: Run, status: Status) -> int:
-    """Return from which step a run would go on: its checkpoint's, or that at which it forks; else 0."""
+    """Return the step at which training would resume: that of its checkpoint or fork, else 0."""
     return 0 if status.finished else max(status.step, run.fork_step)
 
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
-    """Return the plan's runs that are to be trained, by id, each once: no results, failures or published."""
+    """Return the plan's runs to train, by id: those not finished, not published and (unless retried) not failed."""
     return {
         cell.run_id: cell.run
         for cell in plan.cells
@@ -153,10 +155,10 @@ def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = Fal
 
 
 def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) -> list[str]:
-    """Return what a person should know of stored runs: damage, and failures that are not tried again."""
-    told = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
+    """Return notes on damaged, published and failed runs."""
+    labels = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
     notes = [
-        f"{told[name]}: {status.detail!r} is damaged; the run is trained again"
+        f"{labels[name]}: {status.detail!r} is damaged; the run is trained again"
         for name, status in statuses.items()
         if status.name == "damaged" and name in todo
     ]
@@ -172,29 +174,30 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
 
 
 def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
-    """Make every environment of runs by id once; return why it cannot be made, by the ids of its runs.
+    """Try to make each environment once; return, by run id, why those that fail cannot be made.
 
     Raises:
-        UserError: where none can be made, or one of Pneuma's own cannot, which is a mistake of the file's.
+        UserError: if none can be made, or if one of Pneuma's own cannot, which is a mistake in the study.
     """
-    told = ("env", *OF_GYMNASIUM, "engine", "algorithm")
-    alike: dict[Any, dict[str, Run]] = {}
-    for name, run in runs.items():
-        alike.setdefault((env_config(run), *(getattr(run, key) for key in told)), {})[name] = run
+    keys = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    by_environment: dict[Any, dict[str, Run]] = {}
+    for run_id, run in runs.items():
+        key = (env_config(run), *(getattr(run, key) for key in keys))
+        by_environment.setdefault(key, {})[run_id] = run
     broken: dict[str, str] = {}
-    for own in alike.values():
-        run = next(iter(own.values()))
+    for same in by_environment.values():
+        run = next(iter(same.values()))
         try:
             import_module("pneuma.engines.environment").check_environment(run)
         except UserError as error:
-            broken |= dict.fromkeys(own, str(error))
+            broken |= dict.fromkeys(same, str(error))
             if len(broken) == len(runs) or not is_gymnasium_id(run.env):
                 raise
     return broken
 
 
 def selection_record(plan: Plan) -> dict[str, Any]:
-    """Return what `results/studies/NAME.json` holds of a plan."""
+    """Return the record of a plan, as `results/studies/NAME.json` stores it."""
     return {
         "study": plan.study.name,
         "path": plan.study.own_path,
@@ -206,56 +209,65 @@ def selection_record(plan: Plan) -> dict[str, Any]:
         "selection": asdict(plan.selection),
         "saved": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "runs": [
-            {"condition": own.condition, "seed": own.seed, "run_id": own.run_id, "run": as_fields(own.run)}
-            for own in plan.cells
+            {
+                "condition": cell.condition,
+                "seed": cell.seed,
+                "run_id": cell.run_id,
+                "run": as_fields(cell.run),
+            }
+            for cell in plan.cells
         ],
     }
 
 
 def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the record of a plan and of what was selected before.
+    """Return the record of a plan, joined with those of earlier selections.
 
-    Runs of other seeds or conditions, else alike, join it; others stay beside it as they are.
+    Earlier runs join it if they differ in seed or condition only. Other selections stay beside it.
     """
     record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
-    conditions, apart = list(plan.study.conditions), []
+    conditions, separate = list(plan.study.conditions), []
     runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
-    for own in earlier:
-        if not alike(own, record):
-            apart.append({key: own[key] for key in ("selection", "same", "runs", "saved") if key in own})
+    for before in earlier:
+        if not can_join(before, record):
+            keys = ("selection", "same", "runs", "saved")
+            separate.append({key: before[key] for key in keys if key in before})
             continue
-        more = [run for run in own["runs"] if run["condition"] in conditions]
+        more = [run for run in before["runs"] if run["condition"] in conditions]
         runs = {(run["seed"], run["condition"]): run for run in [*more, *runs.values()]}
-        record["same"] += [names for names in own["same"] if names not in record["same"]]
+        record["same"] += [names for names in before["same"] if names not in record["same"]]
     if len(runs) > len(record["runs"]):
-        order = sorted(runs, key=lambda own: (own[0], conditions.index(own[1])))
+        order = sorted(runs, key=lambda key: (key[0], conditions.index(key[1])))
         record["runs"] = [runs[key] for key in order]
-        held = {condition for _, condition in runs}
-        some = [] if held == {*conditions} else [name for name in conditions if name in held]
-        record["selection"] |= {"seeds": sorted({seed for seed, _ in runs}), "conditions": some}
-    return {**record, "earlier": apart}
+        present = {condition for _, condition in runs}
+        selected = [] if present == {*conditions} else [name for name in conditions if name in present]
+        record["selection"] |= {"seeds": sorted({seed for seed, _ in runs}), "conditions": selected}
+    return {**record, "earlier": separate}
 
 
-def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Tell whether two selections are one but for seeds and conditions."""
+def can_join(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether two selections differ in seeds and conditions only."""
+    records = (one, other)
     first, second = (
-        {run["condition"]: {**run["run"], "seed": 0} for run in own["runs"]} for own in (one, other)
+        {run["condition"]: {**run["run"], "seed": 0} for run in record["runs"]} for record in records
     )
     keys = ("preset", "steps", "settings")
-    asked = [[own["selection"].get(key) or None for key in keys] for own in (one, other)]
+    options = [[record["selection"].get(key) or None for key in keys] for record in records]
     shared = first.keys() & second.keys()
-    return (bool(shared) or asked[0] == asked[1]) and all(first[name] == second[name] for name in shared)
+    same_options = options[0] == options[1]
+    return (bool(shared) or same_options) and all(first[name] == second[name] for name in shared)
 
 
 def _check_same_variant(recorded: Mapping[str, Any], plan: Plan) -> None:
-    """Refuse to call two variants by one name."""
-    held, asked = (own.get("settings") or {} for own in (recorded["selection"], asdict(plan.selection)))
-    if plan.selection.variant and held != parse_json(to_json(asked)):
-        raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(held)}")
+    """Refuse a variant's name that is already in use for other settings."""
+    stored = recorded["selection"].get("settings") or {}
+    if plan.selection.variant and stored != parse_json(to_json(plan.selection.settings or {})):
+        raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(stored)}")
 
 
 def recorded_selection(record: Mapping[str, Any]) -> Selection:
     """Return the selection that a study's record was made from."""
-    kept = {key: own for key, own in record["selection"].items() if key in Selection.__dataclass_fields__}
-    seeds = None if kept["seeds"] is None else tuple(kept["seeds"])
-    return Selection(**{**kept, "seeds": seeds, "conditions": tuple(kept["conditions"])})
+    known = Selection.__dataclass_fields__
+    values = {key: value for key, value in record["selection"].items() if key in known}
+    seeds = None if values["seeds"] is None else tuple(values["seeds"])
+    return Selection(**{**values, "seeds": seeds, "conditions": tuple(values["conditions"])})

@@ -1,4 +1,4 @@
-"""Plan a study: resolve a selection of conditions and seeds to runs.
+"""Plan a study: turn a selection of conditions and seeds into runs.
 
 study, preset and options → Plan of cells (condition × seed → Run and its id)
 """
@@ -22,16 +22,16 @@ from pneuma.values import settings_name
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a study to run; None leaves a part to the preset.
+    """Which part of a study to run. None leaves a choice to the preset.
 
     Attributes:
-        preset: name of the preset; quick when left out.
-        seeds: the seeds, as numbers.
+        preset: name of the preset; quick if None.
+        seeds: the seeds.
         steps: agent steps of each run.
-        conditions: names; empty for all.
-        settings: fields of the run set in every condition, over everything else. Of one with several
-            values, each makes conditions of its own.
-        variant: name of what the settings make of the study; made of them when left out.
+        conditions: names of conditions; all if empty.
+        settings: run fields that override those of every condition. A field with several values makes a
+            condition for each value.
+        variant: name of the variant that `settings` make of the study; derived from them if empty.
     """
 
     preset: str | None = None
@@ -54,12 +54,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Plan:
-    """The cells of a selection, seed by seed, and what a person should know about them.
+    """The cells of a selection, seed by seed.
 
     Attributes:
-        same: groups of conditions that resolve to one configuration: comparing them is A/A.
-        notes: sentences, such as that the budget was rounded up.
-        published: ids of runs that need not be trained, as a published table holds them.
+        same: groups of conditions that resolve to the same configuration; comparing them is A/A.
+        notes: sentences for the user, for example that the budget was rounded up.
+        published: ids of runs that need no training because a published table has them.
     """
 
     study: Study
@@ -81,7 +81,7 @@ class Plan:
 
 
 def make_plan(study: Study, selection: Selection) -> Plan:
-    """Resolve a selection of a study; with `settings`, the plan's study is a variant of it.
+    """Plan a selection of a study. If it has `settings`, the plan is for a variant of the study.
 
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
@@ -109,37 +109,36 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     cells = tuple(
         Cell(name, seed, run, run_id(run))
-        for seed in dict.fromkeys(seed for own in seeds.values() for seed in own)
+        for seed in dict.fromkeys(seed for seeds_of_one in seeds.values() for seed in seeds_of_one)
         for name in names
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    alike: dict[Run, list[str]] = {}
+    by_configuration: dict[Run, list[str]] = {}
     for name, run in runs.items():
-        alike.setdefault(replace(run, steps=1), []).append(name)  # a budget is no part of a configuration
-    same = tuple(tuple(own) for own in alike.values() if len(own) > 1)
+        by_configuration.setdefault(replace(run, steps=1), []).append(name)  # budgets may differ
+    same = tuple(tuple(group) for group in by_configuration.values() if len(group) > 1)
     left_open = [name for name in names if "engine" not in study.fields(name, over)]
     return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
 
 
 def _read_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """Return the fields that settings give one value, and those that they give several."""
-    over, swept = {}, {}
+    """Split settings into fields with one value and fields with several values to sweep."""
+    single, swept = {}, {}
     for key, value in settings.items():
-        several = value.split(",") if isinstance(value, str) else value
+        values = value.split(",") if isinstance(value, str) else value
         try:
-            over[key] = read_field(Run, key, value)
+            single[key] = read_field(Run, key, value)
         except UserError:
-            if key not in Run.__dataclass_fields__ or not isinstance(several, list | tuple):
+            is_field = key in Run.__dataclass_fields__
+            if not is_field or not isinstance(values, list | tuple) or len(values) < 2:
                 raise
-            if len(several) < 2:
-                raise
-            swept[key] = [read_field(Run, key, own) for own in several]
-    return over, swept
+            swept[key] = [read_field(Run, key, one) for one in values]
+    return single, swept
 
 
 def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dict[str, str]]:
-    """Cross a study's conditions with fields of several values; return also which condition each is of."""
+    """Cross a study's conditions with swept fields; also return the original condition of each new one."""
     if not swept:
         return study, {name: name for name in study.conditions}
     from pneuma.study.study_file import MOST_CONDITIONS, short
@@ -148,29 +147,31 @@ def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dic
     if (count := math.prod(map(len, [study.conditions, *swept.values()]))) > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     for *values, origin in product(*swept.values(), study.conditions):
-        own = dict(zip(swept, values, strict=True))
-        name = ", ".join([*(f"{key}={short(value)}" for key, value in own.items()), origin])
-        crossed[name], origins[name] = {**study.conditions[origin], **own}, origin
+        fields = dict(zip(swept, values, strict=True))
+        name = ", ".join([*(f"{key}={short(value)}" for key, value in fields.items()), origin])
+        crossed[name], origins[name] = {**study.conditions[origin], **fields}, origin
     baseline = next(name for name, origin in origins.items() if origin == study.baseline)
     return replace(study, conditions=crossed, baseline=baseline), origins
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return, for every field in which the fields of conditions differ, its value by condition."""
-    some: Mapping[str, Any] = next(iter(conditions.values()), {})
+    """Return the fields in which conditions differ: for each, its value in every condition."""
+    first: Mapping[str, Any] = next(iter(conditions.values()), {})
     return {
-        key: {name: own.get(key) for name, own in conditions.items()}
-        for key in some
-        if key != "seed" and any(own.get(key) != some[key] for own in conditions.values())
+        key: {name: fields.get(key) for name, fields in conditions.items()}
+        for key in first
+        if key != "seed" and any(fields.get(key) != first[key] for fields in conditions.values())
     }
 
 
 def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
-    """Return the seeds and steps of every condition that the preset has runs of."""
+    """Return the preset's seeds and steps for each of its conditions."""
     name = selection.preset or "quick"
     if name == CLAIMS:
-        found: dict[str, Preset] = import_module("pneuma.study.claimed").claims_preset(study, selection.steps)
-        return found
+        amounts: dict[str, Preset] = import_module("pneuma.study.claimed").claims_preset(
+            study, selection.steps
+        )
+        return amounts
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
     return {condition: study.presets[name].of(condition) for condition in study.conditions}
@@ -185,11 +186,11 @@ def _notes(
     same: Sequence[Sequence[str]],
     engine_left_open: Sequence[str],
 ) -> Iterator[str]:
-    """Say which budgets are rounded, what is the same, and what only a slower engine can train."""
-    rounded = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
-    for asked, whole, horizon in dict.fromkeys(rounded):
-        if asked != whole:
-            yield f"{asked:,} steps are rounded up to {whole:,}, whole updates of {horizon:,}"
+    """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
+    budgets = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
+    for requested, planned, update in dict.fromkeys(budgets):
+        if requested != planned:
+            yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"
     for names in same:
         yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
     for name in engine_left_open:
