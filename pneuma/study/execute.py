@@ -145,7 +145,7 @@ def kept_step(run: Run, status: Status) -> int:
 
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
-    """Return the plan's runs to train, by id: neither finished nor published, and not failed unless retried."""
+    """Return the plan's runs to train, by id: not finished, published or (unless retried) failed."""
     return {
         cell.run_id: cell.run
         for cell in plan.cells
