@@ -100,7 +100,7 @@ OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
 
 
 def is_gymnasium_id(env: object) -> bool:
-    """Tell whether a name is that of an environment of Gymnasium's that is not Pneuma's own."""
+    """Return whether a name is that of an environment of Gymnasium's that is not Pneuma's own."""
     return isinstance(env, str) and _FOREIGN.fullmatch(env) is not None
 
 

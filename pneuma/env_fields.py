@@ -177,17 +177,17 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def is_own_level(name: str) -> bool:
-    """Tell whether a level is a file of its user's, and neither shipped nor made from a number."""
+    """Return whether a level is a file of its user's, and neither shipped nor made from a number."""
     return bool(name) and name not in SHIPPED_LEVELS and not is_random_level(name)
 
 
 def is_random_level(name: str) -> bool:
-    """Tell whether a level is made from a number."""
+    """Return whether a level is made from a number."""
     return name.startswith("random:")
 
 
 def are_own_characters(name: str) -> bool:
-    """Tell whether characters are a file of their user's."""
+    """Return whether characters are a file of their user's."""
     return bool(name) and name not in SHIPPED_CHARACTERS
 
 

@@ -167,7 +167,7 @@ def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: fl
 
 
 def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> bool | None:
-    """Tell whether an arm is shown to play better than the random player, by a one-sided Student's test.
+    """Return whether an arm is shown to play better than the random player, by a one-sided Student's test.
 
     A run's number is its mean score over all its evaluations, where 0 is the random player. A greatest
     score would be above 0 by chance alone. None where a run has no score.

@@ -210,7 +210,7 @@ def _relearned(
     onset: float,
     recovered: float | None,
 ) -> bool | None:
-    """Tell whether evaluations after the recovery come near the best before the onset."""
+    """Return whether evaluations after the recovery come near the best before the onset."""
     if not len(shares) or random is None:
         return None
     if recovered is None:

@@ -76,7 +76,7 @@ class FinishedRun:
         return self.records.status.step
 
     def ends_before(self, step: float | None) -> bool:
-        """Tell whether it was not to reach a step, so that it has no value there."""
+        """Return whether it was not to reach a step, so that it has no value there."""
         return step is not None and self.budget * (1 + SLACK) < step
 
 
@@ -257,7 +257,7 @@ class StudyData:
         return records.curve(quantity, window, self.grid, run.slots)
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Tell whether all runs have the curve of a quantity with a window."""
+        """Return whether all runs have the curve of a quantity with a window."""
         return all(run.records.has_curve(quantity, window) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:

@@ -165,7 +165,7 @@ def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Com
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
-    """Tell whether equivalence refutes a claim whose direction the interval of the difference bears out."""
+    """Return whether equivalence refutes a claim whose direction the interval of the difference bears out."""
     low, high = contrast.interval.low, contrast.interval.high
     as_claimed = (direction == "greater" and low > 0) or (direction == "less" and high < 0)
     return found(contrast) == "equal" and as_claimed
@@ -250,7 +250,7 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
 
 
 def _is_of_play(outcome: str) -> bool:
-    """Tell whether more of an outcome is better play."""
+    """Return whether more of an outcome is better play."""
     parts = [find_outcome(part) for part in outcome.split(MINUS)]
     return all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
 

@@ -59,12 +59,12 @@ class Outcome:
 
 
 def is_return(name: str) -> bool:
-    """Tell whether an outcome is a return, whose unit is its reward's."""
+    """Return whether an outcome is a return, whose unit is its reward's."""
     return name.endswith("-return")
 
 
 def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
-    """Tell whether conditions, or all, have the same reward and as many players: else no returns compare."""
+    """Return whether returns of conditions (default: all) compare: same reward, as many players."""
     names = data.conditions if conditions is None else conditions
     firsts = [own[0].fields for name in names if (own := data.of_condition(name))]
     units = {
@@ -75,7 +75,7 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 
 def is_foreign(data: StudyData) -> bool:
-    """Tell whether no run was trained in a world of Pneuma's, so that none kills or has HP."""
+    """Return whether no run was trained in a world of Pneuma's, so that none kills or has HP."""
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
 
 

@@ -103,7 +103,7 @@ def with_sum(data: bytes) -> bytes:
 
 
 def is_whole(data: bytes) -> bool:
-    """Tell whether a file is what `with_sum` returned, to the bit."""
+    """Return whether a file is what `with_sum` returned, to the bit."""
     blank = _SUM.sub(NO_SUM.encode(), data)
     return _SUM.findall(data) == [hashlib.sha256(blank).hexdigest().encode()]
 
@@ -206,7 +206,7 @@ class PublishedRecords(Records):
         return rows[column][self._place].as_py() if column in rows.column_names else None
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Tell whether it has the curve: rounded tables have one window of most quantities."""
+        """Return whether it has the curve: rounded tables have one window of most quantities."""
         return curve_column(quantity, window) in self._table.rows.column_names
 
     def table(self, name: str) -> pd.DataFrame:

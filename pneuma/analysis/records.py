@@ -93,7 +93,7 @@ class Records:
         return TRAINING_QUANTITIES
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Tell whether it has the curve of a quantity with a window."""
+        """Return whether it has the curve of a quantity with a window."""
         return quantity in self.quantities and window in self.windows
 
     def table(self, name: str) -> pd.DataFrame:

@@ -113,7 +113,7 @@ def shipped_name(name: str) -> str:
 
 
 def is_shipped(name: str) -> bool:
-    """Tell whether a name stands for a shipped study, in any world."""
+    """Return whether a name stands for a shipped study, in any world."""
     return split_world(name)[0] in spec.list_studies()
 
 
@@ -134,7 +134,7 @@ def steps_of(record: Mapping[str, Any]) -> int:
 
 
 def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
-    """Tell whether a record is of runs of so many steps, rounded up to whole updates."""
+    """Return whether a record is of runs of so many steps, rounded up to whole updates."""
     some: Mapping[str, Any] = next((run["run"] for run in record["runs"]), {})
     horizon = math.prod(some.get(key) or 1 for key in ("horizon", "slots", "players"))
     return math.ceil(steps / horizon) * horizon == steps_of(record)

@@ -147,7 +147,7 @@ def wrong_lists(lists: int, draw: Draw, seeds: int, setting: Setting, generator:
 
 
 def is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool:
-    """Tell whether a verdict, or what it speaks of, is not so."""
+    """Return whether a verdict, or what it speaks of, is not so."""
     if verdict == INCONCLUSIVE:
         return False
     if claimed == "equal":

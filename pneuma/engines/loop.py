@@ -77,5 +77,5 @@ def train_run(
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
-    """Tell whether a checkpoint is a parent's, from which the run begins as a fork."""
+    """Return whether a checkpoint is a parent's, from which the run begins as a fork."""
     return bool(run.parent) and checkpoint.step == run.fork_step

@@ -107,7 +107,7 @@ class Policy:
 
 
 def overflows(policy: Policy, observations: np.ndarray) -> bool:
-    """Tell whether logits of sound observations, (N, features), are no numbers, as of huge weights."""
+    """Return whether logits of sound observations, (N, features), are no numbers, as of huge weights."""
     with np.errstate(over="ignore", invalid="ignore"):
         logits = policy.logits(observations)
     return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())
@@ -138,7 +138,7 @@ def read_sound_policy(data: bytes) -> Policy:
 
 
 def _is_sound(policy: Policy) -> bool:
-    """Tell whether a policy's layers fit each other."""
+    """Return whether a policy's layers fit each other."""
     networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
     inputs = {len(layers[0][0]) for layers in networks}
     fits = policy.activation in ACTIVATIONS and len(inputs) == 1

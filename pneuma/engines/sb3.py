@@ -336,7 +336,7 @@ def _layers(hidden: nn.Module, *head: nn.Module) -> tuple[tuple[np.ndarray, np.n
 
 
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
-    """Tell whether losses, gradient norms and every parameter are finite.
+    """Return whether losses, gradient norms and every parameter are finite.
 
     The explained variance is left out: it is undefined where all returns are equal. So are losses that
     a learner has none of, or none before its first gradient.

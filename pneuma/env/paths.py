@@ -196,7 +196,7 @@ class Ways:
         return place[axis] + way
 
     def _meets_sea(self, level: int, place: Place, there: Place) -> bool:
-        """Tell whether a body's place comes to a tile of the coast on a straight way."""
+        """Return whether a body's place comes to a tile of the coast on a straight way."""
         (left, right), (top, bottom) = (
             sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, there))
             for axis in (0, 1)

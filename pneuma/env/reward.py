@@ -215,6 +215,6 @@ class _Imports(ModuleFinder):
 
 
 def _is_installed(folder: Path) -> bool:
-    """Tell whether a folder holds what was installed, or comes with Python."""
+    """Return whether a folder holds what was installed, or comes with Python."""
     paths = sysconfig.get_paths()
     return folder.resolve() in {Path(paths[key]).resolve() for key in ("stdlib", "purelib", "platlib")}

@@ -327,7 +327,7 @@ def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) 
 
 
 def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
-    """Tell whether a bridge meets land both above and below."""
+    """Return whether a bridge meets land both above and below."""
     for way in (-1, 1):
         here = row
         while _ground_at(ground, here, column) == BRIDGE:

@@ -245,7 +245,7 @@ QUANTITIES = {
 
 
 def _shows_runs(curve: Curve, band: str) -> bool:
-    """Tell whether every run is drawn: where that is the band, runs are few, or it rarely covers the mean."""
+    """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
     count = len(curve.runs)
     return BANDS[band].edges is None or 1 < count < panels.FEW_RUNS or not is_trusted(band, count)
 

@@ -85,7 +85,7 @@ class Parameter(Table):
 
     @property
     def whole(self) -> bool:
-        """Tell whether a range is of whole numbers."""
+        """Return whether a range is of whole numbers."""
         return isinstance(self.low, int)
 
     @property
@@ -108,7 +108,7 @@ class Parameter(Table):
         return value if value is not None and self.low <= value <= self.high else None
 
     def counts(self, known: Mapping[str, Any]) -> bool:
-        """Tell whether it counts beside what is known of the others."""
+        """Return whether it counts beside what is known of the others."""
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
 
 

@@ -142,7 +142,7 @@ class Outcomes:
         return self._values[key]
 
     def diverged(self, cell: Cell) -> bool:
-        """Tell whether a finished run diverged."""
+        """Return whether a finished run diverged."""
         return self._store.status(cell.run_id).name == "diverged"
 
     def _measure(self, cell: Cell, name: str) -> float:

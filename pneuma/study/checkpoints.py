@@ -40,12 +40,14 @@ from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
 WRITE_SHARE = 40
-"""Checkpoints are at least so many times apart as the last one took to write."""
+"""Time between checkpoints is at least this many times what the last one took to write."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
 
 
 class RunCheckpoints:
-    """The checkpoints of one run while it trains, and `keep` of them after; for the holder of its lock alone.
+    """The checkpoints of one run: the latest two while it trains, and `keep` of them afterwards.
+
+    Only the process that holds the run's lock may use it.
 
     Attributes:
         attempts: what is recorded of earlier attempts, up to the checkpoint from which this one goes on.
@@ -67,7 +69,7 @@ class RunCheckpoints:
                 _remove(path)  # a folder in the place of a file
 
     def latest(self) -> Checkpoint | None:
-        """Return the latest whole checkpoint, saying which were damaged; None to start anew."""
+        """Return the latest sound checkpoint and report damaged ones; None to start from the beginning."""
         self.attempts = []
         for file in checkpoint_files(self._folder):
             if read := read_checkpoint(file):
@@ -79,7 +81,7 @@ class RunCheckpoints:
         return self._parents() if self._run.parent else None
 
     def give_up(self, why: Exception) -> bool:
-        """Give up the latest checkpoint, from which the engine cannot go on; return whether there was one."""
+        """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
         for file in checkpoint_files(self._folder)[:1]:
             self._say(f"the checkpoint at step {file.step:,} is given up: {why}")
             _remove(file.path)
@@ -87,9 +89,9 @@ class RunCheckpoints:
         return False
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
-        """Take a checkpoint after an update if it is time, or one is to be kept, or asked for `at_once`.
+        """Write a checkpoint if it is time, if this one is to be kept, or if asked for `at_once`.
 
-        One that cannot be written is reported, and tried again later: training goes on without it.
+        If it cannot be written, that is reported, and it is tried again later; training goes on.
         """
         now = time.monotonic()
         if now < self._next and not at_once and progress.step not in self._steps_to_keep:
@@ -105,7 +107,7 @@ class RunCheckpoints:
         self._next = now + took + max(self._seconds, WRITE_SHARE * took)
 
     def finish(self) -> None:
-        """Remove the checkpoints that are not to be kept when the run has ended."""
+        """Remove the checkpoints that are not to be kept, once the run has ended."""
         self._keep_latest(0)
         folder = self._folder / CHECKPOINTS
         if folder.is_dir() and not any(folder.iterdir()):
@@ -117,7 +119,7 @@ class RunCheckpoints:
                 _remove(file.path)
 
     def _parents(self) -> Checkpoint:
-        """Return the checkpoint that a fork begins with.
+        """Return the parent's checkpoint that a fork begins with.
 
         Raises:
             UserError: when the parent keeps it no more.
@@ -130,7 +132,7 @@ class RunCheckpoints:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file, a link, or a folder that lies in the place of a file."""
+    """Remove a file, or a link or folder in its place."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -142,7 +144,7 @@ def _remove(path: Path) -> None:
 
 @dataclass(frozen=True)
 class CheckpointFile:
-    """A checkpoint as it lies in a run's folder, with what its name tells."""
+    """A checkpoint file in a run's folder, with the step and checksum from its name."""
 
     path: Path
     step: int
@@ -150,7 +152,7 @@ class CheckpointFile:
 
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
-    """Return the checkpoints of a run's folder, the latest first, whole or not."""
+    """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
     found = ((path, read_checkpoint_name(path.name)) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
     files = [CheckpointFile(path, *told) for path, told in found if told]
     return sorted(files, key=lambda file: (file.step, file.digest), reverse=True)
@@ -162,7 +164,7 @@ def file_name(step: int, data: bytes) -> str:
 
 
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
-    """Read a checkpoint and the attempts recorded with it; None where it is not what was written there.
+    """Read a checkpoint and the attempts recorded in it; return None if it is damaged or of another run.
 
     That is a file that is damaged, no checkpoint at all, or one of another step or run.
     """
@@ -179,9 +181,9 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
-    """Return a checkpoint as safetensors, with its run's `attempts` so far.
+    """Return a checkpoint as safetensors, with the run's `attempts` so far.
 
-    With `run_id` the file is of no use in the folder of another run.
+    With `run_id`, the file is rejected in the folder of another run.
     """
     tables = table_files(checkpoint.records)
     rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}
@@ -199,7 +201,7 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    """Return a checkpoint, and what was encoded with it: its run's id and history.
+    """Return a checkpoint, with the run id and attempts that were encoded in it.
 
     Raises:
         ValueError: for bytes of another schema; other bytes may raise anything.
@@ -215,13 +217,13 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 
 def table_files(records: Records) -> dict[str, bytes]:
-    """Return every table of records as a Parquet file."""
+    """Return each table of records as a Parquet file."""
     rows = {name: getattr(records, name) for name in TABLES}
     return {name: to_parquet(own, columns_of(own, TABLES[name])) for name, own in rows.items()}
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
-    """Return the rows of a table that has the contract's columns, with those that it has on top."""
+    """Return a table's rows with the columns of the contract first, then any others."""
     table = from_parquet(data)
     own = [name for name in VALUE_COLUMNS if name in table.column_names]
     rows: list[Row] = table.select([*columns, *own]).to_pylist()

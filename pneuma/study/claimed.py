@@ -1,4 +1,4 @@
-"""What claims fix of runs, before any is trained: a study's conditions, and of each its seeds and steps.
+"""The runs that claims fix in advance: a study's conditions, with the seeds and steps of each.
 
     claims.toml beside a study's file → ClaimedRuns, one for each claim → the preset `claims` of the study
 
@@ -24,17 +24,17 @@ from pneuma.worlds import WORLDS, split_world, world_option
 
 
 def listed(value: object) -> object:
-    """Return a text as a list of one."""
+    """Return a string as a list of one."""
     return (value,) if isinstance(value, str) else value
 
 
 def _by_condition(value: Any) -> Any:
-    """Return a table of one value for each condition; of one value for all, a table with one name, ''."""
+    """Return one value per condition; a single value for all conditions gets the key ''."""
     return value if isinstance(value, Mapping) else {"": value}
 
 
 def _seeds_as_written(value: Any) -> Any:
-    """Check seeds, but leave a count a count: where it begins is the list's to say."""
+    """Check seeds but keep a count as it is, because the list says which seed is the first."""
     read_seeds(value)
     return value
 
@@ -48,7 +48,7 @@ StepsOf = Annotated[dict[str, Steps], BeforeValidator(_by_condition)]
 
 
 class ClaimedRuns(BaseModel):
-    """What a claim says of its runs; its other keys are `pneuma.analysis.claims`' to read.
+    """What a claim says about its runs. `pneuma.analysis.claims` reads its other keys.
 
     Attributes:
         study: what tests it: a shipped study's name, or the path of a file beside the claims.
@@ -75,7 +75,7 @@ class ClaimedRuns(BaseModel):
 
 
 class _Head(BaseModel):
-    """What a list of claims says of all seeds."""
+    """What a list of claims says about all seeds."""
 
     model_config = {**CONFIG, "extra": "ignore"}
 
@@ -86,7 +86,7 @@ Claimed = TypeVar("Claimed", bound=ClaimedRuns)
 
 
 def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Claimed:
-    """Return a claim with the seeds and steps of each of its conditions, which its study must have.
+    """Return a claim with the seeds and steps of each condition, after checking that its study has them.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
@@ -123,11 +123,10 @@ def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Clai
 
 
 def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
-    """Return the seeds and steps that claims fix of a study in its world, by condition.
+    """Return the seeds and steps, by condition, that claims fix for a study in its world.
 
-    Conditions that no claim is about are left out; one that several are about has the seeds of all.
-
-    Where claims fix several budgets `steps` picks one; any other number has the conditions of all.
+    Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
+    claims fix several budgets, `steps` selects one; any other number selects the conditions of all.
 
     Raises:
         UserError: where no claim is about the study, or the budget is not told.
@@ -142,7 +141,7 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
 
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
-    """Return the same for every budget, by its steps; empty where no claim is about the study."""
+    """Return the same by number of steps; empty if no claim is about the study."""
     if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
         return {}
     file = read_toml(beside)
@@ -163,7 +162,7 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
 
 
 def training_command(study: Study, claims: Path) -> str:
-    """Return the command that trains what claims fix of a study; empty where the file is not its own."""
+    """Return the command that trains a study's claimed runs; empty if `claims` is another study's file."""
     if study.path is None or claims.resolve() != (study.path.parent / CLAIMS_FILE).resolve():
         return ""
     name = study.own_path or split_world(study.name)[0]
@@ -172,7 +171,7 @@ def training_command(study: Study, claims: Path) -> str:
 
 
 def _is_about(name: str, study: Study, folder: Path) -> bool:
-    """Tell whether a claim names a study: a shipped one by its name, others by their path."""
+    """Return whether a claim names this study, by name if it is shipped, else by path."""
     if name.endswith(".toml"):
         return study.path is not None and (folder / name).resolve() == study.path.resolve()
     return study.own_path is None and study.path is not None and split_world(name)[0] == study.path.stem

@@ -1,4 +1,4 @@
-"""What documents of a results folder, which may be anybody's, must hold to be read."""
+"""What documents in a results folder, which may be untrusted, must contain to be read."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Selection(TypedDict):
 
 
 class Record(TypedDict):
-    """A study's record, as far as tables and figures are made by it."""
+    """A study's record, as far as tables and figures need it."""
 
     study: str
     title: str
@@ -62,13 +62,13 @@ class _Attempt(TypedDict):
 
 
 class History(TypedDict):
-    """What a checkpoint has to say for provenance."""
+    """The provenance that a checkpoint carries."""
 
     attempts: NotRequired[list[_Attempt]]
 
 
 def fits(document: Mapping[str, Any], kind: type) -> bool:
-    """Tell whether a document is of a kind: `Manifest`, `Record`, `History`."""
+    """Return whether a document has the structure of `kind`: `Manifest`, `Record` or `History`."""
     try:
         _adapter(kind).validate_python(document, strict=True)
     except ValidationError:

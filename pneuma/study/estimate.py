@@ -1,4 +1,4 @@
-"""Runtime estimate: how long runs take here, from runs like them, or a table by network size."""
+"""Runtime estimate: how long runs take on this machine, by similar finished runs or by network size."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ SECONDS_PER_STEP = {
     "sb3": ((1e3, 1.2e-3), (1e5, 1.8e-3), (1e6, 5e-3), (1e7, 4e-2)),
     "tabular": ((1e3, 2e-5),),
 }
-"""By engine: what an agent step takes on a usual core, evaluations included, with so many weights."""
+"""By engine: seconds per agent step, evaluations included, by the number of weights."""
 SAMPLE = 100
-"""Of how many other runs in the results folder the pace is read."""
+"""Other runs in the results folder from which paces are read."""
 START_SECONDS = 4.0
-"""What a worker takes to start, programs being compiled."""
+"""Seconds that a worker takes to start with compiled programs."""
 OF_PACE = (
     "engine", "algorithm", "env", "level", "players", "slots", "horizon", "minibatch", "epochs",
     "actor", "critic", "optimizer", "steps", "evaluation_episodes", "episode_steps", "observation", "reward",
     "random_levels", "magic", "classes", "buffer_size",
 )  # fmt: skip
-"""Fields that decide how long a step takes. The budget is one: a short run has as many evaluations."""
+"""Fields that decide how long a step takes. Steps are one, as every run has the same number of
+evaluations."""
 
 Paces = Mapping[str, float]
-"""Seconds that an agent step took of runs that were timed, by what decides over that."""
+"""Seconds per agent step of finished runs, by the fields that decide it."""
 
 
 def stored_paces(store: Store, own: Iterable[str]) -> Paces:
-    """Return the paces of runs that ended on such a processor: a plan's own, by id, and some others."""
+    """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
     names, cpu = [*dict.fromkeys([*own, *store.runs()[:SAMPLE]])], machine()["cpu"]
     found: dict[str, list[float]] = {}
     for name, origin in stored_origins(store, names):
@@ -52,19 +53,19 @@ def stored_paces(store: Store, own: Iterable[str]) -> Paces:
 
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float:
-    """Return about how long a run takes for so many agent steps."""
+    """Return about how many seconds a run takes for `steps` agent steps."""
     settings = as_fields(run)
     pace = paces.get(_kind(settings)) or _usual(settings)
     return START_SECONDS + steps * pace
 
 
 def is_known(paces: Paces, run: Run) -> bool:
-    """Tell whether a run like this one was timed."""
+    """Return whether a similar run has been timed."""
     return _kind(as_fields(run)) in paces
 
 
 def total_seconds(seconds: Iterable[float], workers: int) -> float:
-    """Return about how long runs of such lengths take together, so many at once."""
+    """Return about how many seconds runs take together with so many workers."""
     each = [*seconds]
     return max(sum(each) / max(workers, 1), max(each, default=0.0))
 
@@ -74,7 +75,7 @@ def _kind(settings: Mapping[str, Any]) -> str:
 
 
 def _usual(settings: Mapping[str, Any]) -> float:
-    """Return what the table says that a step takes."""
+    """Return the seconds per step from the table."""
     layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
     weights = max(1, sum(before * after for own in layers for before, after in pairwise(own)))
     known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T

@@ -1,4 +1,4 @@
-"""Files of a results folder: there whole or not at all, and documents that notice their own damage."""
+"""Files in a results folder: written whole or not at all, and documents with a checksum."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ SCHEMA = 1
 _SEAL = "sha256"
 
 CHECKPOINTS = "checkpoints"
-"""Folder of a run's checkpoints."""
+"""The folder of a run's checkpoints."""
 _CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens meanwhile.
+    """Write a file whole or not at all, even if the process is killed meanwhile.
 
-    A link is followed; what is no ordinary file, such as a pipe or a terminal, is written to.
+    A link is followed. What is no ordinary file, such as a pipe or a terminal, is written to directly.
     """
     path = path.resolve()
     if path.exists() and not path.is_file():
@@ -36,9 +36,9 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Put new files into a folder, in this order, each whole or not at all.
+    """Put new files into a folder in this order, each whole or not at all.
 
-    All are on the disk before the first is in its place.
+    All are on the disk before the first one replaces another.
     """
     written = {name: folder / f".{name}.{uuid.uuid4().hex}" for name in files}
     try:
@@ -57,7 +57,7 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the object that a JSON file holds; None where there is no such file, or something else in it."""
+    """Return the object in a JSON file; None if there is no such file or it holds something else."""
     try:
         return parse_json(read_whole(path))
     except (OSError, ValueError):
@@ -65,7 +65,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def parse_json(data: bytes | str) -> dict[str, Any]:
-    """Return the object that JSON holds.
+    """Parse a JSON object.
 
     Raises:
         ValueError: for anything else.
@@ -80,7 +80,7 @@ def parse_json(data: bytes | str) -> dict[str, Any]:
 
 
 def names_in(folder: Path) -> list[str]:
-    """Return the names in a folder, sorted; none where there is no such folder.
+    """Return the names in a folder, sorted; none if there is no folder.
 
     Raises:
         UserError: where something else is in its place.
@@ -99,13 +99,13 @@ def to_json(value: object) -> bytes:
 
 
 def seal(document: Mapping[str, Any]) -> bytes:
-    """Return a document as JSON with its schema and its own checksum."""
+    """Return a document as JSON, with a schema number and a checksum."""
     whole = {"schema": SCHEMA, **document}
     return to_json({**whole, _SEAL: checksum(to_json(whole))})
 
 
 def read_sealed(path: Path) -> dict[str, Any] | None:
-    """Return a document that `seal` wrote; None where there is none, or not as it was written."""
+    """Return a document that `seal` wrote; None if it is missing or damaged."""
     document = read_json(path)
     if document is None or document.get("schema") != SCHEMA:
         return None
@@ -114,11 +114,11 @@ def read_sealed(path: Path) -> dict[str, Any] | None:
 
 
 def read_checkpoint_name(name: str) -> tuple[int, str] | None:
-    """Return the step and the checksum that a checkpoint's name tells; None for any other file."""
+    """Return the step and checksum in a checkpoint's file name; None for any other file."""
     match = _CHECKPOINT_NAME.fullmatch(name)
     return (int(match[1]), match[2]) if match else None
 
 
 def checksum(data: bytes) -> str:
-    """Return the SHA-256 of some bytes, in hexadecimal."""
+    """Return the hexadecimal SHA-256 of some bytes."""
     return hashlib.sha256(data).hexdigest()

@@ -1,4 +1,4 @@
-"""Forks: go on from checkpoints of stored runs with one thing changed, beside a control without.
+"""Forks: continue stored runs from a checkpoint with one change, and a control without it.
 
 runs, steps and changes → Plan of a control and a condition a change × fork seeds, each a run like any other
 """
@@ -26,14 +26,14 @@ FIXED = (
     "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
     "critic", "buffer_size", "learning_starts", "seed", "steps",
 )  # fmt: skip
-"""Settings that the arrays of a checkpoint, or the steps after it, hang on: a fork cannot change them."""
+"""Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
 OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))
-"""Settings by which transitions in a replay buffer were made."""
+"""Fields on which transitions in a replay buffer depend."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that a fork does other than its control: settings, or what it begins anew."""
+    """The one difference between a fork and its control: changed fields, or a part that is reset."""
 
     settings: Mapping[str, Any] = field(default_factory=dict)
     reset: str = ""
@@ -50,15 +50,15 @@ CAUSES: dict[str, Change] = {
     "tanh": Change({"activation": "tanh"}),
     "unit scale": Change({"scale": "unit"}),
 }
-"""What thesis chapter 6 and the published code suspect, one thing each."""
+"""Possible causes of collapse that thesis chapter 6 and the published code suggest, one change each."""
 
 
 def plan_fork(
     store: Store, parent: str, at: int, change: Change, seeds: Sequence[int], trust: bool = False
 ) -> Plan:
-    """Plan a fork from the parent's checkpoint nearest before step `at`, and its control, by fork seeds.
+    """Plan forks, and their control, from the parent's last checkpoint before step `at`.
 
-    Each seed begins fresh random streams. With `trust`, what the run names of its owner's may be read.
+    Each seed starts fresh random streams. Files and code that the run names are read only with `trust`.
 
     Raises:
         UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
@@ -76,7 +76,7 @@ def plan_fork(
 def plan_cause_forks(
     store: Store, study: str, parents: Mapping[str, int], seeds: Sequence[int], trust: bool = False
 ) -> Plan:
-    """Plan the forks of several runs of a study, a condition for each of `CAUSES` that all of them can make.
+    """Plan forks of several runs of a study: a condition for each of `CAUSES` that all runs can have.
 
     A condition's runs are numbered in one order in every condition, so that run i of a change and run i of
     the control begin with the same weights, worlds and optimizer. `parents` tells before what step each run
@@ -118,7 +118,10 @@ def _plan(
     seeds: Sequence[int],
     notes: tuple[str, ...],
 ) -> Plan:
-    """Plan every parent's fork with every seed as a study; those of several parents are numbered through."""
+    """Plan forks of every parent with every seed as a study.
+
+    Forks of several parents are numbered in one sequence.
+    """
     about = f"{about}, beside an unchanged control."
     study = Study(name, None, title, about, name, CONTROL, {condition: {} for condition in conditions})
     forks = [*product(range(len(conditions[CONTROL])), seeds)]
@@ -158,7 +161,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
 
 
 def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
-    """Return the step of the parent's checkpoint nearest before `at`, which leaves something to train."""
+    """Return the step of the parent's last checkpoint before `at` that leaves something to train."""
     from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
 
     if at >= whole.steps:
@@ -179,7 +182,7 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
 
 
 def _changed_run(control: Run, change: Change) -> Run:
-    """Return a fork with settings changed, and what is begun anew, beside its control.
+    """Return a control run with changed fields or a reset.
 
     Raises:
         UserError: for a change that is none or cannot be made.

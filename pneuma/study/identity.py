@@ -1,4 +1,4 @@
-"""What a run is called, a hash of all that can change its outcome; and which files of its user's it names."""
+"""The identity of a run: a hash of everything that can change its result."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _FILES = {
     MODULE: ("pneuma.engines.gymnasium_env", "module_files"),
     WRAPPERS: ("pneuma.engines.gymnasium_env", "wrapper_files"),
 }
-"""What tells, of a user's own, the files to hash."""
+"""By field: the function that returns the user's files to hash."""
 _DEEDS = {REWARD: "run the reward", MODULE: "run the module", WRAPPERS: "run the wrapper"}
 
 
 def run_id(run: Run) -> str:
-    """Return 16 hexadecimal digits that two runs share only if they end with the same bits.
+    """Return 16 hexadecimal digits, which two runs share only if they end with the same bits.
 
     Hashed are the resolved configuration with its seed and budget, the contents of the user's own
     files (not their paths), and the versions of rules and engine; not the study's name. A field at
@@ -50,7 +50,7 @@ def run_id(run: Run) -> str:
 def _contents(run: Run) -> str:
     """Return a digest of the user's own files that a run reads: level, characters, and modules.
 
-    What is shipped is part of the rules' version.
+    Shipped files are part of the rules' version.
     """
     paths: list[Path] = []
     for key, named in own_names(as_fields(run)).items():
@@ -63,7 +63,7 @@ def _contents(run: Run) -> str:
 
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what fields name that is not shipped, by key: a level, characters, and what is in modules."""
+    """Return the values that name a user's own level, characters or modules, by field."""
     told = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
     own = {key: fields[key] for key, is_own in told.items() if key in fields and is_own(fields[key])}
     custom = own_rewards(fields.get(REWARD, ()))
@@ -72,9 +72,9 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def own_things(fields: Mapping[str, object]) -> dict[str, str]:
-    """Return what untrusted fields name that is not shipped, by key: what would be done with it.
+    """Return what using a user's own files in untrusted fields would do, by field; for messages.
 
-    Nothing is imported or opened to tell.
+    Nothing is imported or opened.
 
     Raises:
         UserError: for a value that is not allowed.

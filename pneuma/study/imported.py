@@ -1,4 +1,4 @@
-"""Old logs as a study: TensorBoard logs of Stable-Baselines3 or CleanRL, every point of them, in the store.
+"""Imported logs as a study: every point of TensorBoard logs of Stable-Baselines3 or CleanRL, in the store.
 
 folders of logs → runs that were not trained here → store and selection, as `pneuma study run` leaves
 
@@ -27,15 +27,15 @@ from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.worlds import split_world
 
 SOURCE = "tensorboard"
-"""What a selection's record calls the source of an imported study."""
+"""The source named in the record of an imported study."""
 IMPORT_VERSION = 2
-"""Raised by hand when the same logs are read to other points; part of every imported run's id."""
+"""Raised by hand when the same logs give other points; part of every imported run's id."""
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
-"""Tags that Stable-Baselines3 and CleanRL write, whose steps are agent steps."""
+"""Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
 
 
 class Log(NamedTuple):
-    """A run's folder for people, its condition and seed, and its event files, oldest first."""
+    """One run's event files, oldest first, with its folder, condition and seed."""
 
     shown: str
     condition: str
@@ -54,7 +54,7 @@ class Scalar(NamedTuple):
 
 @dataclass(frozen=True)
 class ImportedRun:
-    """One imported run.
+    """An imported run.
 
     Attributes:
         log: where it was found.
@@ -75,7 +75,7 @@ class ImportedRun:
 def import_tensorboard(
     folders: Sequence[Path], store: Store, name: str | None = None
 ) -> tuple[str, list[ImportedRun], list[str]]:
-    """Import every run below some folders as one study; return its name, its runs, and notes for people.
+    """Import all runs below some folders as one study; return its name, its runs, and notes for the user.
 
     Each folder holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The study is
     called as the folder that holds all that are given, where no name is.
@@ -119,7 +119,7 @@ def import_tensorboard(
 
 
 def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
-    """Find every folder, of those given and all below, that holds event files.
+    """Find all folders, among those given and below them, that contain event files.
 
     The condition is the folder's path below what all runs share, without the seed: Stable-Baselines3
     calls folders NAME_SEED, CleanRL NAME__SEED__TIME. A folder without a number is seed 0. Where two
@@ -156,7 +156,7 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
 
 
 def _condition_and_seed(parts: tuple[str, ...]) -> tuple[str, int]:
-    """Return a condition's name, and the seed that the last folder with a number tells."""
+    """Return a condition's name, and the seed from the last folder that has a number."""
     name, seed = "/".join(parts), 0
     for place in reversed(range(len(parts))):
         cleanrl = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", parts[place])
@@ -213,7 +213,7 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
 
 
 def read_event_file(path: Path) -> list[Scalar]:
-    """Return every scalar of an event file, in the order of writing, up to where it is damaged.
+    """Return every scalar of an event file in the order of writing; a damaged file up to the damage.
 
     With the reader of TensorBoard's own EventAccumulator, which itself forgets the order of tags, by which
     restarts are known.
@@ -246,7 +246,7 @@ def read_event_file(path: Path) -> list[Scalar]:
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
-    """Tell which scalars of a log, with file, tag and step in the order of writing, later ones stand in for.
+    """Return which scalars of a log were replaced by later ones, after a restart.
 
     A logger that was restarted goes back in steps and writes anew. Where a tag goes back, what it had
     from there on is replaced. A file that begins before the end of the files before it replaces, of all

@@ -1,4 +1,4 @@
-"""A TensorBoard log of a run while it trains, with the tags of Stable-Baselines3 and CleanRL.
+"""A TensorBoard log that is written while a run trains, with the tags of Stable-Baselines3 and CleanRL.
 
     records of an update → events in DIR/STUDY/CONDITION_SEED, beside what the run itself leaves
 
@@ -16,17 +16,17 @@ from pneuma.engines.base import Progress
 from pneuma.engines.records import Row
 
 TRAILING_EPISODES = 100
-"""Over which Stable-Baselines3 averages returns and lengths."""
+"""Episodes over which Stable-Baselines3 averages returns and lengths."""
 
 EPISODE_TAGS = {"return": "charts/episodic_return", "length": "charts/episodic_length"}
 TRAILING_TAGS = {"return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"}
 UPDATE_TAGS = {"policy_loss": "train/policy_gradient_loss", "entropy": "train/entropy_loss"}
-"""Other columns of the metrics are called train/COLUMN. Stable-Baselines3 logs entropy as a loss: negated."""
+"""Tags of some metrics; others are called train/COLUMN. Entropy is logged as a loss, negated."""
 EVALUATION_TAGS = {"return": "eval/mean_reward", "length": "eval/mean_ep_length"}
 
 
 class LiveLog:
-    """Writes the log of one run, from the step where it begins or goes on."""
+    """Writes the log of one run, from the step where it starts or resumes."""
 
     def __init__(self, folder: str, first: int) -> None:
         from tensorboard.compat.proto.event_pb2 import Event, SessionLog
@@ -40,7 +40,7 @@ class LiveLog:
         self._writer.add_event(Event(wall_time=time.time(), step=first + 1, session_log=started))
 
     def update(self, progress: Progress) -> None:
-        """Write what an update added, to the file: a checkpoint that comes after it may be gone on from."""
+        """Write what an update added to the file, before a checkpoint that could be resumed from."""
         records = progress.records
         for row in self._new("episodes", records.episodes):
             self._write(row["step"], {tag: row[name] for name, tag in EPISODE_TAGS.items()})
@@ -56,11 +56,11 @@ class LiveLog:
         self._writer.flush()
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write the rest."""
         self._writer.close()
 
     def _new(self, table: str, rows: list[Row]) -> list[Row]:
-        """Return the rows of a table that were not written yet, of this attempt alone."""
+        """Return the rows of a table that this attempt added and that were not written yet."""
         seen, self._seen[table] = self._seen.get(table, 0), len(rows)
         return [row for row in rows[seen:] if row["step"] > self._first]
 

@@ -1,4 +1,4 @@
-"""Who trains a run: a lock that goes with its holder's process.
+"""Locks on runs, which end with the process that holds them.
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it. Where a
 lock keeps nobody out (some file systems have none, or keep them to one machine), two processes may train one
@@ -17,12 +17,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
-"""How often a lock that is held is tried again, and after how long: who only looks holds it for a moment."""
+"""Attempts to take a lock, and seconds between them: whoever only looks holds it for a moment."""
 
 
 @contextmanager
 def run_lock(folder: Path) -> Iterator[bool]:
-    """Hold the lock of one run, if nobody does; tell whether that was so.
+    """Hold the lock of a run, if no other process does; yield whether it is held.
 
         with run_lock(store.run_folder(name)) as mine:
             if mine: ...
@@ -47,7 +47,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
 
 
 def is_held(folder: Path) -> bool:
-    """Tell whether some process trains the run of this folder now."""
+    """Return whether some process trains the run in this folder now."""
     try:
         descriptor = _open(folder / ".lock", os.O_RDONLY)
     except OSError:
@@ -63,7 +63,7 @@ def is_held(folder: Path) -> bool:
 
 
 def _open(path: Path, flags: int) -> int:
-    """Open a lock without following a link or waiting for a pipe.
+    """Open a lock file without following a link or waiting for a pipe.
 
     Raises:
         OSError: where it cannot be opened, or is no ordinary file.
@@ -76,7 +76,7 @@ def _open(path: Path, flags: int) -> int:
 
 
 def _take(descriptor: int) -> bool:
-    """Lock a file for this process alone, if no other does; who only looks, by `is_held`, is waited for."""
+    """Lock a file for this process; wait briefly for others that only look (`is_held`)."""
     for _ in range(LOOKS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -90,7 +90,7 @@ def _take(descriptor: int) -> bool:
 
 
 def _is_there(path: Path, descriptor: int) -> bool:
-    """Tell whether the file that is held is still the one that others would open."""
+    """Return whether the locked file is still the one that others would open."""
     with suppress(FileNotFoundError):
         return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor))
     return False

@@ -1,4 +1,4 @@
-"""Progress of a study: a bar on a terminal, plain lines elsewhere, and the time left."""
+"""Progress of a study: a progress bar in a terminal, lines of text elsewhere, and the time left."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import FINISHED, Store
 
 LINE_SECONDS = 10.0
-"""How often a plain line is printed."""
+"""Seconds between lines of text."""
 PACE_SECONDS = 600.0
-"""Over how long the pace is taken that the time left follows from."""
+"""Seconds of training from which the time left is estimated."""
 
 
 def duration(seconds: float) -> str:
-    """Return a length of time for people: 45 s, 12 min, 3 h 20 min."""
+    """Format a length of time: 45 s, 12 min, 3 h 20 min."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
@@ -31,7 +31,7 @@ def duration(seconds: float) -> str:
 
 
 class ProgressDisplay:
-    """Shows on standard error how far a plan's runs are; use as a context manager.
+    """Shows on standard error how far a plan's runs are. A context manager.
 
     Args:
         plan: what is executed.
@@ -98,6 +98,6 @@ class ProgressDisplay:
 
 
 def _print(line: str) -> None:
-    """Print a line on standard error, above the bars; if nobody reads that any more, training goes on."""
+    """Print a line on standard error, above the bar. Training goes on if nobody can read it."""
     with suppress(OSError):
         print(plain(line), file=sys.stderr, flush=True)

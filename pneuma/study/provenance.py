@@ -1,4 +1,4 @@
-"""What produced a run: packages, machine, code and time. Kept beside it, never part of its records."""
+"""Provenance: the packages, machine, code and time that produced a run. Kept beside its records."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ PACKAGES = (
     "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
 )  # fmt: skip
 CARRIED_CODE = "PNEUMA_CODE"
-"""Environment variable of a process whose code was carried to its machine: its version and its commit."""
+"""Environment variable with the version and commit of code that was sent to another machine."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
-"""What a container may spend in a period, as Linux (cgroups v2) tells it: '150000 100000' or 'max 100000'."""
+"""Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
 THREADS = 1
-"""On which each worker computes."""
+"""Threads of each worker."""
 
 
 class Attempt:
-    """One go at training a run, timed; from step `start`, 0 or a checkpoint's."""
+    """One attempt to train a run, timed, from step `start`: 0 or that of a checkpoint."""
 
     def __init__(self, start: int = 0) -> None:
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
@@ -41,11 +41,11 @@ class Attempt:
         self._first: tuple[float, float, int] | None = None  # both clocks and the step, programs compiled
 
     def update(self, step: int) -> None:
-        """Note the first update, before which programs are loaded and compiled."""
+        """Note the time of the first update, before which programs are loaded and compiled."""
         self._first = self._first or (time.perf_counter(), time.process_time(), step)
 
     def so_far(self, step: int) -> dict[str, Any]:
-        """Return what is recorded of this attempt at a step.
+        """Return the record of this attempt up to a step.
 
         `training_seconds` is its time without start-up: of all updates at the pace that those after the
         first had. `processor_share` is how much of a core those had; None on a GPU.
@@ -68,7 +68,7 @@ class Attempt:
 
 
 def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
-    """Describe what a run was trained by: the machine of the last attempt, and every attempt with its own."""
+    """Describe how a run was trained: the machine of the last attempt, and all attempts."""
     shares = [each.get("processor_share") for each in attempts]
     known = [share for share in shares if share is not None]
     timed = [each.get("training_seconds", each["wall_seconds"]) for each in attempts]  # older ones lack it
@@ -86,7 +86,7 @@ def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """Return all of this process and machine that may decide over a run's last bits."""
+    """Return everything about this process and machine that may affect a run's last bits."""
     own, _, commit = code().partition(" ")
     return {
         "threads": THREADS,
@@ -101,7 +101,7 @@ def machine() -> dict[str, Any]:
 
 
 def available_cores() -> int:
-    """Return how many cores this process may use: those it is bound to, as far as its container may."""
+    """Return how many cores this process may use, by its affinity and its container's limit."""
     if not hasattr(os, "sched_getaffinity"):
         return os.cpu_count() or 1
     cores = len(os.sched_getaffinity(0))
@@ -113,7 +113,7 @@ def available_cores() -> int:
 
 
 def _device() -> str:
-    """Return what JAX computes on in this process; the processor where it was never loaded."""
+    """Return the device that JAX uses in this process; the processor if JAX was not loaded."""
     jax = sys.modules.get("jax")
     if jax is None or jax.default_backend() == "cpu":
         return "cpu"
@@ -130,7 +130,7 @@ def _version(name: str) -> str:
 
 @cache
 def code() -> str:
-    """Return the version of this code, and of a source tree its git commit, marked when it was changed."""
+    """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
     own, source = _version("pneuma") or "unknown", Path(__file__).parents[2]
@@ -143,7 +143,7 @@ def code() -> str:
 
 @cache
 def _cpu() -> str:
-    """Return the processor's model, or ARM's numbers of it."""
+    """Return the processor's model name, or its ARM numbers."""
     text = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if sys.platform == "linux" else ""
     told = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", text, re.MULTILINE))
     arm = [f"{key[4:]} {told[key]}" for key in ARM if key in told]
@@ -155,7 +155,7 @@ def _cpu() -> str:
 
 
 def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the ids of those runs that have a provenance, each with it; it may be untrusted.
+    """Yield run ids with their provenance, which may be untrusted, for runs that have one.
 
     One at a time: a run that was requeued every hour tells of hundreds of machines.
     """
@@ -165,7 +165,7 @@ def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, 
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the processors, or GPUs, of every attempt, each once: told outright, or by its attempts."""
+    """Return the processors or GPUs of all attempts, each once."""
     told = origin.get("processors")
     if isinstance(told, list) and told:
         return tuple(sorted({str(name) for name in told}))
@@ -177,6 +177,6 @@ def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return `processors` to be told beside a `cpu` that was not all: a GPU's, or of an attempt elsewhere."""
+    """Return `processors` as a field if some attempt ran elsewhere than on `cpu`."""
     found = processors(origin)
     return {} if found == (str(origin.get("cpu")),) else {"processors": list(found)}

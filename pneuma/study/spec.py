@@ -32,12 +32,12 @@ from pneuma.worlds import (
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
-"""The preset that no study's file sets: what claims fix of it (`claimed.py`)."""
+"""The preset that comes from claims (`claimed.py`) and not from a study's file."""
 CLAIMS_FILE = "claims.toml"
-"""Beside studies, and none itself."""
+"""The file of claims, in the folder of studies."""
 
 VARIANT = "+"
-"""Between a study's name and that of a variant, in which `--set` changed fields."""
+"""Separates a study's name from that of a variant, in which `--set` changed fields."""
 
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
@@ -57,7 +57,7 @@ class Preset:
     conditions: Mapping[str, Preset] = field(default_factory=dict)
 
     def of(self, condition: str) -> Preset:
-        """Return what the preset says of one condition."""
+        """Return the preset of one condition."""
         return self.conditions.get(condition, self)
 
 
@@ -98,11 +98,11 @@ class Study:
     worlds: tuple[str, ...] = tuple(WORLDS)
 
     def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return what a condition sets, base and shared fields included, `over` on top of all."""
+        """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""
         return join_fields(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
     def in_world(self, world: str) -> Study:
-        """Return the study as it is run in one of its worlds, with a name and a figure of its own there.
+        """Return the study as it runs in one of its worlds, with a name and figure for that world.
 
         There all conditions share the world's environment, and its other fields where the study sets none
         itself.
@@ -124,27 +124,27 @@ class Study:
         return replace(there, name=name, figure=figure, title=f"{self.title} ({world})")
 
     def variant(self, name: str) -> Study:
-        """Return the study under the name that it has with fields changed: STUDY+NAME."""
+        """Return the study under the name of a variant: STUDY+NAME."""
         own, world = split_world(self.name)
         return replace(self, name=in_world(f"{own}{VARIANT}{name}", world))
 
     @property
     def own_path(self) -> str | None:
-        """The path of a user's own file; None for a shipped study, and for one that is no file."""
+        """The path of a user's own file; None for a shipped study, or one without a file."""
         if self.path is None or self.path.resolve().parent == studies_folder().resolve():
             return None
         return str(self.path.resolve())
 
 
 def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay fields over a base and over what the environment they choose brings along."""
+    """Combine fields with a base and with the defaults of the environment that they choose."""
     env = own.get("env")
     slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
     return {**BASES[base], **slots, **own}
 
 
 def read_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a count n for 0 … n - 1, or a list.
+    """Read seeds: a count n, for 0 … n - 1, or a list.
 
     Raises:
         ValueError: for anything else, a repeated seed among them.
@@ -158,7 +158,7 @@ def read_seeds(value: object) -> tuple[int, ...]:
 
 
 def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields with the modules that lie beside a study's file named by their paths."""
+    """Return fields in which modules beside the study's file are replaced by their paths."""
 
     def found(name: str) -> str:
         module, colon, rest = name.partition(":")
@@ -177,13 +177,13 @@ def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
-    """Return those of `keys` that none of the runs' algorithms and optimizers reads."""
+    """Return those of `keys` that no run's algorithm or optimizer reads."""
     read = {key for run in runs for key in fields_read(run)}
     return [key for key in keys if key not in read]
 
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
-    """Say that a field is read neither by the runs' environments nor by their algorithms and optimizers."""
+    """Return the message for a field that neither the runs' environments nor their learners read."""
     names = dict.fromkeys(name for run in runs for name in (run.env, run.algorithm, run.optimizer))
     return f"{key} does nothing: it is read by none of {', '.join(names)}"
 
@@ -192,7 +192,7 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 
 
 def studies_folder() -> Path:
-    """Return the folder of shipped studies: in an installed package, or beside it in a source tree."""
+    """Return the folder of shipped studies, in an installed package or in a source tree."""
     try:
         return Path(next(iter(import_module("pneuma.studies").__path__)))
     except ModuleNotFoundError:
@@ -200,7 +200,7 @@ def studies_folder() -> Path:
 
 
 def shipped_names(folder: Path) -> list[str]:
-    """Return the names of the studies, or searches, that are shipped in a folder."""
+    """Return the names of the shipped studies or searches in a folder."""
     return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
 
 
@@ -210,12 +210,12 @@ def list_studies() -> list[str]:
 
 
 def read_head(name: str) -> dict[str, Any]:
-    """Return what a shipped study's file says, as it stands."""
+    """Return the contents of a shipped study's file, unchecked."""
     return tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def name_in_world(name: str, world: str | None) -> str:
-    """Return what the records of a shipped study, or any, are called in a world; None is the usual one."""
+    """Return the name under which a study's runs in a world are recorded; None is the usual world."""
     own = name.partition(VARIANT)[0]
     if own in list_studies():
         worlds = read_head(own).get("worlds")
@@ -225,12 +225,12 @@ def name_in_world(name: str, world: str | None) -> str:
 
 
 def files_called(name: str) -> list[str]:
-    """Return the study file that a person may mean by a name without its ending, if it is here."""
+    """Return NAME.toml if it is in this folder, as the user may have meant it."""
     return [f"{name}.toml"] if os.path.isfile(f"{name}.toml") else []  # a Path would refuse a long name
 
 
 def load_study(name: str, world: str | None = None) -> Study:
-    """Load a shipped study by its name, or any by the path of its file.
+    """Load a shipped study by its name, or any study by the path of its file.
 
     Args:
         name: of the study; one that ends in -WORLD stands for the study in that world.
@@ -245,7 +245,7 @@ def load_study(name: str, world: str | None = None) -> Study:
 
 
 def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Path, str | None]:
-    """Return the path of a study, or a search, and the world that its name or `world` names, if any.
+    """Return the path of a study or search, and the world that its name or `world` gives, if any.
 
     Raises:
         UserError: for a name that there is not in the folder of the shipped ones, or two worlds.
@@ -260,7 +260,7 @@ def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Pa
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
-    """Refuse a user's own file that is called as a shipped one is, or as one in a world."""
+    """Refuse a user's file whose name is that of a shipped one, a variant or a world."""
     if shipped.is_file() and path.resolve() != shipped.resolve():
         raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
     if VARIANT in path.stem:
@@ -270,7 +270,7 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 
 
 def run_command(name: str, path: object = None) -> str:
-    """Return the command that trains a study, by its file where an untrusted record names one."""
+    """Return the command that trains a study, by name or by the path of its file."""
     own, world = split_world(name)
     asked = shlex.quote(path if isinstance(path, str) else own.partition(VARIANT)[0])
     return " ".join(["pneuma study run", asked, *world_option(world)])

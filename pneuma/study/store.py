@@ -1,4 +1,4 @@
-"""The store: what runs left behind, in a results folder.
+"""The store: results of runs in a results folder.
 
     results/runs/ID/        run.json         the resolved configuration
                             provenance.json  what produced it, and how long that took
@@ -48,12 +48,12 @@ STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
 )  # fmt: skip
 FINISHED = ("done", "diverged")
-"""Statuses that are results: such a run is not trained again."""
+"""Statuses of runs that have results and are not trained again."""
 FAILED = ("crashed", "timeout")
-"""Statuses of runs that are trained again only when asked for."""
+"""Statuses of failed runs, which are trained again only when asked for."""
 
 SCALARS_FILE = "scalars.parquet"
-"""Of an imported run: every value that its logs hold."""
+"""The file of an imported run: every value in its logs."""
 
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
 _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
@@ -61,7 +61,7 @@ _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run stands, one of `STATUSES`, and agent steps trained.
+    """The status of a run, and the agent steps trained.
 
     Attributes:
         name: planned where nothing is stored; running while a process trains it, or its group; partial where
@@ -76,12 +76,12 @@ class Status:
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing left to train."""
+        """Whether nothing is left to train."""
         return self.name in FINISHED
 
     @property
     def failed(self) -> bool:
-        """Whether it is trained again only when asked for."""
+        """Whether the run failed and is trained again only when asked for."""
         return self.name in FAILED
 
 
@@ -92,7 +92,7 @@ class Store:
         self.root = Path(root)
 
     def check_writable(self) -> None:
-        """Make the folder if need be and try to write there.
+        """Create the folder if needed and check that it can be written.
 
         Raises:
             UserError: when that fails, or a part of it is a link out of it or no folder.
@@ -109,7 +109,7 @@ class Store:
             ) from None
 
     def _check_within(self, folder: Path) -> None:
-        """Refuse a folder that a link leads out of the results, or around in a ring."""
+        """Refuse a folder from which a link leads out of the results, or in a circle."""
         try:
             within = folder.resolve().is_relative_to(self.root.resolve())
         except (OSError, RuntimeError):  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
@@ -130,7 +130,7 @@ class Store:
         return self.root / "runs" / run_id
 
     def lock(self, run_id: str) -> AbstractContextManager[bool]:
-        """Return the lock that whoever trains a run must hold.
+        """Return the lock that a process must hold to train the run.
 
         Raises:
             OSError: where the run's folder is a link, which may lead to a stranger's place.
@@ -142,11 +142,11 @@ class Store:
         return run_lock(folder)
 
     def runs(self) -> list[str]:
-        """Return the ids of all runs of which anything is stored, sorted."""
+        """Return the ids of all runs with anything stored, sorted."""
         return [name for name in names_in(self.root / "runs") if _RUN_ID.fullmatch(name)]
 
     def status(self, run_id: str, quick: bool = False) -> Status:
-        """Return how far a run is, judged by the checksums of all its files; `quick`, that they are there."""
+        """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         told = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
         for name in manifest["files"] if manifest else ():
@@ -166,7 +166,7 @@ class Store:
         return Status("partial" if step and not manifest else told.name, step)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
-        """Write a run's files, then the status that vouches for them; other files of the run go.
+        """Write a run's files, then the status that lists their checksums; remove its other files.
 
         A finished run is never replaced by one that is not: another process may have trained it.
 
@@ -193,7 +193,7 @@ class Store:
         self.save_run(run_id, Status(status), files)
 
     def failure(self, run_id: str) -> str:
-        """Return the last line of why a run failed; empty where it did not."""
+        """Return the last line of why a run failed; empty if it did not."""
         with suppress(UserError):
             return self.read_file(run_id, "error.txt").decode(errors="replace").strip().rpartition("\n")[2]
         return ""
@@ -213,7 +213,7 @@ class Store:
         raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
 
     def is_whole(self, run_id: str, name: str) -> bool:
-        """Tell whether one file of a run is what was written."""
+        """Return whether a file of a run is undamaged."""
         try:
             self.read_file(run_id, name)
         except UserError:
@@ -221,14 +221,14 @@ class Store:
         return True
 
     def read_document(self, run_id: str, name: str) -> dict[str, Any]:
-        """Return a run's JSON file; empty where it is missing, damaged or no object."""
+        """Return a run's JSON file; empty if it is missing, damaged or no object."""
         try:
             return parse_json(self.read_file(run_id, name))
         except (UserError, ValueError):
             return {}
 
     def file_names(self, run_id: str) -> list[str]:
-        """Return the names of the files that a run's status vouches for."""
+        """Return the names of the files that a run's status lists."""
         return list(self._listed(run_id))
 
     def _listed(self, run_id: str) -> dict[str, str]:
@@ -253,7 +253,7 @@ class Store:
         self.write(self.root / "studies" / f"{study}.json", seal(record))
 
     def selection(self, study: str) -> dict[str, Any] | None:
-        """Return a study's latest selection, or None when it was never run here, is damaged, or another's."""
+        """Return a study's latest selection; None if it was never run here or its record is damaged."""
         record = read_sealed(self.selection_path(study)) or {}
         from pneuma.study.documents import Record, fits
 
@@ -261,7 +261,7 @@ class Store:
         return record if sound and record["study"] == study else None
 
     def selections(self, study: str) -> list[dict[str, Any]]:
-        """Return a study's selections, of unlike amounts, engines or files, the latest first."""
+        """Return a study's selections with different budgets, engines or files, the latest first."""
         from pneuma.study.documents import Record, fits
 
         latest = self.selection(study) or {}
@@ -270,7 +270,7 @@ class Store:
         return [*([latest] if latest else []), *(own for own in others if fits(own, Record))]
 
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
-        """Refuse a study's file where the record of its name was made from another one, or from none.
+        """Refuse a study's file if the record of its name was made from another file.
 
         A file may have moved: one that is there no more stands in nobody's way.
 
@@ -285,15 +285,15 @@ class Store:
         raise UserError(f"{path}: the runs of study {record['study']} in {self.root} are of {of}; {mend}")
 
     def finished(self, record: Mapping[str, Any]) -> int:
-        """Return how many runs of a selection have finished here."""
+        """Return how many runs of a selection have finished."""
         return sum(self.status(run["run_id"], quick=True).finished for run in record["runs"])
 
     def selection_path(self, study: str) -> Path:
-        """Return where a study's record is, if it was run here."""
+        """Return the path of a study's record."""
         return self.root / "studies" / f"{study}.json"
 
     def published_path(self, study: str) -> Path:
-        """Return where a study's published table is: here, or else in those that come with Pneuma."""
+        """Return the path of a study's published table: here, or among those that come with Pneuma."""
         own, shipped = (folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables()))
         return shipped if shipped.exists() and not os.path.lexists(own) else own
 
@@ -305,7 +305,7 @@ class Store:
     # --- Writing ------------------------------------------------------------------------------
 
     def write(self, path: Path, data: bytes) -> None:
-        """Put a file into the results folder, whole or not at all, making its folder if need be.
+        """Write a file into the results folder, whole or not at all, and create its folder if needed.
 
         A link in its place is replaced, never followed.
 
@@ -315,7 +315,7 @@ class Store:
         self._write_all(path.parent, {path.name: data})
 
     def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
-        """Put files into a folder in this order; those before one that fails may be there."""
+        """Write files into a folder in this order. If one fails, those before it may be there."""
         self._check_within(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -327,7 +327,7 @@ class Store:
 
 
 def shipped_tables() -> Path:
-    """Return the folder of published tables that come with Pneuma: in a package, or in a source tree."""
+    """Return the folder of published tables that come with Pneuma, in a package or a source tree."""
     try:
         return Path(next(iter(import_module("pneuma.published").__path__)))
     except ModuleNotFoundError:

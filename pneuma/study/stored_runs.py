@@ -17,12 +17,12 @@ from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
 LONGEST_LISTED = 5
-"""Run ids that an error names at most."""
+"""Most run ids in an error message."""
 
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A run as stored.
+    """A stored run.
 
     Attributes:
         studies: that hold it, each with its condition and seed there.
@@ -37,18 +37,18 @@ class StoredRun:
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
-        """The resolved configuration; empty where it is damaged, or not told before the run has ended."""
+        """The resolved configuration; empty if it is damaged or, of an unfinished run, not recorded."""
         ended = "run.json" in self.store.file_names(self.run_id)
         return stored_settings(self.store, self.run_id) if ended else self.recorded
 
     def row(self) -> dict[str, Any]:
-        """Return what is told of it in a line; the seed as a study has it, or else its configuration."""
+        """Return the run's row in a list of runs."""
         seed = self.studies[0]["seed"] if self.studies else self.settings.get("seed")
         about = {"run_id": self.run_id, "status": self.status.name, "step": self.status.step}
         return {**about, "seed": seed if isinstance(seed, int) else None, "studies": self.studies}
 
     def files(self) -> list[dict[str, Any]]:
-        """Return what is in its folder, or should be: sound, damaged, missing, or unlisted (no checksum)."""
+        """Return the files of the run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
         folder, listed = self.store.run_folder(self.run_id), self.store.file_names(self.run_id)
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
@@ -59,7 +59,7 @@ class StoredRun:
 
 
 def find_run(store: Store, text: str) -> str:
-    """Return the id of the stored run that a person means: the whole id, or how it alone begins.
+    """Return the id of the stored run that the user names by its id or a unique prefix.
 
     Raises:
         UserError: when there is none, or several.
@@ -79,7 +79,7 @@ def find_run(store: Store, text: str) -> str:
 
 
 def list_runs(store: Store) -> list[StoredRun]:
-    """Return all stored runs: those of studies in the studies' order, then the others by id.
+    """Return all stored runs: first those of studies, in the studies' order, then the others by id.
 
     Of finished ones no checksum is compared, which for a thousand runs takes seconds.
     """
@@ -90,12 +90,12 @@ def list_runs(store: Store) -> list[StoredRun]:
 
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
-    """Return what is stored of a run, every checksum compared; `run_id` is one of `Store.runs`."""
+    """Return what is stored of a run, after comparing every checksum; `run_id` is one of `Store.runs`."""
     return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
 
 
 def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]]:
-    """Return which studies hold each run, and the configuration on record, by run id."""
+    """Return the studies that contain each run, and its recorded configuration, by run id."""
     held: dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]] = {}
     for study in store.studies():
         for row in (row for selection in store.selections(study) for row in selection["runs"]):
@@ -106,7 +106,7 @@ def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[s
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a run that chooses but this one's environment, algorithm and optimizer."""
+    """Return the default fields for a run's environment, algorithm and optimizer."""
     chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
         return as_fields(make_run(chosen))
@@ -115,6 +115,6 @@ def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
-    """Return a finished run's resolved configuration; empty where that is damaged."""
+    """Return a finished run's resolved configuration; empty if it is damaged."""
     settings = store.read_document(run_id, "run.json").get("run")
     return settings if isinstance(settings, dict) else {}

@@ -37,18 +37,18 @@ from pneuma.worlds import TEXT, WORLDS
 
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
-"""The factor that the file's own conditions are the values of, in a crossed study."""
+"""In a crossed study, the factor whose values are the file's conditions."""
 PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
     FORK_FIELDS, "`pneuma run fork`"
 )
-"""Fields of a run that are not a study's to set, and what sets them."""
+"""Fields of a run that a study does not set, and what sets them."""
 
 
 # --- What the file may hold ------------------------------------------------------------------------
 
 
 def short(value: object) -> str:
-    """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]; no two have the same name."""
+    """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]. Different values differ."""
     if isinstance(value, float):
         digits, _, power = f"{value:e}".partition("e")
         scientific = f"{digits.rstrip('0').rstrip('.')}e{int(power)}"
@@ -58,7 +58,7 @@ def short(value: object) -> str:
 
 
 def _named_values(factors: Any) -> Any:
-    """Give the values of a factor that is a field of the run names, as those of other factors have."""
+    """Name the values of a factor that is a field of the run, as those of other factors are."""
     if not isinstance(factors, Mapping):
         return factors
     named = {}
@@ -76,13 +76,13 @@ def _named_values(factors: Any) -> Any:
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
-"""Of a condition or a value; matplotlib takes a name that begins with _ for one of its own."""
+"""The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
 Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED)]
 Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
 
 
 class Amount(Table):
-    """What one condition has instead of its preset's seeds and steps."""
+    """Seeds and steps of a single condition, in place of the preset's."""
 
     seeds: Seeds | None = None
     steps: Steps | None = None
@@ -116,11 +116,11 @@ class StudyFile(Table):
 # --- The study that it makes -----------------------------------------------------------------------
 
 Factors = Mapping[str, Mapping[str, Mapping[str, Any]]]
-"""Of every factor, the conditions of the file among them: what each of its values sets."""
+"""What each value of each factor sets; the file's conditions are a factor, too."""
 
 
 def read_study(path: Path) -> Study:
-    """Read a study's file, and check that its conditions make runs in each of its worlds.
+    """Read a study's file and check that its conditions make valid runs in each of its worlds.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
@@ -173,7 +173,7 @@ def _preset(file: TomlFile, name: str, own: PresetTable, conditions: Collection[
 
 
 def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
-    """Return what each crossed condition sets, and the name of each factor's value in it."""
+    """Return the fields of each crossed condition, and its value of each factor."""
     count = math.prod(map(len, factors.values()))
     if count > MOST_CONDITIONS:
         told = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
@@ -196,7 +196,7 @@ def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]],
 
 
 def _check_runs(file: TomlFile, study: Study, shared: Mapping[str, Any]) -> None:
-    """Refuse what only the whole shows: conditions that make no run, and fields that do nothing."""
+    """Refuse conditions that make no valid run, and fields that do nothing."""
     runs: list[Run] = []
     for name, own in study.conditions.items():
         try:
@@ -210,7 +210,7 @@ def _check_runs(file: TomlFile, study: Study, shared: Mapping[str, Any]) -> None
 
 
 def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
-    """Build an error of a condition at the place that sets the field it begins with, or at the condition."""
+    """Return an error that points at the field it begins with, or else at the condition."""
     key = next((key for key in study.fields(name) if message.startswith(f"{key} ")), "")
     if key in study.shared and key not in study.conditions[name]:
         return file.mistake(("run",), message, key)

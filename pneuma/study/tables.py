@@ -1,4 +1,4 @@
-"""Tables as Parquet: what an engine's rows become in the store, and back, checked once for all readers."""
+"""Tables of records as Parquet files: writing them, and reading them with their columns checked."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _EVERYWHERE = {
     "evaluations": ("step",),
     "scalars": ("step", "tag", "value", "superseded"),
 }
-"""Columns that a record table cannot do without, by its name."""
+"""Columns that each record table must have."""
 
 
 def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
@@ -32,7 +32,7 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
 
 
 def from_parquet(data: bytes) -> pa.Table:
-    """Read a Parquet file from memory, in this thread alone.
+    """Read a Parquet file from memory, in this thread only.
 
     Arrow's `read_table`, and reading from a file of Python's, start threads whatever they are told, with
     which a command now and then aborts as it ends. The footer tells how much the file unpacks to, and that
@@ -57,7 +57,7 @@ def from_parquet(data: bytes) -> pa.Table:
 
 
 def record_table(data: bytes, name: str) -> pa.Table:
-    """Read one of a run's record tables: the one place that checks names and types of its columns.
+    """Read one of a run's record tables and check the names and types of its columns.
 
     Raises:
         ValueError: for what is no such table.

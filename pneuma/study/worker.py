@@ -42,7 +42,7 @@ BEGINS = "begins (compiling for the first time takes up to a minute)"
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker is to do.
+    """The job of a worker.
 
     Attributes:
         store: the results folder.
@@ -62,7 +62,7 @@ class Job:
 
 
 def main() -> int:
-    """Read the job, train it, report; return the exit code."""
+    """Read the job, train it, and return the exit code."""
     job = json.loads(sys.stdin.readline())
     die_with(job.pop("parent"))
     stop = threading.Event()
@@ -75,14 +75,14 @@ def main() -> int:
 
 
 class Reporter:
-    """Sends events: a run's progress, a few times a second at most, and its end."""
+    """Sends events: a run's progress, at most a few times a second, and its end."""
 
     def __init__(self, events: TextIO) -> None:
         self._events = events
         self._next = 0.0
 
     def step(self, name: str, step: int) -> None:
-        """Report how far a run is, unless that was reported just now."""
+        """Report how far a run is, unless it was reported just before."""
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REPORT_SECONDS
@@ -98,7 +98,7 @@ class Reporter:
 
 
 def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
-    """Train runs one after another, so that each is timed, stored and crashes alone; return the exit code.
+    """Train runs one after another; return the exit code.
 
     Runs that another process holds or has finished meanwhile are left out.
     """
@@ -117,7 +117,7 @@ def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
 
 
 def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run]:
-    """Return the runs that are this worker's to train, and report the others."""
+    """Lock and return the runs that this worker can train, and report the others as busy."""
     mine = {}
     for name, run in job.runs.items():
         try:
@@ -136,7 +136,7 @@ def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run
 
 
 def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Event) -> None:
-    """Train a run to its end, giving up checkpoints that its engine cannot go on from.
+    """Train a run to its end, discarding checkpoints that its engine cannot use.
 
     Raises:
         CheckpointError: when there is none left to give up.
@@ -159,7 +159,7 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
 def _train_once(
     job: Job, name: str, run: Run, checkpoints: RunCheckpoints, reporter: Reporter, stop: threading.Event
 ) -> None:
-    """Train a run, from its latest checkpoint where there is one, and store how it ended."""
+    """Train a run, from its latest checkpoint if there is one, and store its end."""
     start = checkpoints.latest()
     first = start.step if start else 0
     attempt = Attempt(first)
@@ -196,7 +196,7 @@ def _train_once(
 
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
-    """Report a run's crash, and store it if it is not tried again."""
+    """Report a run's crash, and store it if the run is not tried again."""
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
     if job.last_try:
         try:
@@ -207,7 +207,7 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:
-    """Heed what the parent says; leave at once when its end of the pipe closes."""
+    """Obey the parent's commands, and exit when its end of the pipe closes."""
     for line in lifeline:
         if line.strip() == "stop":
             stop.set()
@@ -215,7 +215,7 @@ def _listen(lifeline: TextIO, stop: threading.Event) -> None:
 
 
 def die_with(parent: int) -> None:
-    """Let the system kill this process when its parent goes, even while one long computation runs."""
+    """Let the system kill this process when its parent ends, even during a long computation."""
     if sys.platform != "linux":
         return  # the lifeline must do
     parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)

@@ -119,7 +119,7 @@ class Learner:
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        """Tell whether losses, gradient norms and every parameter are finite."""
+        """Return whether losses, gradient norms and every parameter are finite."""
         watched = [metrics[name] for name in ("policy_loss", "value_loss", "entropy", "grad_norm")]
         leaves = jax.tree.leaves(self.networks)
         return bool(np.isfinite(watched).all()) and all(bool(np.isfinite(leaf).all()) for leaf in leaves)

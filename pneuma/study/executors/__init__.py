@@ -1,1 +1,1 @@
-"""Executors: where groups of runs are trained (`base` says what one is). `local` starts processes here."""
+"""Executors: where groups of runs train. `base` defines the interface; `local` starts processes here."""

@@ -65,7 +65,7 @@ HERE = Supervision()
 
 
 class Detached(KeyboardInterrupt):
-    """The command is left, and runs go on without it; says how to find them.
+    """The command ends while runs go on without it; the message says how to find them.
 
     Attributes:
         asked: whether it was left by --detach, and not by Ctrl-C.
@@ -77,10 +77,10 @@ class Detached(KeyboardInterrupt):
 
 
 class Executor(Protocol):
-    """What the module of an executor has."""
+    """The functions of an executor's module."""
 
     def most_workers(self, how: Supervision) -> int:
-        """Return how many runs may train at once where nobody says it.
+        """Return how many runs train at once unless the user says otherwise.
 
         Raises:
             UserError: within ten seconds, where the place cannot be reached or cannot train.
@@ -93,7 +93,7 @@ class Executor(Protocol):
         how: Supervision,
         on_event: OnEvent,
     ) -> None:
-        """Train every group of runs by id, some at a time; hand every event of theirs to `on_event`.
+        """Train all groups of runs and pass their events to `on_event`.
 
         Events are `{"event": "step" | "note" | "passing" | "end", "run_id", …}`: a step has a `step`, a
         note, passing or not, a `text`, an end a `status`, a `step` and `trained`, whether it was trained
@@ -105,7 +105,7 @@ class Executor(Protocol):
 
 
 class Job(NamedTuple):
-    """A job that trains runs elsewhere: its state, its id, and its node or why it has none."""
+    """A job that trains runs on another machine: its id, its state, and its node or why it has none."""
 
     state: str
     id: str = ""
@@ -123,7 +123,7 @@ def watch(
     seconds: float,
     lost: str,
 ) -> None:
-    """Hand on what becomes of runs in jobs until all have ended, which are taken out of `left`.
+    """Report events of runs in jobs until all runs have ended; ended runs are removed from `left`.
 
     Args:
         left: ids of the runs.
@@ -151,7 +151,7 @@ def watch(
 
 
 def end_event(name: str, status: Status) -> Event:
-    """Return the event of the end of a run that was trained."""
+    """Return the event for the end of a trained run."""
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 

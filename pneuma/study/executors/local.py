@@ -36,26 +36,26 @@ from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Status, Store
 
 TRIES = 2
-"""How often a run is begun or gone on with before a crash counts."""
+"""Attempts after which a crash counts as the run's failure."""
 BUSY_SECONDS = 1.0
-"""How long to wait before looking again for a run that another process holds."""
+"""Seconds until a run that another process holds is tried again."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
-"""Which Slurm, or a machine that shuts down, sends to all processes: workers hear of it from their parent."""
+"""Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
 SOURCE = str(Path(__file__).parents[3])
-"""On the path of children even where Pneuma is not installed."""
+"""Added to the path of child processes, so that they find Pneuma even if it is not installed."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def most_workers(how: Supervision) -> int:
-    """Return how many runs may train at once where nobody says it: one a core."""
+    """Return how many runs train at once unless the user says otherwise: one per core."""
     return available_cores()
 
 
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
-    """Train every group of runs in a process of its own, as the contract says (`base.Executor`).
+    """Train each group of runs in a process of its own; see `base.Executor`.
 
     Raises:
         KeyboardInterrupt: after Ctrl-C, when every worker has gone.
@@ -91,7 +91,7 @@ class Interrupts:
 
     @property
     def count(self) -> int:
-        """How many came."""
+        """How many signals came."""
         return min(len(self.seen), self._most)
 
     def __enter__(self) -> Interrupts:
@@ -122,7 +122,7 @@ class Interrupts:
 
 
 def say_stopping() -> None:
-    """Tell a person that the first Ctrl-C was heard."""
+    """Tell the user that the first Ctrl-C was received."""
     with suppress(OSError):  # the terminal was closed
         print("Stopping after this step; again to stop now.", file=sys.stderr, flush=True)
 
@@ -132,7 +132,7 @@ def say_stopping() -> None:
 
 @dataclass
 class _Task:
-    """Runs by id that one worker is to train, the try, and whether another process was training them."""
+    """A worker's runs, by id, the number of the attempt, and whether another process trained them."""
 
     group: Mapping[str, Run]
     tries: int = 1
@@ -160,7 +160,7 @@ class Supervisor:
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
 
     def work(self) -> None:
-        """Work off all tasks; leaving by an exception ends the workers."""
+        """Run all tasks; if an exception ends it, the workers are killed."""
         try:
             while self._tasks or self._workers():
                 self._start_what_may()
@@ -178,7 +178,7 @@ class Supervisor:
         return [key.data for key in self._selector.get_map().values() if key.data is not None]
 
     def _heed_interrupts(self) -> None:
-        """Ask all workers to stop after the first interrupt, and kill them after the second."""
+        """Ask all workers to stop at the first interrupt, and kill them at the second."""
         count = self._interrupts.count
         if count == self._heeded:
             return
@@ -200,7 +200,7 @@ class Supervisor:
             self._selector.register(worker.events, selectors.EVENT_READ, worker)
 
     def _read(self, worker: _Worker) -> None:
-        """Take one event line of a worker, or note that it has gone."""
+        """Read one event line of a worker, or notice that it has ended."""
         line = worker.events.readline()
         if not line:
             self._selector.unregister(worker.events)
@@ -226,7 +226,7 @@ class Supervisor:
             self._on_event(event)
 
     def _bury(self, worker: _Worker) -> None:
-        """Reap a worker; see to its runs that were busy, crashed, or went with it."""
+        """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
         code, words = worker.bury()
         group, tries = worker.task.group, worker.task.tries
         silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
@@ -249,7 +249,7 @@ class Supervisor:
                 self._end_lost(name, group[name], code, words)
 
     def _end_lost(self, name: str, run: Run, code: int, words: bytes) -> None:
-        """Store and report how a run ended whose worker went without a word, unless another trains it now."""
+        """Store and report the end of a run whose worker died, unless another process trains it now."""
         status = "killed" if code < 0 else "crashed"
         try:
             with self._store.lock(name) as mine:
@@ -265,7 +265,7 @@ class Supervisor:
 
 
 def _reason(code: int) -> str:
-    """Say how a process ended that has this exit code."""
+    """Describe how a process with this exit code ended."""
     if code >= 0:
         return f"the worker process ended with code {code}"
     name = signal.Signals(-code).name
@@ -277,7 +277,7 @@ def _reason(code: int) -> str:
 
 
 class _Worker:
-    """A worker's process, in a session of its own: Ctrl-C reaches its parent alone.
+    """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
     Attributes:
         task: what it was started for.
@@ -318,7 +318,7 @@ class _Worker:
         self.tell(json.dumps(job))
 
     def tell(self, line: str) -> None:
-        """Send a line: the job, or `stop`."""
+        """Send the worker a line: the job, or `stop`."""
         with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
             self._orders.write(line.encode() + b"\n")
 
@@ -327,7 +327,7 @@ class _Worker:
         self._process.kill()
 
     def bury(self) -> tuple[int, bytes]:
-        """Wait until it has gone; return its exit code and what it wrote on standard error."""
+        """Wait until the process has ended; return its exit code and standard error."""
         code = self._process.wait()
         self._orders.close()
         self.events.close()
@@ -337,7 +337,7 @@ class _Worker:
 
 
 def one_thread_environment() -> dict[str, str]:
-    """Return environment variables for a child that computes on one thread and imports this code."""
+    """Return environment variables for a child process that computes on one thread and imports this code."""
     path = os.pathsep.join(filter(None, [SOURCE, os.environ.get("PYTHONPATH", "")]))
     own = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
@@ -353,7 +353,7 @@ def one_thread_environment() -> dict[str, str]:
 
 
 def prepare_node(gpu: bool = False) -> None:
-    """Make this process, on a node of a cluster, fit to start workers.
+    """Prepare this process, on a node of a cluster, to start workers.
 
     Compiled programs are kept apart by processor: nodes differ, and often share a home. GPUs are hidden
     where none was asked for, which neither Ray nor every Slurm does.

@@ -38,7 +38,7 @@ CODE = Path(__file__).parents[2]
 
 
 def most_workers(how: Supervision) -> int:
-    """Return how many runs the cluster's CPUs can train at once; one of its own is not started for that.
+    """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out.
 
     Raises:
         UserError: where Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
@@ -59,7 +59,7 @@ def most_workers(how: Supervision) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
-    """Train every group of runs on some node of the cluster, as the contract says (`base.Executor`).
+    """Train each group of runs on a node of the cluster; see `base.Executor`.
 
     Raises:
         KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
@@ -77,7 +77,7 @@ def run_groups(
         tasks: dict[Any, dict[str, Run]] = {}
 
         def live() -> dict[str, Job]:
-            """Keep tasks in the cluster; return the runs of those that have not ended."""
+            """Return the runs of tasks that have not ended, and keep those tasks."""
             while waiting and len(tasks) < how.workers:
                 group = waiting.pop(0)
                 tasks[start(group, *told)] = group
@@ -99,7 +99,7 @@ def run_groups(
 
 
 def _check(task: Any) -> None:
-    """Refuse to go on where a task has ended because its node is not fit to train; a lost one is no matter.
+    """Stop if a task ended because its node is not fit to train. A lost task is no problem.
 
     Raises:
         UserError: saying why it is not.
@@ -116,7 +116,7 @@ def _check(task: Any) -> None:
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
-    """Let tasks come to checkpoints and end; after another interrupt end them at once."""
+    """Ask tasks to stop at a checkpoint; after another interrupt, end them at once."""
     import ray
 
     say_stopping()
@@ -131,7 +131,7 @@ def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
 
 @cache
 def join(address: str | None) -> None:
-    """Join the cluster at an address, or start one of this machine's own; once for a process.
+    """Join the cluster at an address, or start one on this machine; once per process.
 
     Raises:
         UserError: when no cluster answers there in time.
@@ -210,7 +210,7 @@ def train_here(
 
 
 def versions() -> dict[str, str]:
-    """Return what must be the same in the command and on every node, or bits may differ."""
+    """Return the versions that must match between the command and every node, as they can change results."""
     here = machine()
     packages = {name: version for name, version in here["packages"].items() if name != "pneuma"}
     return {"Python": here["python"], **packages}

@@ -38,30 +38,30 @@ MOST_AT_ONCE = 256
 MOST_IN_ARRAY = 1000
 """Slurm's usual MaxArraySize is 1001."""
 LOOK_SECONDS = 5.0
-"""How often the queue is asked: every user's squeue costs the controller."""
+"""Seconds between two looks at the queue, as every squeue is work for the controller."""
 ANSWER_SECONDS = 8.0
-"""How long Slurm's programs may take to answer."""
+"""Seconds that Slurm's programs may take to answer."""
 USUAL_MINUTES = "60"
 MOST_REQUEUES = 1_000
-"""submitit asks for a limit."""
+"""Minutes; submitit needs a limit."""
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
-"""What a job is made of here, and nobody else sets."""
+"""Options that Pneuma sets itself."""
 GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
-"""With one of these a job sees GPUs."""
+"""Options that give a job a GPU."""
 NOTE = "groups.json"
 SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
-"""Of the end of a job's time, and of its node or of `scancel`."""
+"""Signals for the end of a job's time, and for the loss of its node or `scancel`."""
 
 
 def most_workers(how: Supervision) -> int:
-    """Return how many jobs of an array run at once where nobody says it."""
+    """Return how many jobs of an array run at once unless the user says otherwise."""
     return MOST_AT_ONCE
 
 
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
 ) -> None:
-    """Train every group of runs in a job of its own, as the contract says (`base.Executor`).
+    """Train each group of runs in a job of its own; see `base.Executor`.
 
     Raises:
         Detached: when the command is to be left, or after Ctrl-C; jobs go on.
@@ -118,7 +118,7 @@ class Training:
             raise SystemExit(128 + signal.SIGTERM)
 
     def checkpoint(self) -> Any:
-        """Return what is to be put back into the queue: the same, as checkpoints lie in the store."""
+        """Return the job to put back into the queue: this one, as its checkpoints are in the store."""
         return import_module("submitit").helpers.DelayedSubmission(self)
 
 
@@ -126,7 +126,7 @@ class Training:
 
 
 def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision) -> None:
-    """Submit groups but for runs that are in the queue already, whoever submitted them.
+    """Submit groups, without runs that are in the queue already.
 
     Raises:
         UserError: when the queue cannot be asked, or refuses them.
@@ -172,13 +172,13 @@ def _folder(store: Store) -> Path:
 
 
 def _noted(store: Store) -> dict[str, list[list[str]]]:
-    """Return the runs of all jobs that were submitted and not put away yet, by the name of their array."""
+    """Return the runs of all submitted jobs that were not cleared away yet, by the name of their array."""
     notes = sorted(_folder(store).glob(f"*/{NOTE}"))
     return {note.parent.name: json.loads(note.read_bytes()) for note in notes}
 
 
 def _put_away(store: Store, live: Iterable[str]) -> None:
-    """Be done with what was submitted and is not `live`; what jobs printed stays where runs failed."""
+    """Clear away submissions that are not `live`; the output of failed runs stays."""
     for name, groups in _noted(store).items():
         runs = {run for group in groups for run in group}
         if runs.isdisjoint(live):
@@ -188,7 +188,7 @@ def _put_away(store: Store, live: Iterable[str]) -> None:
 
 
 def queued(store: Store) -> dict[str, Job]:
-    """Return the jobs that are queued or running by the ids of the runs that they train.
+    """Return the queued and running jobs, by the ids of their runs.
 
     Raises:
         UserError: when the queue cannot be asked.
@@ -206,7 +206,7 @@ def queued(store: Store) -> dict[str, Job]:
 
 
 def _executor(folder: Path, name: str, how: Supervision) -> Any:
-    """Return what submits jobs of such a name.
+    """Return a submitit executor for jobs of this name.
 
     Raises:
         UserError: where submitit or srun is missing, or for an option that is not for people to set.
@@ -230,7 +230,7 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
 
 
 def _ask(*command: str) -> list[str]:
-    """Return the lines that one of Slurm's programs prints.
+    """Return the lines that a Slurm program prints.
 
     Raises:
         UserError: with its own words, when it fails or does not answer in time.
