@@ -2,16 +2,16 @@
 
 BAND_NAMES = ("ci", "se", "std", "minmax", "runs")
 EDGED_BANDS = tuple(name for name in BAND_NAMES if name != "runs")
-"""Those that have a lower and an upper edge."""
+"""Bands with a lower and an upper edge."""
 EXPORTED_BAND = "std"
-"""What exported curves have beside their means unless another is asked for."""
+"""The band of exported curves by default."""
 WINDOWS = ("budget-5%", "trailing-100")
 RECORD_TABLES = ("episodes", "metrics", "evaluations")
 EXPORT_TABLES = (*RECORD_TABLES, "curves", "summary")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}
 
 EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
-"""What a training curve may average over episodes."""
+"""Quantities of a training curve that average over episodes."""
 
 ACTION_QUANTITIES = tuple(f"action_{i}" for i in range(5))
 
@@ -25,12 +25,12 @@ UPDATE_QUANTITIES = (
     "dead_units",
     *ACTION_QUANTITIES,
 )
-"""What it may average over updates: columns of the metrics table."""
+"""Quantities that average over updates: columns of the metrics table."""
 
 TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
-"""What a curve over evaluations may be of: columns of the evaluations table."""
+"""Quantities of a curve over evaluations: columns of the evaluations table."""
 
 CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
-"""All that curves may be of."""
+"""All quantities of curves."""

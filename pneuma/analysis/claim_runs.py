@@ -1,4 +1,4 @@
-"""The runs that claims fixed beforehand: found by their ids, and what hinders a comparison of them."""
+"""The runs that claims fixed in advance, found by their ids, and reasons why they cannot be compared."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pneuma.study.provenance import processors
 from pneuma.study.spec import load_study
 
 TRAIN_WITH = "train with:"
-"""How the part of a reason begins that names the command."""
+"""The beginning of the part of a reason that names the command."""
 
 FLOOR_LEVEL = 0.05
 """The level of the one-sided test of whether an arm plays better than the random player."""
@@ -64,11 +64,11 @@ class ClaimRuns:
     damaged: Sequence[str]
 
     def found(self, condition: str) -> list[FinishedRun]:
-        """Return the finished ones of a condition's runs, in the order of the seeds."""
+        """Return the finished runs of a condition, in the order of the seeds."""
         return self.data.of_condition(condition) if self.data else []
 
     def hindrance(self, outcome: str, names: Sequence[str]) -> str:
-        """Say why arms cannot be compared, before any value is looked at; empty where they can."""
+        """Return why arms cannot be compared, before any value is read; empty if they can."""
         runs = [self.cells[name][0].run for name in names]
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
@@ -81,7 +81,7 @@ class ClaimRuns:
         return self._machines(names) if timed else ""
 
     def _missing(self, condition: str) -> str:
-        """Say which of a condition's fixed runs are not there."""
+        """Say which of a condition's fixed runs are missing."""
         cells, found = self.cells[condition], len(self.found(condition))
         if found == len(cells):
             return ""
@@ -91,7 +91,9 @@ class ClaimRuns:
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
 
     def _machines(self, names: Sequence[str]) -> str:
-        """Say whether times are of different machines, or of one that had other work beside."""
+        """Return why times cannot be compared: different machines, or other work beside; empty if they
+        can.
+        """
         records = [run.records for name in names for run in self.found(name)]
         told = [own.provenance() for own in records]
         if len({(on, str(own.get("threads"))) for own in told for on in processors(own)}) > 1:
@@ -100,7 +102,7 @@ class ClaimRuns:
         return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
 
     def arm(self, name: str, condition: str) -> Arm:
-        """Return an outcome of a condition whose runs have all finished."""
+        """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
         claim, data, runs = self.claim, self.data, self.found(condition)
         assert data is not None
         steps = {*claim.steps.values()}
@@ -125,7 +127,7 @@ class ClaimRuns:
 
 
 def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
-    """Yield the runs of every claim of a list in every world that it is about, in the list's order."""
+    """Yield the runs of each claim of a list in each of its worlds, in the list's order."""
     store, read_study = index.store, cache(load_study)
 
     @cache
@@ -159,7 +161,7 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
-    """Return an outcome of each run, or how far the first of two exceeds the second, (runs,)."""
+    """Return each run's outcome, or by how much the first of two outcomes exceeds the second, (runs,)."""
     first, *second = (
         np.array([outcome(data, run, part, at_step) for run in runs], float) for part in name.split(MINUS)
     )
@@ -167,7 +169,7 @@ def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: fl
 
 
 def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> bool | None:
-    """Return whether an arm is shown to play better than the random player, by a one-sided Student's test.
+    """Return whether an arm plays better than the random player, by a one-sided Student's test.
 
     A run's number is its mean score over all its evaluations, where 0 is the random player. A greatest
     score would be above 0 by chance alone. None where a run has no score.

@@ -33,7 +33,7 @@ from pneuma.values import OneOf
 from pneuma.worlds import WORLDS
 
 MINUS = " - "
-"""Between two outcomes of one run whose difference is what a claim is about."""
+"""Separates two outcomes of a run whose difference is tested."""
 
 
 def _one_line(value: object) -> object:
@@ -59,7 +59,7 @@ ByOutcome = Positive | dict[str, ByWorld] | None
 
 
 class ListHead(Table):
-    """What holds for a whole list.
+    """The head of a list: what holds for all its claims.
 
     Attributes:
         title: of the list.
@@ -79,7 +79,7 @@ class ListHead(Table):
 
 
 class Pilot(Table):
-    """How far runs of other seeds lay apart.
+    """Spreads between runs of other seeds, for the design check.
 
     Attributes:
         command: what printed it.
@@ -92,7 +92,7 @@ class Pilot(Table):
 
 
 class Claim(ClaimedRuns, Table):
-    """A sentence of the thesis as a test; see docs/claims.md. Every one of a is held against every one of b.
+    """A sentence of the thesis as a test; see docs/claims.md. Each condition of a is compared with each of b.
 
     Attributes:
         name: of the claim.
@@ -133,21 +133,21 @@ class Claim(ClaimedRuns, Table):
 
     @property
     def event(self) -> str:
-        """What is counted, as 'below 0.05'; empty where means are compared."""
+        """The event that is counted, as 'below 0.05'; empty if means are compared."""
         thresholds = {"above": self.above, "below": self.below}
         return next((f"{way} {own:g}" for way, own in thresholds.items() if own is not None), "")
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
-        """Tell of each value of an outcome whether it is what is counted."""
+        """Return, for each value of an outcome, whether it is the event that is counted."""
         return values > self.above if self.above is not None else values < np.array(self.below)
 
     @property
     def pairs(self) -> list[tuple[str, str | None]]:
-        """The contrasts that it makes of each outcome: an arm, and the other; None for the constant."""
+        """The contrasts for each outcome: an arm and another arm, or None for a constant."""
         return list(product(self.a, self.b or (None,)))
 
     def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
-        """Return the margin, or what is plausible, of one outcome, of a claim `in_world`."""
+        """Return the margin or plausible effect of one outcome; the claim must be `in_world`."""
         value: Any = getattr(self, key)
         return value.get(outcome) if isinstance(value, dict) else value
 
@@ -163,12 +163,12 @@ class Claim(ClaimedRuns, Table):
         return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
 
     def contrasts_in(self, world: str) -> int:
-        """Return how many contrasts it has in one of `WORLDS`."""
+        """Return the number of the claim's contrasts in a world."""
         return len(self.outcome) * len(self.pairs) if world in self.worlds else 0
 
 
 class Defaults(Table):
-    """What claims have that do not say it themselves."""
+    """Values for claims that do not set them."""
 
     seeds: SeedsOf | None = None
     steps: StepsOf | None = None
@@ -177,7 +177,7 @@ class Defaults(Table):
 
 
 class ClaimsFile(Table):
-    """The whole file; margins and what is plausible are by outcome, of all incidences by that word."""
+    """The whole file. Margins and plausible effects are by outcome, or 'incidence' for all incidences."""
 
     list: ListHead = ListHead()
     defaults: Defaults = Defaults()
@@ -189,7 +189,7 @@ class ClaimsFile(Table):
 
 @dataclass(frozen=True)
 class ClaimList:
-    """All claims of a file, judged together.
+    """All claims of a file, which are judged together.
 
     Attributes:
         digest: SHA-256 of the file.
@@ -203,11 +203,11 @@ class ClaimList:
 
     @property
     def contrasts(self) -> int:
-        """How many contrasts the list has, with and without runs."""
+        """The number of contrasts in the list, with or without runs."""
         return sum(claim.contrasts_in(world) for claim in self.claims.values() for world in WORLDS)
 
     def factor(self, claim: Claim, world: str) -> float:
-        """Return what a contrast's p-value is multiplied by: alpha over its own part of it.
+        """Return what a contrast's p-value is multiplied by: alpha divided by the contrast's part of it.
 
         Without weights, the number of contrasts (Bonferroni). With them, each group and world has its part
         of alpha, and its contrasts share that part equally (weighted Bonferroni: Rosenthal and Rubin 1983).
@@ -230,7 +230,7 @@ class ClaimList:
 
 
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
-    """Load the shipped claims, or those of a file.
+    """Load the shipped claims, or those in a file.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
@@ -259,7 +259,7 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
 
 
 def _filled(claim: Claim, own: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOutcome:
-    """Return a claim's margins, or what is plausible; of outcomes that it says nothing on, the list's."""
+    """Return a claim's margins or plausible effects, with the list's for outcomes that the claim omits."""
     if own is not None and not isinstance(own, dict):
         return own
     names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcome}
@@ -267,7 +267,7 @@ def _filled(claim: Claim, own: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOut
 
 
 def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
-    """Return what is wrong with a claim whose keys are each right by themselves: the key, and what it is."""
+    """Return the key and the mistake of a claim whose keys are valid one by one but not together."""
     if bool(claim.b) == (claim.value is not None):
         return "", "a claim holds a against either b, conditions, or value"
     if sum(own is not None for own in (claim.above, claim.below)) != (claim.kind == "incidence"):

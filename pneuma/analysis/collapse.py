@@ -1,4 +1,4 @@
-"""Collapse, diagnosed: whether, when and by which signs a run did what thesis section 6.1 describes.
+"""Diagnosis of collapse: whether, when and by which signs a run collapsed (thesis section 6.1).
 
     stretches of signs and evaluations of a run → Diagnosis → incidence per condition
 
@@ -24,23 +24,23 @@ from pneuma.analysis.intervals import incidence_interval
 from pneuma.analysis.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
 SHORTEST = 0.05
-"""Share of the budget that a policy of one action, or a return below zero, must last to be a collapse."""
+"""Share of the budget that a single action, or a return below zero, must last to count as collapse."""
 GAP = 0.01
-"""Share of the budget over which a sign may be interrupted."""
+"""Share of the budget for which a sign may be interrupted."""
 MOST = 0.5
-"""Share of a spell's updates over which a sign must hold to be one of it."""
+"""Share of a period's updates in which a sign must hold."""
 FALLEN_TO = 0.5
-"""Share of its best that a fallen run kills at most."""
+"""A run has fallen if it kills at most this share of its best."""
 DEPTH = 0.1
 """Least fall, and least gain over the random player before it, in share of monsters killed: 1.4 of 14,
 twice the standard error of the difference of two evaluations of 50 episodes, or more."""
 RELEARNED = 0.8
-"""Share of its best before that a run kills once it has relearned."""
+"""A run has relearned if it kills this share of its best before the collapse."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What became of one run; of several collapses, how the first began and how the last ended.
+    """The diagnosis of one run. If it collapsed several times: how the first began and the last ended.
 
     Attributes:
         collapsed: whether it ever did.
@@ -64,12 +64,12 @@ class Diagnosis:
 
     @property
     def blind(self) -> bool:
-        """Whether the run's records tell of no sign at all."""
+        """Whether the run's records show none of the signs."""
         return self.unseen == SIGNS
 
 
 def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
-    """Diagnose a run, as it stood at a step where one is given."""
+    """Diagnose a run, up to a step if one is given."""
     seen = view(data, run, at_step)
     steps, shares, random = _played(seen)
     distance = _update_steps(run)
@@ -117,7 +117,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
 
 
 def diagnoses(data: StudyData) -> pd.DataFrame:
-    """Return every finished run's diagnosis, a row each, in the selection's order."""
+    """Return the diagnosis of every finished run, one row each, in the selection's order."""
     rows = []
     for run in data.runs:
         found = diagnose(data, run)
@@ -129,7 +129,7 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
 
 
 def incidence(data: StudyData) -> pd.DataFrame:
-    """Return how many runs of each condition collapsed: counts, share and its 95 % interval.
+    """Return how many runs of each condition collapsed: counts, share, and its 95 % interval.
 
     Runs whose records can tell of no sign at all are left out; `unknown` counts them.
     """
@@ -161,12 +161,12 @@ def incidence(data: StudyData) -> pd.DataFrame:
 
 
 def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
-    """Join stretches over gaps; return what lasts long enough to be a collapse."""
+    """Join stretches across gaps and return those that last long enough for a collapse."""
     return [own for own in joined(parts, gap) if own[1] - own[0] >= shortest]
 
 
 def _losses(seen: RunView) -> list[Stretch] | None:
-    """Return where the return lies below zero, having been above; None where it would tell nothing.
+    """Return where the return is below zero after having been above; None if that would mean nothing.
 
     In a world that resets XP a low return is one episode's alone. What logs were of is not known.
     """
@@ -177,7 +177,7 @@ def _losses(seen: RunView) -> list[Stretch] | None:
 
 
 def _played(seen: RunView) -> tuple[np.ndarray, np.ndarray, float | None]:
-    """Return steps, how well evaluations were played there, and a random player's level, if it is known.
+    """Return evaluation steps, how well the run played there, and the random player's level if known.
 
     That is the share of monsters killed; elsewhere the gain in return over the random player, in the unit in
     which `DEPTH` is twice the standard deviation of what one of its episodes returns.
@@ -193,7 +193,7 @@ def _played(seen: RunView) -> tuple[np.ndarray, np.ndarray, float | None]:
 
 
 def _falls(steps: np.ndarray, shares: np.ndarray, random: float | None) -> list[Stretch]:
-    """Return where two evaluations or more in a row lie far below the best before."""
+    """Return where two or more consecutive evaluations are far below the best before."""
     if not len(shares) or random is None:
         return []
     best = np.maximum.accumulate(shares)
@@ -223,7 +223,7 @@ def _relearned(
 
 
 def _update_steps(run: FinishedRun) -> int | None:
-    """Return the agent steps of one update, None where the run's fields do not tell."""
+    """Return the agent steps of one update; None if the run's fields do not say."""
     horizon = run.fields.get("horizon")
     return horizon * run.slots or None if isinstance(horizon, int) and run.slots else None
 
@@ -232,7 +232,7 @@ def _update_steps(run: FinishedRun) -> int | None:
 
 
 def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
-    """Return where two signs of the same updates hold together; each sign's stretches lie apart, in order."""
+    """Return where two signs of the same updates hold together. Stretches of a sign do not overlap."""
     shared, i, j = [], 0, 0
     while i < len(one) and j < len(other):
         (a, b), (c, d) = one[i], other[j]
@@ -243,7 +243,7 @@ def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
 
 
 def joined(parts: list[Stretch], gap: float) -> list[Stretch]:
-    """Join stretches that overlap or lie no further apart than a gap."""
+    """Join stretches that overlap or whose distance is at most `gap`."""
     whole: list[Stretch] = []
     for first, last in sorted(parts):
         if whole and first - whole[-1][1] <= gap:
@@ -254,6 +254,6 @@ def joined(parts: list[Stretch], gap: float) -> list[Stretch]:
 
 
 def share_held(parts: list[Stretch], within: Stretch, distance: float) -> float:
-    """Return over what share of a stretch's updates a sign holds, given the updates' distance in steps."""
+    """Return the share of a stretch's updates in which a sign holds."""
     lengths = [last - first + distance for first, last in both(parts, [within])]
     return sum(lengths) / (within[1] - within[0] + distance)

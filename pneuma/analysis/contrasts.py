@@ -1,4 +1,4 @@
-"""Contrasts: one arm of runs against another, or against a constant, with an effect, an interval and tests.
+"""Contrasts: one arm of runs against another arm or a constant, with effect, interval and tests.
 
 A contrast has five one-sided p-values, each valid by itself: that the effect is above no difference, below
 it, within the margin on both sides, and beyond it, above and below. What they mean for a claim is decided in
@@ -19,12 +19,12 @@ from pneuma.analysis.intervals import Interval, finite, no_interval
 from pneuma.analysis.pvalues import PValues
 
 LEVEL = 0.05
-"""The error rate at which too few seeds are called too few."""
+"""The error rate by which seeds are called too few."""
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """What runs say on one comparison.
+    """The result of one comparison.
 
     Attributes:
         kind: mean, or incidence: the share of runs with an event.
@@ -56,12 +56,12 @@ class Contrast:
 
     @property
     def p_different(self) -> float:
-        """The two-sided p-value of a difference: twice the lesser of both directions."""
+        """The two-sided p-value of a difference: twice the smaller one-sided p-value."""
         return min(1.0, 2 * min(self.p_greater, self.p_less))
 
     @property
     def p_any(self) -> float:
-        """The p-value of anything found: it bounds the chance of any false finding."""
+        """The p-value of any finding, which bounds the chance of a false one."""
         return min(self.p_different, self.p_equivalent)
 
 
@@ -73,7 +73,7 @@ def compare(
     generator: np.random.Generator,
     level: float = intervals.LEVEL,
 ) -> Contrast:
-    """Compare arm a with arm b, or with a constant.
+    """Compare arm a with arm b or with a constant.
 
     Args:
         kind: mean, or incidence, of values 0 or 1.
@@ -157,7 +157,7 @@ def compare_effects(
 def undecided(
     kind: str, reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")
 ) -> Contrast:
-    """Return a comparison that tells nothing, for a reason."""
+    """Return a contrast that says nothing, with the reason."""
     return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
 
 
@@ -170,7 +170,7 @@ def _contrast(
     seeds: tuple[int, int],
     smallest: tuple[float, float],
 ) -> Contrast:
-    """Return the contrast of one sample, whose interval can be made at any level."""
+    """Return the contrast of one sample, with an interval at the 95 % level and one at the list's."""
     greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
     least = 2 * min(smallest)
     reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
@@ -181,7 +181,7 @@ def _contrast(
 
 
 def _too_few(kind: str, seeds: int) -> str:
-    """Say that so many runs of an arm are too few; empty where they are not."""
+    """Return the reason that an arm has too few runs; empty if it has enough."""
     fewest = 1 if kind == "incidence" else 2
     if seeds == 0:
         return "an arm has no runs"

@@ -1,4 +1,4 @@
-"""Crossed studies: what each factor does, and in which cells a contrast holds.
+"""Crossed studies: the effect of each factor, and the cells in which a contrast holds.
 
     a study and an outcome → a cell of runs for each combination of levels → effects, Holm-corrected
     a study, a field and two values of it → a pair of conditions for each cell → a robustness map
@@ -31,7 +31,7 @@ from pneuma.errors import UserError, counted
 from pneuma.values import as_tuple, shown_level, shown_value
 
 DRAWS = 5_000
-"""Permutations by which an effect is tested."""
+"""Permutations per test of an effect."""
 LEVEL = 0.05
 """Error rate over all cells of a map."""
 HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
@@ -41,7 +41,7 @@ HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
 
 
 class Effect(NamedTuple):
-    """A main effect, of one factor, or the interaction of two.
+    """A main effect of one factor, or an interaction of two.
 
     Attributes:
         degrees: of freedom: its own, and those that the model leaves to the errors.
@@ -76,7 +76,7 @@ class Effects:
     effects: Sequence[Effect]
 
     def table(self) -> pd.DataFrame:
-        """Return a row for each effect; its p-value also as Holm corrects it over all of them."""
+        """Return one row per effect, with its p-value also corrected over all effects by Holm's method."""
         corrected = holm([effect.p_value for effect in self.effects])
         return pd.DataFrame(
             {
@@ -96,7 +96,7 @@ class Effects:
 
 
 def study_effects(data: StudyData, name: str | None = None) -> Effects:
-    """Test every main effect and two-way interaction of the factors that a study crosses.
+    """Test all main effects and two-way interactions of a crossed study's factors.
 
     Raises:
         UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed, a
@@ -131,7 +131,7 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
 
 
 def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
-    """Return a study's factors with their levels, and of each condition a level of every factor.
+    """Return a study's factors with their levels, and the level of every factor in each condition.
 
     Conditions without a finished run are included.
 
@@ -167,7 +167,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
 def factorial(
     values: ArrayLike, factors: Mapping[str, Sequence[str]], generator: np.random.Generator
 ) -> list[Effect]:
-    """Return every main effect and two-way interaction.
+    """Return all main effects and two-way interactions.
 
     Each is tested with the others in the model, by Freedman and Lane's permutation of the residuals of the
     model without it (Freedman and Lane 1983): exact where nothing else acts, close where it does. Levels are
@@ -204,7 +204,7 @@ def _deviations(levels: Sequence[str]) -> np.ndarray:
 def _test(
     runs: np.ndarray, others: np.ndarray, own: np.ndarray, shuffles: np.ndarray
 ) -> tuple[tuple[int, int], float, float, float]:
-    """Return degrees of freedom, F, p-value and partial R² of an effect's columns beside those of others."""
+    """Return degrees of freedom, F, p-value and partial R² of an effect's columns, given the others."""
     reduced, full = (linalg.orth(each, rcond=1e-9) for each in (others, np.hstack([others, own])))
     gained, left = full.shape[1] - reduced.shape[1], runs.size - full.shape[1]
     degrees = own.shape[1], left
@@ -246,7 +246,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """Holds, reversed or open."""
+        """'holds', 'reversed' or 'open'."""
         if self.p > LEVEL or not np.isfinite(self.contrast.effect):
             return OPEN
         return HOLDS if self.contrast.effect > 0 else REVERSED
@@ -254,7 +254,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Map:
-    """A contrast over all its cells, in the study's order.
+    """A contrast in all its cells, in the study's order.
 
     Attributes:
         setting: what the two conditions of a cell differ in.
@@ -269,7 +269,7 @@ class Map:
 
     @property
     def label(self) -> str:
-        """What the cells come to.
+        """The label of the whole map.
 
         Robust where every cell holds; conditional where some hold and some are reversed; partial where some
         hold and the others are open, for few seeds show no condition; reversed where some are reversed and
@@ -281,7 +281,7 @@ class Map:
         return "reversed" if REVERSED in labels else "undecided"
 
     def table(self) -> pd.DataFrame:
-        """Return a row for each cell."""
+        """Return one row per cell."""
         return pd.DataFrame(
             {
                 **{key: shown_value(level) for key, level in cell.levels.items()},
@@ -304,7 +304,7 @@ class Map:
 def robustness_map(
     data: StudyData, setting: str, better: object, worse: object, outcome: str | None = None
 ) -> Map:
-    """Map a contrast over every pair of a study's conditions that differ in one field alone.
+    """Map a contrast over all pairs of conditions that differ in a single field.
 
     Args:
         data: the study.
@@ -350,7 +350,7 @@ def robustness_map(
 
 
 def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction: float) -> Contrast:
-    """Compare two conditions; a run without a value leaves them open, as the others may look too good."""
+    """Compare two conditions. A run without a value leaves them open, as the others may look too good."""
     a, b = (direction * _values(data, name, outcome) for name in (better, worse))
     blank = int(np.isnan(a).sum() + np.isnan(b).sum())
     if blank:
@@ -362,7 +362,7 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
 
 
 def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
-    """Return the fields of every condition, of those without a finished run too; lists as tuples."""
+    """Return the fields of all conditions, including those without a finished run; lists as tuples."""
     found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
         if run["condition"] not in found:
@@ -372,14 +372,14 @@ def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
 
 
 def _differing(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Return every field in which some differ, with its values in the study's order."""
+    """Return the fields in which conditions differ, with their values in the study's order."""
     keys = dict.fromkeys(key for own in settings for key in own)
     levels = {key: tuple(dict.fromkeys(own.get(key) for own in settings)) for key in keys}
     return {key: values for key, values in levels.items() if len(values) > 1}
 
 
 def _values(data: StudyData, condition: str, name: str) -> np.ndarray:
-    """Return an outcome of every finished run, (runs,); none endless, without which others look too good."""
+    """Return the outcome of each finished run, (runs,); refuse one that is infinite for some run."""
     values = outcome_values(data, condition, name, common_step(data))
     if np.isinf(values).any():
         raise UserError(f"outcome {name}: some runs of {condition} never get there; compare another outcome")

@@ -1,4 +1,4 @@
-"""Curves: the mean over seeds, with a band that says what it is, on a common grid of steps.
+"""Curves: the mean over seeds with a named band, on a common grid of steps.
 
 A training curve is, for each run and at each point t of the grid, the mean of the episodes that
 ended in the last twentieth of the budget before t; blank until every slot has finished one. Only
@@ -21,12 +21,12 @@ from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.errors import unknown_name
 
 Edges = tuple[np.ndarray, np.ndarray]
-"""Lower and upper edge of a band, (points,) each, NaN where fewer than two runs have a value."""
+"""Lower and upper edge of a band, (points,) each; NaN where fewer than two runs have a value."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One condition's curve.
+    """The curve of one condition.
 
     Attributes:
         condition: its name.
@@ -45,12 +45,12 @@ class Curve:
 
     @property
     def count(self) -> np.ndarray:
-        """How many runs have a value at each point, (points,)."""
+        """The number of runs with a value at each point, (points,)."""
         return np.isfinite(self.runs).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
-        """Mean over the runs that have a value, NaN where none has, (points,)."""
+        """The mean over runs with a value, (points,); NaN where there are none."""
         return self._back(_mean(self._values))
 
     def band(self, name: str) -> Edges:
@@ -72,7 +72,7 @@ class Curve:
 
     @property
     def stops(self) -> list[tuple[float, float]]:
-        """Step and value at which the curve of each diverged run ends, where it has any."""
+        """The step and value at which the curve of each diverged run ends, for runs with any value."""
         ends = [np.flatnonzero(np.isfinite(run))[-1:] for run in self.runs]
         return [
             (float(self.step[end[0]]), float(run[end[0]]))
@@ -82,7 +82,7 @@ class Curve:
 
 
 def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
-    """Return the training curve of a quantity of `StudyData.quantities` of every condition.
+    """Return each condition's training curve of a quantity, one of `StudyData.quantities`.
 
     The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs.
     """
@@ -93,7 +93,7 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
 
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
-    """Return the curve of an evaluation column of every condition, at the evaluations' own steps."""
+    """Return each condition's curve of an evaluation column, at the steps of the evaluations."""
     table = data.table("evaluations").drop_duplicates(["condition", "run_id", "step"], keep="last")
     curves = []
     for runs in _groups(data):
@@ -105,7 +105,7 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
 
 
 def curve_names(data: StudyData) -> list[str]:
-    """Return the names of all curves that a study's data has.
+    """Return the names of all curves of a study's data.
 
     Of evaluations those that some run has a value of: the mailman kills nobody.
     """
@@ -117,7 +117,7 @@ def curve_names(data: StudyData) -> list[str]:
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
-    """Return some of `curve_names` of every condition, over evaluations or over training, by name."""
+    """Return some of `curve_names` for every condition, by name."""
     evaluated = {*EVALUATION_QUANTITIES} & {*curve_names(data)}
     return {
         name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)
@@ -126,7 +126,7 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
 
 
 def _groups(data: StudyData) -> list[list[FinishedRun]]:
-    """Return the finished runs of every condition that has any."""
+    """Return the finished runs of each condition that has any."""
     return [runs for condition in data.conditions if (runs := data.of_condition(condition))]
 
 
@@ -135,7 +135,7 @@ def _curve(runs: Sequence[FinishedRun], step: np.ndarray, values: np.ndarray) ->
 
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
-    """Return curves as a tidy table, one row for each point of each condition and quantity."""
+    """Return curves as a tidy table, one row per point, condition and quantity."""
     frames = []
     for quantity, group in curves.items():
         for curve in group:
@@ -150,11 +150,11 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
 
 PLAYERS = ("random player", "scripted hunter")
 NEAR = 0.02
-"""Levels that lie no further apart are drawn as one line."""
+"""Levels closer than this are drawn as one line."""
 
 
 def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
-    """Return the level of each of `PLAYERS`, as far as evaluations recorded it.
+    """Return the level of each of `PLAYERS` that evaluations recorded.
 
     A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded. None where
     conditions, whose environments may differ, do not share them.
@@ -229,7 +229,7 @@ BANDS = {
 }
 
 ENOUGH = 0.9
-"""A band that covers its mean less often is drawn with the runs themselves, and marked."""
+"""A band that covers the mean less often is drawn with the runs themselves, and marked."""
 
 COVERAGE_SEEDS = (3, 5, 10, 20, 50)
 LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
@@ -241,7 +241,7 @@ LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
 
 
 def coverage(band: str, runs: int) -> float | None:
-    """Return how often a band of `BANDS` covers the mean of what its runs are from.
+    """Return how often a band of `BANDS` covers the true mean.
 
     Between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the runs; 0 of
     fewer than the first, for which nothing was drawn. None for a band that is no interval of a mean.
@@ -253,6 +253,6 @@ def coverage(band: str, runs: int) -> float | None:
 
 
 def is_trusted(band: str, runs: int) -> bool:
-    """Whether a band can be drawn without the runs that it is of."""
+    """Return whether a band can be drawn without the runs themselves."""
     covered = coverage(band, runs)
     return covered is None or covered >= ENOUGH

@@ -1,4 +1,4 @@
-"""The design check: whether so many seeds can decide a claim, before any of its runs.
+"""The design check: whether a claim can be decided with its number of seeds, before any run.
 
     ClaimList with pilot spreads → [Plan], one for each contrast of a claim in a world
 
@@ -20,17 +20,17 @@ from pneuma.analysis.claims import Claim, ClaimList
 from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
 
 POWER = 0.8
-"""The chance with which a contrast is to be decided."""
+"""The power at which contrasts are planned."""
 
 SHARES = np.linspace(0, 1, 101)
-"""True shares of runs that are looked through for the least difference that is found."""
+"""True shares that are searched for the least detectable difference."""
 UNKNOWN_SHARE = 0.5
-"""Of runs with an event, where no pilot tells: where shares vary most."""
+"""The share of runs with an event if no pilot tells it: where shares vary most."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What so many seeds can tell on one contrast.
+    """What the seeds of one contrast can show.
 
     Attributes:
         a, b: the arms; b is a number where a is held against one.
@@ -56,7 +56,7 @@ class Plan:
 
 
 def check_design(claims: ClaimList) -> list[Plan]:
-    """Return what the seeds of each claim can tell, in every world that it is about."""
+    """Return what the seeds of each claim can show, in each of its worlds."""
     return [
         _plan(claims, claim.in_world(world), world, outcome, a, b)
         for claim in claims.claims.values()
@@ -67,7 +67,7 @@ def check_design(claims: ClaimList) -> list[Plan]:
 
 
 def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
-    """Return, by claim and world, why it is not admitted; nothing of a list without a pilot.
+    """Return why claims are not admitted, by claim and world; empty if the list has no pilot.
 
     A claim is admitted where one of its outcomes can be decided: in all its contrasts, or in any where it
     needs no more.
@@ -117,7 +117,7 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
 
 
 def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
-    """Return by how much arm a's share must differ from a base, to be found in the claimed direction.
+    """Return the least difference from a base share that is found in the claimed direction.
 
     Of two arms the base is arm b's share of runs, of one the constant. Infinite where no share is found.
     """

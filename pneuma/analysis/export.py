@@ -19,7 +19,7 @@ from pneuma.errors import UserError, plain
 def encode_table(
     data: StudyData, table: str, form: str, window: str | None = None, band: str = EXPORTED_BAND
 ) -> tuple[bytes, int]:
-    """Return one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`, and its number of rows.
+    """Encode one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`; also return its number of rows.
 
     The same runs give the same bytes; no table holds wall-clock values.
 
@@ -33,7 +33,7 @@ def encode_table(
 
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
-    """Return every curve that all runs have; returns that were averaged when recorded say so."""
+    """Return all curves that every run has. Returns that were averaged when recorded are named so."""
     held = data.checked_window(window)
     names = [own for own in EPISODE_QUANTITIES if data.has_curve(own, held)]
     curves = {name: training_curves(data, name, window) for name in names}
@@ -48,7 +48,7 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
-    """Return a table as csv, parquet, latex or markdown; the last two rounded as people read them."""
+    """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
     if form == "csv":  # in which a spreadsheet runs no text: names may be untrusted
         texts = frame.select_dtypes(include=["object", "string"])
         safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
@@ -66,7 +66,7 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
 
 
 def _as_text(cell: object) -> object:
-    """Return a cell without unseen characters, and with a quotation mark before what would be a formula."""
+    """Return a cell without invisible characters, and with a ' before what a spreadsheet would run."""
     if not isinstance(cell, str):
         return cell
     cell = plain(cell)
@@ -76,7 +76,7 @@ def _as_text(cell: object) -> object:
 
 
 def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
-    """Yield the cells of every row as people read them.
+    """Yield the cells of each row with rounded numbers.
 
     A number beside an interval is rounded with it; others keep six digits.
     """

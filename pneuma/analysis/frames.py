@@ -30,12 +30,12 @@ from pneuma.values import shown_settings
 from pneuma.worlds import in_world, split_world
 
 SLACK = 1 / 40
-"""Share of a step count by which budgets of whole horizons may miss it: half way to the next evaluation."""
+"""Budgets that differ by less than this share are equal: half the distance between evaluations."""
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A run that counts in every statistic, done or diverged.
+    """A finished run, done or diverged, which counts in every statistic.
 
     Attributes:
         fields: its run's, as the record has them, which may be a stranger's.
@@ -55,33 +55,33 @@ class FinishedRun:
 
     @property
     def slots(self) -> int | None:
-        """Players, over all worlds, that it collected from; None where that is not known."""
+        """Players, over all worlds, from which the run collects; None if unknown."""
         slots, players = self.fields["slots"], self.fields.get("players", 1)
         return slots * players if isinstance(slots, int) and isinstance(players, int) else None
 
     @property
     def budget(self) -> int:
-        """Agent steps that it was to train."""
+        """Agent steps that the run was to train."""
         steps: int = self.fields["steps"]
         return steps
 
     @property
     def begun(self) -> int:
-        """Agent steps with which it began: those of its parent, of a fork."""
+        """Agent steps with which the run began: for a fork, those of its parent."""
         return self.fields.get("fork_step") or 0
 
     @property
     def end(self) -> int:
-        """Agent steps that it trained; less than the budget where it diverged."""
+        """Agent steps trained; fewer than the budget if the run diverged."""
         return self.records.status.step
 
     def ends_before(self, step: float | None) -> bool:
-        """Return whether it was not to reach a step, so that it has no value there."""
+        """Return whether the run's budget ends before `step`."""
         return step is not None and self.budget * (1 + SLACK) < step
 
 
 class StudyData:
-    """The finished runs of a study's selection, and their records. `open_study` makes it.
+    """The finished runs of a study's selection, with their records. `open_study` makes it.
 
     Args:
         index: what is held of each run of the record, by its id; more besides is passed over.
@@ -132,14 +132,14 @@ class StudyData:
         return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}{missing}"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: how many runs each condition has."""
+        """Return a notebook's view: the number of runs of each condition."""
         rows = [(name, len(self.of_condition(name))) for name in self.conditions]
         table = pd.DataFrame(rows, columns=["condition", "runs"])
         return f"<b>{escape(self.title)}</b>{table.to_html(index=False)}"
 
     @property
     def how_to_train(self) -> str:
-        """What trains the study, where it is known: forks and searches are none of `study run`'s."""
+        """How to train the study, if that is known; forks and searches have commands of their own."""
         shipped = self.own_name in list_studies()
         path = None if shipped else self.record.get("path")
         if shipped or path:
@@ -148,29 +148,29 @@ class StudyData:
 
     @property
     def what(self) -> str:
-        """Where its runs are, for people."""
+        """Where the runs are, for messages."""
         here_first = sorted(self.runs, key=lambda run: run.records.published)
         return " with ".join(dict.fromkeys(run.records.what for run in here_first))
 
     @property
     def published(self) -> list[FinishedRun]:
-        """Those of its runs that are had from published tables."""
+        """The runs that come from published tables."""
         return [run for run in self.runs if run.records.published]
 
     def engines(self, condition: str) -> set[str]:
-        """Return which engines trained a condition's runs, as far as it is known."""
+        """Return the engines that trained a condition's runs, as far as known."""
         runs = (run["run"] for run in self.record["runs"] if run["condition"] == condition)
         return {str(run["engine"]) for run in runs if run.get("engine")}
 
     @cached_property
     def budget(self) -> int:
-        """Where curves end: the largest budget, in agent steps, of the runs and of tables that hold some."""
+        """Agent steps at which curves end: the largest budget of the runs and of their published tables."""
         tables = (run.records.budget for run in self.runs if isinstance(run.records, PublishedRecords))
         return self.record.get("budget") or max(*(run.budget for run in self.runs), 0, *tables)
 
     @cached_property
     def latest_first_evaluation(self) -> float:
-        """The step from which on every run has been evaluated; 0 where none was."""
+        """The step from which every run has an evaluation; 0 if none has any."""
         if "evaluations" not in self.tables:
             return 0.0
         tables = (run.records.table("evaluations") for run in self.runs)
@@ -178,27 +178,27 @@ class StudyData:
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """The steps at which curves have their points, (points,)."""
+        """The steps of the points of curves, (points,)."""
         return make_grid(self.budget)
 
     @cached_property
     def windows(self) -> tuple[str, ...]:
-        """Those of `WINDOWS` that its curves can be had with, the usual one first."""
+        """The windows of `WINDOWS` that all curves have, the usual one first."""
         return tuple(name for name in WINDOWS if all(name in run.records.windows for run in self.runs))
 
     @cached_property
     def tables(self) -> tuple[str, ...]:
-        """Those of `RECORD_TABLES` that there are."""
+        """The tables of `RECORD_TABLES` that all runs have."""
         return tuple(name for name in RECORD_TABLES if all(name in run.records.tables for run in self.runs))
 
     @property
     def averaged_over(self) -> int | None:
-        """Episodes that every return was already averaged over when it was recorded; None for none."""
+        """Episodes over which returns were averaged when recorded; None if they were not."""
         return next((own for run in self.runs if (own := run.records.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
-        """What curves some run has, of `TRAINING_QUANTITIES`.
+        """The training curves that some run has, of `TRAINING_QUANTITIES`.
 
         Only those that published tables have where runs are had from such: a line over some of a
         condition's runs would mislead.
@@ -208,7 +208,7 @@ class StudyData:
         return [name for name in some if all(name in own for own in held)]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some conditions alone, on the same grid and for the same figure."""
+        """Return the study with some of its conditions, on the same grid and for the same figure."""
         runs = [run for run in self.record["runs"] if run["condition"] in names]
         same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]
@@ -219,11 +219,11 @@ class StudyData:
         return some
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
-        """Return the finished runs of a condition, in the selection's order."""
+        """Return a condition's finished runs, in the selection's order."""
         return [run for run in self.runs if run.condition == condition]
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of `RECORD_TABLES` of the finished runs in the selection's order.
+        """Return one of `RECORD_TABLES` for all finished runs, in the selection's order.
 
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
         """
@@ -238,7 +238,7 @@ class StudyData:
         return frame[[*naming, *(own for own in frame if own not in naming)]]
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
-        """Return a run's training curve on the study's grid, (points,), NaN where it has no value.
+        """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
             run: one of the finished runs; blank throughout where it lacks the quantity.
@@ -257,11 +257,11 @@ class StudyData:
         return records.curve(quantity, window, self.grid, run.slots)
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Return whether all runs have the curve of a quantity with a window."""
+        """Return whether all runs have the curve of a quantity in a window."""
         return all(run.records.has_curve(quantity, window) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
-        """Return a window of `windows`, the first for None."""
+        """Return a window of `windows`; the first if None."""
         if window is None:
             return self.windows[0]
         if window not in self.windows:
@@ -274,7 +274,7 @@ class StudyData:
 
 @dataclass(frozen=True)
 class RunView:
-    """A run as it stood at a step. One that diverged has its last recorded values.
+    """A run as it stood at a step. A run that diverged has its last recorded values.
 
     Attributes:
         until: agent steps; the run's budget unless a smaller one was asked for.
@@ -288,11 +288,11 @@ class RunView:
 
     @property
     def last_step(self) -> float:
-        """The last step of which anything is taken into account."""
+        """The last step that counts."""
         return self.until * (1 + SLACK)
 
     def evaluations(self, column: str) -> Series:
-        """Return a column of the evaluations; nothing where there is no such column."""
+        """Return a column of the evaluations; empty if there is no such column."""
         if "evaluations" not in self.run.records.tables:
             return _NOTHING
         table = self.run.records.table("evaluations")
@@ -301,14 +301,14 @@ class RunView:
         return self._finite(table["step"].to_numpy(float), table[column].to_numpy(float))
 
     def curve(self, quantity: str) -> Series:
-        """Return a training curve's points that have a value; nothing where there is no such quantity."""
+        """Return the points of a training curve that have a value; empty if there is no such quantity."""
         records, grid = self.run.records, self.data.grid
         if quantity not in records.quantities:
             return _NOTHING
         return self._finite(grid, records.curve(quantity, self.data.windows[0], grid, self.run.slots))
 
     def peaks(self, quantity: str) -> Series:
-        """Return, for each point, the extreme value of an update since the point before."""
+        """Return, for each point, the extreme value of an update since the previous point."""
         if quantity not in self.run.records.quantities:
             return _NOTHING
         return self._finite(self.data.grid, self.run.records.peaks(quantity, self.data.grid))
@@ -322,7 +322,7 @@ _NOTHING: Series = np.empty(0), np.empty(0)
 
 
 def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
-    """Look at a run as it stood at a step, at its own budget where none is given or it is smaller.
+    """Return a run as it stood at `at_step`, or at its own budget if that is smaller or no step is given.
 
     A step is given where runs of unlike budgets are compared. Each was evaluated at even parts of its own, so
     that what they have in common begins at the latest of their first evaluations.
@@ -332,7 +332,7 @@ def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Run
 
 
 def common_step(data: StudyData) -> int | None:
-    """Return the largest step count that every run was to reach; None where all budgets are the same.
+    """Return the largest step that all runs were to reach; None if all budgets are equal.
 
     Budgets that whole horizons put apart, by less than half the way to an evaluation, are the same. A run
     that diverged was to reach its budget, and has its last values there. Imported logs do not tell what
@@ -345,7 +345,7 @@ def common_step(data: StudyData) -> int | None:
 
 
 def step_words(data: StudyData) -> str:
-    """Say what the common step is, and which runs end before it."""
+    """Describe the common step and the runs that end before it."""
     if not data.averaged_over:
         return "the most that all runs were to reach"
     step = common_step(data)

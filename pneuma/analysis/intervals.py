@@ -1,4 +1,4 @@
-"""Estimates and intervals: what one number per run comes to, over runs, and between what bounds it lies.
+"""Estimates over runs, and their intervals.
 
 The seed is the unit. Estimates take finite values with the runs along the last axis and give one number for
 each row, NaN of no runs. A value that is not finite is refused, so that the caller drops it, counts it and
@@ -20,15 +20,15 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 TRIMMED = 0.25
-"""The share of runs that an interquartile mean leaves out at each end."""
+"""The share of runs that the interquartile mean leaves out at each end."""
 LEVEL = 0.95
 LEAST_RESAMPLED = 3
-"""Runs of which there is a bootstrap interval."""
+"""The fewest runs that have a bootstrap interval."""
 RESAMPLES = 2_000
 SIGNIFICANT = 2
-"""Digits of the half width of an interval that are shown."""
+"""Digits of an interval's half width that are shown."""
 MOST = 6
-"""Places after the point at most, where runs are all but equal."""
+"""Most decimal places, for runs that are nearly equal."""
 ALONE = 3
 """Digits of a number without an interval."""
 
@@ -72,7 +72,7 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
 
 
 def deviation(values: ArrayLike) -> np.ndarray:
-    """Return the sample standard deviation over the last axis, NaN of fewer than two runs.
+    """Return the sample standard deviation over the last axis; NaN for fewer than two runs.
 
     Of equal runs it is 0, which the mean's last bit would hide.
     """
@@ -92,7 +92,7 @@ def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> np.ndarray:
 
 
 def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the chance that a run of a is above a run of b; a tie counts one half.
+    """Return the probability that a run of a is above a run of b; a tie counts one half.
 
     Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U over both counts.
     """
@@ -123,7 +123,7 @@ def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Interval:
-    """Bounds of an estimate, NaN where there are none.
+    """The bounds of an estimate; NaN if there are none.
 
     Attributes:
         low: the lower end.
@@ -142,12 +142,12 @@ class Interval:
 
 
 def no_interval() -> Interval:
-    """Return the interval that says that there is none."""
+    """Return an interval without bounds."""
     return Interval(float("nan"), float("nan"), "none")
 
 
 def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
-    """Return Student's interval of an estimate by its standard error."""
+    """Return Student's interval of an estimate, given its standard error."""
     half = error * special.stdtrit(freedom, (1 + level) / 2)
     return Interval(float(centre - half), float(centre + half), method)
 
@@ -162,7 +162,7 @@ def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
 
 
 def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Welch's t interval of the difference of means, a less b."""
+    """Return Welch's t interval of the difference of means, a - b."""
     first, second = finite(a), finite(b)
     if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
         return no_interval()
@@ -171,7 +171,7 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
 
 
 def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Bonett's interval of the standard deviation, which does not suppose a normal distribution.
+    """Return Bonett's interval of the standard deviation, which does not assume normality.
 
     Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
@@ -190,7 +190,7 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
 
 
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
-    """Return Clopper and Pearson's interval of a share: the only one that never covers too little."""
+    """Return Clopper and Pearson's interval of a share, which never covers less than its level."""
     if runs < 1:
         return no_interval()
     tail = (1 - level) / 2
@@ -202,7 +202,7 @@ def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
 def incidence_difference_interval(
     count_a: int, runs_a: int, count_b: int, runs_b: int, level: float = LEVEL
 ) -> Interval:
-    """Return Newcombe's interval of a difference of shares, a less b, from the scores of both.
+    """Return Newcombe's score interval of a difference of shares, a - b.
 
     Source: Newcombe (1998), method 10.
     """
@@ -259,7 +259,7 @@ def bootstrap_interval(
 
 
 def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]) -> float:
-    """Return the skew of the statistic over the sample with each run left out once, as BCa wants it."""
+    """Return BCa's acceleration: the skew of the statistic with each run left out once."""
     left = statistic(np.array([np.delete(runs, place) for place in range(runs.size)]))
     skew = left.mean() - left
     squares = (skew**2).sum()
@@ -270,7 +270,7 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
 
 
 def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
-    """Return to how many places after the point a number is shown; fewer than 0 for tens and more."""
+    """Return how many decimal places a number is shown with; negative for tens and more."""
     half = (high - low) / 2
     if math.isfinite(half) and half > 0:
         return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half)))
@@ -280,7 +280,7 @@ def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int
 
 
 def shown(value: float, places: int) -> str:
-    """Return a number rounded to so many places; – for none."""
+    """Return a rounded number as text; – for NaN."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -290,7 +290,7 @@ def shown(value: float, places: int) -> str:
 
 
 def shown_with_interval(value: float, low: float, high: float) -> str:
-    """Return a number and its interval, all to the digits that the interval leaves certain."""
+    """Return a number and its interval as text, with the digits that the interval supports."""
     places = decimals(value, low, high)
     if math.isnan(low) or math.isnan(high):
         return shown(value, places)

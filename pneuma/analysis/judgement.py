@@ -37,16 +37,16 @@ INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 VERDICTS = (SUPPORTED, REFUTED, MIXED, INCONCLUSIVE, UNTESTABLE)
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
-"""The reason of a claim that equivalence refutes, where the interval lies wholly on the claim's side."""
+"""The reason if equivalence refutes a claim whose interval lies wholly on the claimed side."""
 WITH_CONTENT, BY_LETTER, OPEN, UNDECIDABLE, NOT_RUN = STANDINGS = (
     "decided with content", "decided by the letter", "open", "could not be decided", "not run yet",
 )  # fmt: skip
-"""What verdicts come to, as they are counted (docs/evidence.md)."""
+"""The kinds of verdict that are counted (docs/evidence.md)."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One contrast of a claim, and what is concluded on it.
+    """One contrast of a claim, with its verdict.
 
     Attributes:
         a, b: the arms' names; b is a number where a is held against one.
@@ -83,17 +83,17 @@ class Verdict:
 
     @property
     def decisive(self) -> Comparison | None:
-        """The contrast that decides: the surest where one is enough for the verdict, else the least sure."""
+        """The contrast that decides: the surest if one is enough for the verdict, else the least sure."""
         return _decisive(self.comparisons, self.verdict, self.claim.need)
 
     @property
     def run_ids(self) -> list[str]:
-        """Ids of every run that was looked at."""
+        """The ids of all runs that were read."""
         return list(dict.fromkeys(run_id for own in self.comparisons for run_id in own.run_ids))
 
     @property
     def standing(self) -> str:
-        """What it comes to, of `STANDINGS`.
+        """The kind of verdict, one of `STANDINGS`.
 
         Decided by the letter alone is what is supported by an effect that lies within the margin, or refuted
         though the claimed direction is borne out.
@@ -112,7 +112,7 @@ class Verdict:
 
 
 def judge(claims: ClaimList, store: Store, stored: bool = True) -> list[Verdict]:
-    """Return the verdict on every claim of a list in every world that it is about.
+    """Return the verdict on each claim of a list in each of its worlds.
 
     Unless `stored`, by published tables alone. None can be judged without the others of the list.
     """
@@ -149,7 +149,7 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
 
 
 def decisive_of(verdict: Verdict) -> list[Comparison]:
-    """Return, for each outcome of a claim, the contrast that decides on it."""
+    """Return, for each outcome of a claim, the contrast that decides."""
     found: list[Comparison] = []
     for outcome in dict.fromkeys(own.outcome for own in verdict.comparisons):
         each = [own for own in verdict.comparisons if own.outcome == outcome]
@@ -165,7 +165,7 @@ def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Com
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
-    """Return whether equivalence refutes a claim whose direction the interval of the difference bears out."""
+    """Return whether equivalence refutes a claim although its interval supports the direction."""
     low, high = contrast.interval.low, contrast.interval.high
     as_claimed = (direction == "greater" and low > 0) or (direction == "less" and high < 0)
     return found(contrast) == "equal" and as_claimed
@@ -177,7 +177,7 @@ def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
 def _judge_contrast(
     runs: ClaimRuns, arm: Callable[[str, str], Arm], outcome: str, a: str, b: str | None, claims: ClaimList
 ) -> Comparison:
-    """Judge one of a claim's contrasts: of two arms, of one with a number, or of two effects.
+    """Judge one contrast of a claim: of two arms, of one arm and a number, or of two effects.
 
     It is untestable for a reason, or where so few runs cannot support it.
     """
@@ -216,7 +216,7 @@ def _judge_contrast(
 
 
 def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
-    """Say why arms cannot be compared by what they play like; empty where they can.
+    """Return why arms cannot be compared, given how well they play; empty if they can.
 
     An arm is at the floor if it is not shown to play better than the random player, whatever the number of
     its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
@@ -232,7 +232,7 @@ def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 
 
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
-    """Say so where every run of both arms lies at the outcome's least or greatest value.
+    """Return the reason if every run of both arms is at the outcome's least or greatest value.
 
     As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
     the least value are at the floor or not by what they play like.
@@ -250,7 +250,7 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
 
 
 def _is_of_play(outcome: str) -> bool:
-    """Return whether more of an outcome is better play."""
+    """Return whether a greater outcome means better play."""
     parts = [find_outcome(part) for part in outcome.split(MINUS)]
     return all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
 
@@ -259,7 +259,7 @@ def _is_of_play(outcome: str) -> bool:
 
 
 def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> tuple[str, float]:
-    """Return the verdict on one contrast of a list, and its p-value after the correction.
+    """Return the verdict on one contrast of a list, and its corrected p-value.
 
     A claim that there is no difference is not refuted by one inside the margin, which counts as none: it
     takes a difference beyond the margin, tested two-sided there.
@@ -291,7 +291,7 @@ def found(contrast: Contrast) -> str:
 
 
 def together(verdicts: Sequence[str], need: str) -> str:
-    """Return the verdict on a claim by those on its contrasts; empty where some of them is neither."""
+    """Return the verdict on a claim, given those on its contrasts; empty if they do not decide."""
     by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
     if by_one in verdicts:
         return by_one
@@ -299,7 +299,7 @@ def together(verdicts: Sequence[str], need: str) -> str:
 
 
 def of_outcomes(verdicts: Sequence[str]) -> str:
-    """Return the verdict on a claim by those on its outcomes, each supported, refuted or something else.
+    """Return the verdict on a claim, given those on its outcomes.
 
     Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
     contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
@@ -309,7 +309,7 @@ def of_outcomes(verdicts: Sequence[str]) -> str:
 
 
 def smallest_p(contrast: Contrast, claimed: str) -> float:
-    """Return the smallest p-value by which so many runs can support a claimed direction.
+    """Return the smallest p-value by which so many runs could support the claimed direction.
 
     For equivalence it is a lower bound, but for shares, where it may be above what can be reached.
     """

@@ -1,4 +1,4 @@
-"""Outcomes: one number per run, which every summary, test and verdict is about.
+"""Outcomes: one number per run, which all summaries, tests and verdicts use.
 
     StudyData, run and name → float; condition and name → (seeds,)
 
@@ -28,14 +28,14 @@ NAN = float("nan")
 ANYTHING = (-np.inf, np.inf)
 SHARE = (0.0, 1.0)
 NEAR_AN_END = 0.5 / 14
-"""How near 0 or 1 a share killed counts as there, for claims without a margin: half a monster of 14."""
+"""How close to 0 or 1 a share killed counts as equal, for claims without a margin: half a monster of 14."""
 QUIET = 0.9
-"""The share of a core below which a run's time tells more of what ran beside it than of its training."""
+"""The least share of a core for a valid time; below it, other work on the machine counts too much."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run comes to in one respect.
+    """One kind of outcome.
 
     Attributes:
         words: for people.
@@ -59,7 +59,7 @@ class Outcome:
 
 
 def is_return(name: str) -> bool:
-    """Return whether an outcome is a return, whose unit is its reward's."""
+    """Return whether an outcome is a return, which has the unit of its reward."""
     return name.endswith("-return")
 
 
@@ -75,17 +75,17 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 
 def is_foreign(data: StudyData) -> bool:
-    """Return whether no run was trained in a world of Pneuma's, so that none kills or has HP."""
+    """Return whether no run was trained in one of Pneuma's worlds, so that there are no kills and no HP."""
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
 
 
 def primary(data: StudyData) -> str:
-    """Return the outcome that a study is about unless another is named."""
+    """Return a study's primary outcome."""
     return "evaluated-return" if is_foreign(data) else PRIMARY
 
 
 def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
-    """Refuse to compare conditions, or all, by an outcome that is of another unit in some."""
+    """Refuse to compare conditions (default: all) by returns that have different units."""
     if is_return(name) and not have_one_return(data, conditions):
         raise UserError(
             f"outcome {name}: returns of unlike rewards, or of more players, cannot be compared; "
@@ -94,7 +94,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
 
 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
-    """Return a run's outcome, as the run stood at a step or at its budget; NaN where it has none."""
+    """Return a run's outcome at a step, or at its budget; NaN if it has none."""
     found = find_outcome(name)
     if run.ends_before(at_step):
         return NAN
@@ -103,7 +103,7 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
-    """Return an outcome of every finished run of a condition, in the selection's order, (seeds,)."""
+    """Return the outcome of each finished run of a condition, in the selection's order, (seeds,)."""
     if condition not in data.conditions:
         raise unknown_name(f"condition of study {data.study}", condition, data.conditions)
     return np.array([outcome(data, run, name, at_step) for run in data.of_condition(condition)], float)
@@ -126,7 +126,7 @@ def find_outcome(name: str) -> Outcome:
 
 
 def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
-    """Say why a run has no value of an outcome; empty where it has one."""
+    """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
     if not np.isnan(outcome(data, run, name, at_step)):
         return ""
@@ -142,11 +142,11 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
 
 Measure = Callable[[RunView], float]
 Take = Callable[[np.ndarray], float]
-"""From values in the order of their steps, (points,) of which there is at least one, to a number."""
+"""A function from values in the order of their steps, (points,), at least one, to a number."""
 
 
 def _of(read: Callable[[RunView, str], Series], name: str, take: Take) -> Measure:
-    """Return the number that is taken from the values of what is read by its name; NaN without any."""
+    """Return a function that measures the values read by a name; NaN if there are none."""
 
     def measure(seen: RunView) -> float:
         _, values = read(seen, name)
@@ -169,7 +169,7 @@ def _fall(values: np.ndarray) -> float:
 
 
 def _roughness(values: np.ndarray) -> float:
-    """Return how far a curve goes up and down beyond its net change, a point: monotone, 0."""
+    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
     if len(values) < 3:
         return NAN
     travelled = np.abs(np.diff(values)).sum()
@@ -177,19 +177,19 @@ def _roughness(values: np.ndarray) -> float:
 
 
 def _most_of_one(seen: RunView) -> float:
-    """Return the share of the most frequent action at the end."""
+    """Return the share of the most frequent action at the end of training."""
     return max(_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES)))
 
 
 def _early_variance(seen: RunView) -> float:
-    """Return the mean of the critic's explained variance over the first tenth of the run's budget."""
+    """Return the critic's mean explained variance over the first tenth of the budget."""
     steps, values = seen.curve("explained_variance")
     early = values[steps <= 0.1 * min(seen.run.budget, seen.until)]
     return float(early.mean()) if len(early) else NAN
 
 
 def _mean_height(series: Series, until: float) -> float:
-    """Return the area under a curve by trapezoids over the steps it spans: its mean height.
+    """Return the mean height of a curve, by trapezoids over its steps.
 
     The last value is carried on to `until`, for a run that ended early; NaN without a value.
     """
@@ -214,7 +214,7 @@ def _steps_to(seen: RunView, least: float, column: str) -> float:
 
 
 def _overestimation(seen: RunView) -> float:
-    """Return by how much the learner's own value of its play exceeds what that play returned."""
+    """Return by how much the learner's estimate of its return exceeds the actual return."""
     steps, estimates = seen.evaluations("q_estimate")
     true_steps, true = seen.evaluations("q_true")
     _, of_estimate, of_true = np.intersect1d(steps, true_steps, return_indices=True)
@@ -222,7 +222,7 @@ def _overestimation(seen: RunView) -> float:
 
 
 def _diagnosed(part: str) -> Measure:
-    """Return one attribute of the diagnosis of collapse; NaN where it is none or no sign can be seen."""
+    """Return an attribute of the diagnosis of collapse; NaN if it is None or no sign can be seen."""
 
     def measure(seen: RunView) -> float:
         found = diagnose(seen.data, seen.run, seen.until)
@@ -233,7 +233,7 @@ def _diagnosed(part: str) -> Measure:
 
 
 def _wall_seconds(seen: RunView) -> float:
-    """Return the seconds of training up to a step, taken to pass evenly; of a fork without its parent's."""
+    """Return the seconds of training up to a step, at an even pace; without those of a fork's parent."""
     pace = _pace(seen)
     return max(min(seen.run.end, seen.until) - seen.run.begun, 0) / pace if pace > 0 else NAN
 

@@ -37,17 +37,17 @@ from pneuma.study.store import FINISHED, Status, Store, shipped_tables
 from pneuma.study.tables import from_parquet
 
 PUBLISHED = "published"
-"""The tables' folder, in a results folder."""
+"""The folder of published tables in a results folder."""
 SUFFIX, TIMES_SUFFIX = ".parquet", ".times.json"
 
 
 def published_path(store: Store, study: str) -> Path:
-    """Return where a study's published table lies."""
+    """Return the path of a study's published table."""
     return store.root / PUBLISHED / f"{study}{SUFFIX}"
 
 
 def published_studies(store: Store, shipped: bool = False) -> list[str]:
-    """Return the names of the studies that have a published table here; `shipped`, or beside Pneuma."""
+    """Return the studies with a published table here; with `shipped`, also those that come with Pneuma."""
     names = [*names_in(store.root / PUBLISHED), *(names_in(shipped_tables()) if shipped else ())]
     return [name.removesuffix(SUFFIX) for name in dict.fromkeys(names) if name.endswith(SUFFIX)]
 
@@ -62,11 +62,11 @@ OUTCOME, PEAKS = "outcome", "extreme"
 
 
 OF_RECORD = ("study", "title", "figure", "baseline", "same", "budget")
-"""Of a study's record, in the file's metadata."""
+"""The keys of a study's record in the file's metadata."""
 
 
 class _Head(TypedDict):
-    """What the file's metadata hold beside a `Record`."""
+    """The file's metadata beside the `Record`."""
 
     schema: Literal[2]
     budget: Annotated[int, Field(gt=0)]
@@ -76,7 +76,7 @@ class _Head(TypedDict):
 
 
 def column_types(column: str) -> tuple[pa.DataType, ...]:
-    """Return what a column may hold, first what new tables do; nothing where nothing reads it."""
+    """Return the types a column may have, that of new tables first; none for columns that are not read."""
     first, _, second = column.partition(" ")
     if column in ("seed", "end"):
         return (pa.int64(),)
@@ -88,22 +88,22 @@ def column_types(column: str) -> tuple[pa.DataType, ...]:
 
 
 def curve_column(quantity: str, window: str) -> str:
-    """Return the column of a curve: what updates have is averaged in one way alone."""
+    """Return the name of a curve's column; quantities of updates have no window."""
     return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
 
 
 NO_SUM = "sha256:" + "0" * 64
-"""Stands where the checksum over all other bytes goes."""
+"""Placeholder for the checksum over all other bytes."""
 _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
 
 def with_sum(data: bytes) -> bytes:
-    """Put the checksum over a file into the place that is kept for it there."""
+    """Fill in the placeholder with the checksum over a file."""
     return data.replace(NO_SUM.encode(), f"sha256:{hashlib.sha256(data).hexdigest()}".encode())
 
 
 def is_whole(data: bytes) -> bool:
-    """Return whether a file is what `with_sum` returned, to the bit."""
+    """Return whether a file has the checksum that `with_sum` gave it."""
     blank = _SUM.sub(NO_SUM.encode(), data)
     return _SUM.findall(data) == [hashlib.sha256(blank).hexdigest().encode()]
 
@@ -112,7 +112,7 @@ def is_whole(data: bytes) -> bool:
 
 
 def read_published(store: Store, study: str) -> PublishedTable:
-    """Read a study's published table, here or else beside Pneuma.
+    """Read a study's published table, from the folder or from those that come with Pneuma.
 
     Raises:
         UserError: when it is missing or not what was written.
@@ -163,24 +163,24 @@ class PublishedTable:
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
-        """What it has curves of."""
+        """The quantities whose curves the table has."""
         held, window = {*self.rows.column_names}, self.head["windows"][0]
         return tuple(name for name in TRAINING_QUANTITIES if curve_column(name, window) in held)
 
     @cached_property
     def runs(self) -> dict[str, PublishedRecords]:
-        """What is held of each run, by its id."""
+        """The records of each run, by id."""
         ids = self.rows["run_id"].to_pylist()
         return {run_id: PublishedRecords(self, run_id, place) for place, run_id in enumerate(ids)}
 
     @cached_property
     def finished(self) -> frozenset[str]:
-        """The ids of those runs that have numbers."""
+        """The ids of finished runs."""
         return frozenset(run_id for run_id, own in self.runs.items() if own.status.finished)
 
 
 class PublishedRecords(Records):
-    """A run of a published table."""
+    """The records of a run in a published table."""
 
     what = "the published table"
     published = True
@@ -197,20 +197,20 @@ class PublishedRecords(Records):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What is held, of every run of the table the same."""
+        """The quantities whose curves the table has."""
         return self._table.quantities
 
     def cell(self, column: str) -> Any:
-        """Return what the run's row has in a column; None where there is no such column."""
+        """Return a cell of the run's row; None if there is no such column."""
         rows = self._table.rows
         return rows[column][self._place].as_py() if column in rows.column_names else None
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Return whether it has the curve: rounded tables have one window of most quantities."""
+        """Return whether the table has the curve; most quantities have a single window."""
         return curve_column(quantity, window) in self._table.rows.column_names
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return the run's evaluations, the one table that is kept."""
+        """Return the run's evaluations, the only table that is kept."""
         return self._evaluations
 
     @cached_property
@@ -219,13 +219,13 @@ class PublishedRecords(Records):
         return pa.RecordBatch.from_struct_array(rows).to_pandas(use_threads=False)
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return a curve, (points,); on another grid than it is kept on, the last value up to each point."""
+        """Return a curve, (points,); on another grid than the table's, the last value before each point."""
         kept, own = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
         held = np.concatenate([[np.nan], kept])[np.searchsorted(own, grid, side="right")]
         return np.where(grid <= own[-1], held, np.nan)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme update since each point before, (points,)."""
+        """Return the extreme update since each previous point, (points,)."""
         kept = np.array(self.cell(f"{quantity} {PEAKS}"), float)
         return peak_curve(make_grid(self.budget), kept, grid, EXTREMES[quantity])
 
@@ -234,23 +234,23 @@ class PublishedRecords(Records):
         return unpack_signs(self.cell(SIGNS))
 
     def kept_outcome(self, name: str) -> float | None:
-        """Return an outcome that was taken from curves before they were rounded or left out."""
+        """Return an outcome that was measured before curves were rounded or left out."""
         kept: float | None = self.cell(f"{OUTCOME} {name}")
         return kept
 
     def provenance(self) -> dict[str, Any]:
-        """Return what produced the run, without when it did."""
+        """Return the run's provenance, without times."""
         return parse_json(self.cell("provenance"))
 
     @property
     def times(self) -> Mapping[str, Any]:
-        """What the file of times beside the table tells, where it makes sense."""
+        """The run's entry in the file of times; empty if it is not valid."""
         own = self._table.times.get(self.run_id)
         return own if isinstance(own, dict) and told_seconds(own) is not None else {}
 
 
 def _check(table: PublishedTable) -> None:
-    """Refuse a table, which may be anybody's, that is not what `encode_study` makes.
+    """Refuse a table, which may be untrusted, that `encode_study` could not have made.
 
     Raises:
         ValueError: naming what is amiss.
@@ -284,7 +284,7 @@ def _check(table: PublishedTable) -> None:
 
 
 def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
-    """Return where signs hold as JSON: a unit of steps, and each sign's gaps and lengths in it, in turn."""
+    """Return where signs hold as JSON: a unit of steps, and for each sign gaps and lengths in turn."""
     ends = {sign: [int(end) for stretch in parts for end in stretch] for sign, parts in signs.items()}
     unit = math.gcd(*(end for own in ends.values() for end in own)) or 1
     packed = {sign: np.diff(np.array([0, *own]) // unit).tolist() for sign, own in ends.items()}

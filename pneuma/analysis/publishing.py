@@ -1,4 +1,4 @@
-"""Publishing: from a study's finished runs to the bytes of the table that `published` reads."""
+"""Publishing: encode a study's finished runs as the table that `published` reads."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ CURVES = (
     "return", "length", "entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "dead_units",
     *ACTION_QUANTITIES,
 )  # fmt: skip
-"""What a table keeps curves of, unless others are named."""
+"""The quantities whose curves a table keeps by default."""
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
-"""What produced a run, without the times at which it did: a run that is trained again publishes the same."""
+"""The provenance that a table keeps: without times, so that a run trained again gives the same table."""
 MACHINE = ("system", "cpu", "threads")
 LEVELS = 1024
-"""Steps that a curve's range is divided into, at most; a figure has fewer points across."""
+"""Most steps into which a curve's range is divided; a figure has fewer points across."""
 
 
 def encode_study(
@@ -119,7 +119,7 @@ def _refuse_losses(data: StudyData, before: published.PublishedTable, curves: Co
 
 
 def _new_columns(data: StudyData, curves: Collection[str]) -> Iterator[str]:
-    """Yield the names of the columns that finished runs have a value in."""
+    """Yield the names of the columns in which some finished run has a value."""
     quantities = dict.fromkeys(name for run in data.runs for name in run.records.quantities)
     yield from published.NAMING
     for quantity in quantities:
@@ -133,7 +133,7 @@ def _new_columns(data: StudyData, curves: Collection[str]) -> Iterator[str]:
 
 
 def _cells(data: StudyData, run: FinishedRun, columns: Collection[str]) -> Iterator[tuple[str, Any]]:
-    """Yield what a finished run has in each column, but for what its record tells."""
+    """Yield a finished run's cell in each column, apart from those of its record."""
     own = run.records
     for name in columns:
         first, _, second = name.partition(" ")
@@ -165,7 +165,7 @@ def _curve(data: StudyData, run: FinishedRun, quantity: str, window: str) -> np.
 
 
 def encode_times(data: StudyData) -> bytes:
-    """Return seconds and machine of every finished run that tells them, for the file of times."""
+    """Encode the file of times: seconds and machine of each finished run that has them."""
     runs: dict[str, Mapping[str, Any]] = {}
     for own in (run.records for run in data.runs if run.records.wall_seconds is not None):
         if own.published:
@@ -179,7 +179,7 @@ def encode_times(data: StudyData) -> bytes:
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
-    """Return a curve to a thousandth of its range: whole multiples of a power of two, which compress well.
+    """Round a curve to a thousandth of its range, to multiples of a power of two, which compress well.
 
     One over several orders of size, none of it below zero, is rounded in proportion to each value instead.
     """

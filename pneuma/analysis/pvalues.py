@@ -1,4 +1,4 @@
-"""P-values of one arm of runs, or of two: means and shares.
+"""P-values of one or two arms of runs, for means and shares.
 
 Each test of two arms takes many samples at once, one a row, so that the verdicts on claims and their
 calibration (`pneuma bench calibration`) are the same code. Which test is used for what, and what it supposes,
@@ -22,26 +22,25 @@ from scipy import special
 from pneuma.analysis.intervals import welch_error
 
 MOST_COUNTED = 200_000
-"""More relabelings than this are drawn and not counted out; of ten runs against ten there are 184,756."""
+"""With more relabelings than this, some are drawn at random. Ten runs against ten have 184,756."""
 DRAWS = 100_000
-"""A verdict hardly depends on which are drawn: a list of 170 contrasts needs p-values of 3e-4."""
+"""Relabelings drawn: enough that a verdict hardly depends on them. A list of 170 contrasts needs 3e-4."""
 FEW_COUNTED = 20_000
-"""Up to so many are counted out, however few draws are asked for."""
+"""Up to this many relabelings are enumerated, however few draws are asked for."""
 _AT_ONCE = 20_000
-"""Relabelings drawn at once, which bounds the memory of their keys."""
+"""Relabelings drawn at once, which limits memory."""
 
 _SLACK = 1e-9
-"""How far a statistic may fall short of the seen one and still count as extreme: sums in another order
-differ in their last bits."""
+"""Tolerance for a statistic to count as extreme: sums in another order differ in their last bits."""
 ROUNDING = 1e-13
-"""Values that lie closer together than this part of the greatest magnitude are equal but for rounding."""
+"""Values closer than this share of the greatest magnitude are equal but for rounding."""
 LEAST_VARIANCE = 1e-13
-"""Of values scaled to at most 1: below it, a variance is rounding, and the arm has no spread."""
+"""Below this variance of values scaled to at most 1, an arm has no spread but rounding."""
 SHARES = 201
-"""On how many common shares the greatest chance of a table is looked for."""
+"""Common shares on which the greatest probability of a table is searched."""
 
 OneSided = tuple[np.ndarray, np.ndarray]
-"""P-values of above and of below, each (samples,)."""
+"""P-values of an effect above and below, each (samples,)."""
 
 
 class PValues(NamedTuple):
@@ -61,7 +60,7 @@ class PValues(NamedTuple):
 
 
 def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> PValues:
-    """Combine p-values of an effect being above, and below, zero, and either margin if there is one."""
+    """Combine p-values of an effect above and below zero, and each margin if there is one."""
     greater, less = np.reshape(p_greater, (-1, samples)), np.reshape(p_less, (-1, samples))
     if len(greater) == 1:
         return PValues(greater[0], less[0], *np.ones((3, samples)))
@@ -69,7 +68,7 @@ def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> PValues:
 
 
 def shifts(margin: float | None) -> list[float]:
-    """Return what the first arm is shifted by, so that an effect of zero, or of either margin, is at zero."""
+    """Return the shifts of the first arm for an effect of zero, and of either margin."""
     return [0.0] if margin is None else [0.0, -margin, margin]
 
 
@@ -77,7 +76,7 @@ def shifts(margin: float | None) -> list[float]:
 
 
 def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
-    """Return which runs are called arm a, 1.0 or 0.0, (relabelings, runs), the seen one first.
+    """Return which runs are relabeled as arm a, 1.0 or 0.0, (relabelings, runs); the observed one first.
 
     All ways to call so many runs a and the others b; of too many, that many draws.
     """
@@ -102,7 +101,7 @@ def _every(size_a: int, size_b: int) -> np.ndarray:
 
 
 def sign_flips(runs: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
-    """Return all ways to turn the signs of so many values, or drawn ones, (flips, runs); the seen first."""
+    """Return all sign flips of so many values, or some at random, (flips, runs); the observed one first."""
     if 2**runs <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
         return 1.0 - 2.0 * (np.arange(2**runs)[:, None] >> np.arange(runs) & 1)
     drawn = generator.integers(0, 2, (draws, runs)) * 2.0 - 1.0
@@ -110,7 +109,7 @@ def sign_flips(runs: int, generator: np.random.Generator, draws: int = DRAWS) ->
 
 
 def tails(statistics: np.ndarray) -> OneSided:
-    """Return the shares of relabelings at least and at most as great as the seen one, each (samples,).
+    """Return the shares of relabelings at least, and at most, as great as the observed one, each (samples,).
 
     Args:
         statistics: (relabelings, samples), the seen one first.
@@ -121,7 +120,7 @@ def tails(statistics: np.ndarray) -> OneSided:
 
 
 def scaled(samples: np.ndarray) -> np.ndarray:
-    """Return each row less its mean and over its greatest magnitude; all zero where it is constant.
+    """Return each row less its mean, divided by its greatest magnitude; zeros if it is constant.
 
     Values that differ by rounding alone, such as 0.3 and 0.1 + 0.2, count as constant.
     """
@@ -135,7 +134,7 @@ def scaled(samples: np.ndarray) -> np.ndarray:
 
 
 def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> PValues:
-    """Test differences of means by Welch's t, by relabelings and by Student's distribution.
+    """Test differences of means by Welch's t, with permutations and with Student's distribution.
 
     The greater p-value counts. Relabelings are exact for arms alike but for a shift, and far off their
     level where the smaller arm spreads more; Student's distribution allows for that, if means are normal.
@@ -155,7 +154,7 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np
 
 
 def _welch(samples: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return Welch's t of arm a against arm b in every relabeling, (relabelings, samples)."""
+    """Return Welch's t of arm a against arm b for every relabeling, (relabelings, samples)."""
     size_a = labels[0].sum()
     size_b = samples.shape[1] - size_a
     values = scaled(samples)
@@ -168,7 +167,7 @@ def _welch(samples: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | float) -> OneSided:
-    """Return p-values of effects by Student's distribution, each (samples,); 0 where nothing spreads."""
+    """Return p-values of effects by Student's distribution, each (samples,); 0 if nothing varies."""
     sure = error**2 > LEAST_VARIANCE
     t = np.divide(effect, error, out=np.zeros_like(error), where=sure)
     p_less = np.where(sure, special.stdtr(freedom, t), 0.0)
@@ -177,7 +176,7 @@ def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | f
 
 
 def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> PValues:
-    """Test means against 0 by turning signs, and by Student's distribution: the greater p-value counts.
+    """Test means against 0 by sign flips and by Student's distribution; the greater p-value counts.
 
     Turned signs suppose that values lie alike to both sides of their mean, Student's distribution that they
     are normal.
@@ -237,7 +236,7 @@ def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray
 
 
 def _score(runs_a: int, runs_b: int, difference: float) -> np.ndarray:
-    """Return how far each table lies beyond the difference, in standard errors, (runs_a + 1, runs_b + 1).
+    """Return each table's distance beyond the difference, in standard errors, (runs_a + 1, runs_b + 1).
 
     Half a run is added to either outcome in the error, so that no table has an error of zero.
     """
@@ -247,7 +246,7 @@ def _score(runs_a: int, runs_b: int, difference: float) -> np.ndarray:
 
 
 def count_chances(runs: int, share: np.ndarray) -> np.ndarray:
-    """Return the binomial chances of every count, (shares, runs + 1)."""
+    """Return the binomial probability of every count, (shares, runs + 1)."""
     count = np.arange(runs + 1)
     log_ways = special.gammaln(runs + 1) - special.gammaln(count + 1) - special.gammaln(runs - count + 1)
     logs = special.xlogy(count, share[:, None]) + special.xlog1py(runs - count, -share[:, None])
@@ -273,7 +272,7 @@ def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: floa
 
 
 def holm(p: ArrayLike) -> np.ndarray:
-    """Return Holm's adjusted p-values, (tests,): each is to be held against the error rate of the list.
+    """Return p-values adjusted by Holm's method, (tests,), to compare with the list's error rate.
 
     Of each test one p-value, against one hypothesis; where it is the lesser of two, only Bonferroni's holds
     (`pneuma.analysis.judgement`). The least is multiplied by their number, the next by one less, and so on;

@@ -1,4 +1,4 @@
-"""What is held of one run: in its folder of a results folder, or in logs that were imported into one.
+"""The records of one run, in a results folder or in imported logs.
 
 A run in a published table is the third kind (`pneuma.analysis.published`). All readers ask a `Records`, which
 `pneuma.analysis.run_index` finds by the run's id.
@@ -37,10 +37,10 @@ from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import record_table
 
 TABLES_KEPT = 1_000
-"""In memory, of those that were read last."""
+"""Most tables kept in memory."""
 
 AVERAGED = f"_mean_{TRAILING_EPISODES}"
-"""Ends the names of columns that were averaged when they were logged."""
+"""Suffix of columns that were averaged when they were logged."""
 
 _TAGS = {
     "return": ("rollout/ep_rew_mean", "charts/episodic_return"),
@@ -52,7 +52,7 @@ _TAGS = {
     "clip_fraction": ("train/clip_fraction", "losses/clipfrac"),
     "explained_variance": ("train/explained_variance", "losses/explained_variance"),
 }
-"""What Stable-Baselines3 and CleanRL log of what the metrics table and curves have."""
+"""The tags of Stable-Baselines3 and CleanRL for each quantity."""
 
 NEGATED = "train/entropy_loss"
 ONE_EPISODE = ("charts/episodic_return", "charts/episodic_length")
@@ -63,7 +63,7 @@ Series = tuple[np.ndarray, np.ndarray]
 
 
 class Records:
-    """What is held of one run: here of one in a results folder, every episode and update of it.
+    """The records of one run in a results folder: all its episodes and updates.
 
     Attributes:
         run_id: its id.
@@ -89,15 +89,15 @@ class Records:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What it has curves of, of `TRAINING_QUANTITIES`."""
+        """The quantities whose curves it has, of `TRAINING_QUANTITIES`."""
         return TRAINING_QUANTITIES
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Return whether it has the curve of a quantity with a window."""
+        """Return whether it has the curve of a quantity in a window."""
         return quantity in self.quantities and window in self.windows
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return one of the run's `tables`, which is not to be written on.
+        """Return one of the run's `tables`. Do not modify it.
 
         Raises:
             UserError: when its file is missing, damaged, or no such table.
@@ -105,7 +105,7 @@ class Records:
         return _read(self, f"{name}.parquet")
 
     def series(self, quantity: str) -> Series:
-        """Return all that was recorded of a quantity, by episode or update."""
+        """Return all recorded values of a quantity, by episode or update."""
         name = "metrics" if quantity in UPDATE_QUANTITIES else "episodes"
         table = self.table(name)
         if quantity not in table:
@@ -115,7 +115,7 @@ class Records:
         return step[order], values[order]
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return one of its `quantities` on the grid, (points,), NaN where it has no value.
+        """Return one of its `quantities` on the grid, (points,); NaN where it has no value.
 
         Args:
             quantity: one of them.
@@ -132,11 +132,11 @@ class Records:
         return episode_curve(step, values, grid, trailing=trailing, from_step=begin, end=self.status.step)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
-        """Return the extreme of one of `EXTREMES` since the point before on the grid, (points,)."""
+        """Return the extreme of one of `EXTREMES` since the previous point of the grid, (points,)."""
         return peak_curve(*self.series(quantity), grid, EXTREMES[quantity])
 
     def signs(self) -> dict[str, list[Stretch]]:
-        """Return where each sign of collapse holds that can be told of."""
+        """Return where each recorded sign of collapse holds."""
         names = [name for name in ("entropy", "dead_units", *ACTION_QUANTITIES) if name in self.quantities]
         columns = {name: self.series(name) for name in names}
         if "action_0" in columns and np.isnan(columns["action_0"][1]).all():
@@ -145,11 +145,11 @@ class Records:
         return update_signs(steps[0], {name: own for name, (_, own) in columns.items()}) if steps else {}
 
     def kept_outcome(self, name: str) -> float | None:
-        """Return an outcome at the run's end that is kept as it was; None: it is to be taken from records."""
+        """Return an outcome that was stored; None if it must be measured from the records."""
         return None
 
     def provenance(self) -> dict[str, Any]:
-        """Return what produced the run."""
+        """Return the run's provenance."""
         try:
             return parse_json(self._store.read_file(self.run_id, "provenance.json"))
         except ValueError as error:
@@ -157,23 +157,23 @@ class Records:
 
     @property
     def times(self) -> Mapping[str, Any]:
-        """What is known of the time that it took, as provenance tells it."""
+        """The part of the provenance that is about time."""
         return self.provenance()
 
     @property
     def wall_seconds(self) -> float | None:
-        """How long it trained, without loading and compiling where that is told apart; None: not known."""
+        """Seconds of training, without loading and compiling if these were timed; None if unknown."""
         return told_seconds(self.times)
 
     @property
     def processor_share(self) -> float | None:
-        """How much of a core its training had; 1: nothing else ran, None: not known."""
+        """Share of a core that the training had; 1 if nothing else ran, None if unknown."""
         share = self.times.get("processor_share")
         return float(share) if isinstance(share, int | float) else None
 
 
 class LoggedRecords(Records):
-    """An imported run of a results folder.
+    """The records of an imported run.
 
     What logs hold of returns and lengths are means of the last 100 episodes, as Stable-Baselines3 logs them.
     They are shown as such, never averaged once more. CleanRL logs episodes, which are averaged here likewise.
@@ -186,12 +186,12 @@ class LoggedRecords(Records):
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
-        """What was logged of those that there are."""
+        """The quantities that were logged."""
         logged = set(self._scalars["name"])
         return tuple(name for name in TRAINING_QUANTITIES if name in logged)
 
     def table(self, name: str) -> pd.DataFrame:
-        """Return the one table there is: a row for each step that something was logged at.
+        """Return the only table, `metrics`: one row for each step at which something was logged.
 
         Every point is there but those that a restart superseded, and wall-clock times. A tag that is no
         quantity is a column of its own name; of several values at one step the last counts.
@@ -205,13 +205,13 @@ class LoggedRecords(Records):
         return frame.rename(columns={own: own + AVERAGED for own in EPISODE_QUANTITIES}).reset_index()
 
     def series(self, quantity: str) -> Series:
-        """Return every point of a quantity, in the order of writing."""
+        """Return all points of a quantity in the order of writing."""
         scalars = self._scalars
         own = scalars[scalars["name"] == quantity]
         return own["step"].to_numpy(float), own["value"].to_numpy(float)
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
-        """Return what was last logged at or before each point of the grid, (points,), in single precision.
+        """Return the last logged value at each point of the grid, (points,), in single precision.
 
         What updates have is averaged over a twentieth of the grid, as that of runs is.
         """
@@ -236,7 +236,7 @@ class LoggedRecords(Records):
 
 @lru_cache(TABLES_KEPT)
 def _read(records: Records, file: str) -> pd.DataFrame:
-    """Return a table of a run, read now where it is not kept."""
+    """Return a table of a run; recently read tables are cached."""
     store, run_id = records._store, records.run_id
     try:
         return record_table(store.read_file(run_id, file), file.removesuffix(".parquet")).to_pandas()

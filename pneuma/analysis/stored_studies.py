@@ -1,4 +1,4 @@
-"""Which runs a study's name stands for: those recorded under it in a results folder, or else published."""
+"""The runs that a study's name stands for: recorded in a results folder, or else published."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def study_record(
     world: str | None = None,
     tell: Callable[[str], object] = lambda told: None,
 ) -> dict[str, Any]:
-    """Return the stored runs that a selection picks of a study or a variant, which the name stands for.
+    """Return the record of a study or variant, with the runs that a selection picks.
 
     Of several amounts that were run it is the one of `picked.steps`, or of most finished runs. A study that
     was only run in another world, or with changed settings, is shown as it was run, which `tell` is told.
@@ -57,14 +57,14 @@ def study_record(
 
 
 def related_studies(store: Store, study: str) -> list[str]:
-    """Return what else there is of a study: in other worlds, and its variants, those of its world first."""
+    """Return the study's variants and other worlds that are stored, those of its own world first."""
     own, world = split_world(study)
     found = [name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == own]
     return sorted((name for name in found if name != study), key=lambda name: split_world(name)[1] != world)
 
 
 def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
-    """Return a record with only the conditions and seeds of a selection, which name its figures too."""
+    """Return a record with only the conditions and seeds of a selection, which also name its figures."""
     known = list(dict.fromkeys(run["condition"] for run in record["runs"]))
     for name in picked.conditions:
         if name not in known:
@@ -95,7 +95,7 @@ def _unknown(store: Store, name: str, stem: str) -> UserError:
 
 
 def shipped_name(name: str) -> str:
-    """Return the shipped study that a figure or section stands for, as fig-6-4 or 6.1; or the name itself.
+    """Return the shipped study of a figure or section, such as fig-6-4 or 6.1; any other name as it is.
 
     Raises:
         UserError: naming the studies, where they are several.
@@ -113,12 +113,12 @@ def shipped_name(name: str) -> str:
 
 
 def is_shipped(name: str) -> bool:
-    """Return whether a name stands for a shipped study, in any world."""
+    """Return whether a name is that of a shipped study, in any world."""
     return split_world(name)[0] in spec.list_studies()
 
 
 def known_studies(store: Store, world: str | None = None) -> list[str]:
-    """Return the names of the studies that were run, imported or published here, of a world if one is named.
+    """Return the names of studies that were run, imported or published here, in `world` if given.
 
     What looks like a study's file is none of them: such a name is for a person to give.
     """
@@ -129,12 +129,12 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
 
 
 def steps_of(record: Mapping[str, Any]) -> int:
-    """Return the budget of a record's runs: the largest, where they are unlike."""
+    """Return the budget of a record's runs; the largest if they differ."""
     return max((run["run"]["steps"] for run in record["runs"]), default=0)
 
 
 def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
-    """Return whether a record is of runs of so many steps, rounded up to whole updates."""
+    """Return whether a record's runs have so many steps, rounded up to whole updates."""
     some: Mapping[str, Any] = next((run["run"] for run in record["runs"]), {})
     horizon = math.prod(some.get(key) or 1 for key in ("horizon", "slots", "players"))
     return math.ceil(steps / horizon) * horizon == steps_of(record)

@@ -1,4 +1,4 @@
-"""Summaries: what the runs of each condition come to, with intervals; and two conditions beside each other.
+"""Summaries: statistics of each condition with intervals, and comparisons of two conditions.
 
     outcomes of every run → a tidy table: condition, outcome, statistic, value, low, high, interval, runs
 
@@ -55,7 +55,7 @@ SUMMARISED = (
 OF_FOREIGN = (
     "evaluated-return", "final-success", "argmax-return", "final-return", "auc-return", "final-length",
 )  # fmt: skip
-"""In environments that are not Pneuma's."""
+"""The outcomes in environments that are not Pneuma's."""
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
@@ -66,7 +66,7 @@ Row = tuple[str, str, str, float, Interval, int]
 
 
 def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
-    """Summarise every condition of a study in `COLUMNS`, one row for each statistic of an outcome.
+    """Summarise each condition of a study in `COLUMNS`, one row per outcome and statistic.
 
     Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
     is the share of runs that get there.
@@ -115,7 +115,7 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
 def _improvement(
     data: StudyData, condition: str, name: str, values: np.ndarray, at_step: int | None
 ) -> Iterator[Row]:
-    """Give the probability that a run is better than one of the baseline's, which has none itself."""
+    """Return the probability that a run is better than one of the baseline; nothing for the baseline."""
     baseline, found = data.record.get("baseline"), find_outcome(name)
     if (
         condition == baseline
@@ -136,7 +136,7 @@ def _improvement(
 
 
 def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
-    """Return percentiles of the probability over resampled runs of both arms, as rliable does.
+    """Return the percentile bootstrap interval of that probability, as rliable does.
 
     None for fewer than three runs, or where the resamples do not differ: it would claim too much.
     """
@@ -177,14 +177,14 @@ def _known(values: np.ndarray) -> np.ndarray:
 
 
 def _generator(*words: str) -> np.random.Generator:
-    """Return draws of a row's own, so that no row depends on which others there are."""
+    """Return a random generator for one row, so that rows do not depend on each other."""
     return np.random.default_rng(stream_seed("summary", "/".join(words)))
 
 
 # --- Two conditions ---------------------------------------------------------------------------------
 
 COMPARED = ("final-return", "auc-return")
-"""Beside the study's primary outcome, unless others are named."""
+"""Outcomes compared by default, beside the study's primary one."""
 COMPARISON_COLUMNS = (
     "outcome", "unit", "a", "b", "mean_a", "mean_b", "difference", "low", "high", "p_better", "seeds_a",
     "seeds_b", "without_value",
@@ -192,7 +192,7 @@ COMPARISON_COLUMNS = (
 
 
 def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> pd.DataFrame:
-    """Compare two conditions of a study, one row for each outcome, in `COMPARISON_COLUMNS`.
+    """Compare two conditions of a study in `COMPARISON_COLUMNS`, one row per outcome.
 
     The interval of the difference of means is Welch's, at 95 %. `p_better` is the probability that a run
     of a is better than one of b (ties count half), NaN for an outcome that has no better way. Runs that

@@ -4,4 +4,4 @@ studies/search/NAME.toml → Search → generations of trials → runs → value
 """
 
 FIRST_SEED = 1000
-"""Where a search's seeds begin when only their count is given: those of studies, from 0 on, stay fresh."""
+"""The first seed of a search whose seeds are a count; studies use seeds from 0 on."""

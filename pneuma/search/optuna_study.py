@@ -1,4 +1,4 @@
-"""What Optuna does of a search: asking for trials, and telling the best of those that have ended.
+"""The part of a search that Optuna does: suggesting trials, and finding the best.
 
 The study that asks lives in memory. Before each ask the sampler is made anew with a seed of the trial's
 own, so that what is suggested depends on the trials told before and on nothing else: not on the number
@@ -35,7 +35,7 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 
 def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
-    """Return a study in memory without trials, of the first so many objectives."""
+    """Return an in-memory study without trials, with the first `count` objectives."""
     sought, own = search.objectives[:objectives], search.pruner
     pruner = MedianPruner(own.startup_trials, n_min_trials=1) if isinstance(own, Median) else NopPruner()
     study = optuna.create_study(
@@ -52,7 +52,7 @@ def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
 def ask(
     study: optuna.Study, search: Search, first_trials: Sequence[Mapping[str, Any]]
 ) -> tuple[optuna.Trial, dict[str, Any]]:
-    """Ask a study in memory for the next trial; return it, and its parameters."""
+    """Ask a study for the next trial; return it and its parameters."""
     number = len(study.get_trials(deepcopy=False))
     if number < len(first_trials):
         study.enqueue_trial(dict(first_trials[number]))
@@ -71,7 +71,7 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
 
 
 def _sampler(own: Sampler, seed: int) -> BaseSampler:
-    """Make a sampler with every argument that changes what it suggests stated."""
+    """Return a sampler, with every argument that affects its suggestions set explicitly."""
     if isinstance(own, Tpe):
         return TPESampler(
             n_startup_trials=own.startup_trials,

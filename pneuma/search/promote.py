@@ -1,4 +1,4 @@
-"""Promote winners: a study of searches' best trials, each beside what it was tuned from, on fresh seeds.
+"""Promotion: a study of the best trials of searches, each beside its base, on fresh seeds.
 
 The best of many trials looks better than it is, because it was picked by the same seeds that it is judged
 by. Seeds that no search saw judge it fairly. Whether one method beats another can be told only where both
@@ -31,7 +31,7 @@ from pneuma.worlds import split_world
 
 @dataclass(frozen=True)
 class Winner:
-    """A search's trial to promote; its conditions are `name`, its search's base, and `tuned`, the trial."""
+    """A trial to promote. Its conditions are `name`, the search's base, and `tuned`, the trial."""
 
     searched: Searched
     trial: Told
@@ -39,13 +39,13 @@ class Winner:
 
     @property
     def tuned(self) -> str:
-        """Return the condition of the trial."""
+        """The name of the trial's condition."""
         return f"{self.name}-tuned"
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What a winner gained over its base in one objective.
+    """The gain of a winner over its base in one objective.
 
     Attributes:
         seen: the winner's value in the search.
@@ -64,7 +64,7 @@ class Gain:
 
 
 def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequence[int]) -> list[Winner]:
-    """Return the trials to promote: the best of each search, or of the only one a given one.
+    """Return the trials to promote: the best of each search, or a given one of a single search.
 
     Raises:
         UserError: where one has none, or no best among several objectives; where searches were not tuned
@@ -107,7 +107,7 @@ def _trial(searched: Searched, number: int | None) -> Told:
 
 
 def _conditions(searched: Searched) -> dict[str, Any]:
-    """Return what must be the same of searches whose winners are compared."""
+    """Return what must be equal in searches whose winners are compared."""
     search, budget = searched.task.search, searched.task.budget
     run = search.space.make_run({})
     return {
@@ -126,7 +126,7 @@ def _conditions(searched: Searched) -> dict[str, Any]:
 
 
 def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -> str:
-    """Return a study file of winners, each beside its search's base, with their lineage as comments."""
+    """Return the text of a study file with the winners and their bases, and their origin as comments."""
     tables = {}
     for own in winners:
         tables[own.name] = _read_fields(own.searched.task.search.space, {})
@@ -159,7 +159,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
 
 
 def _lineage(own: Winner) -> str:
-    """Return a comment of one line, whatever an untrusted record says."""
+    """Return a comment of one line; the record may be untrusted."""
     task, trial = own.searched.task, own.trial
     told = (
         f"{own.tuned}: trial {trial.number} of {len(own.searched.trials)} of search {task.search.name} "
@@ -179,7 +179,7 @@ def _toml(value: Any) -> str:
 
 
 def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a condition sets and its algorithm and optimizer read; no study may set other fields."""
+    """Return the fields of a condition that its algorithm and optimizer read; a study refuses others."""
     given = space.fields(params)
     unread = unread_fields([space.make_run(params)], given)
     return {key: value for key, value in given.items() if key not in unread}
@@ -189,7 +189,7 @@ def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
-    """Return what a winner gained in every objective, by its name.
+    """Return a winner's gain in each objective, by name.
 
     Args:
         winner: one of those of the study.

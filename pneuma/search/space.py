@@ -1,4 +1,4 @@
-"""The search space: what each parameter may be, and how it becomes fields of a run.
+"""The search space: the values of each parameter, and how they become fields of a run.
 
 A parameter is a field of the run. It may hang on another: a momentum counts only where the optimizer has one.
 """
@@ -22,15 +22,15 @@ from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
 FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
-"""Fields of a run that a search may fix for all its trials."""
+"""Fields that a search may fix for all its trials."""
 SEARCHABLE = tuple(name for name in FIXABLE.names if name != "engine")
-"""Those that it may vary."""
+"""Fields that a search may vary."""
 CORNERS = 256
-"""Trials that a space is tried with before any is trained."""
+"""Trials with which a space is checked before any training."""
 
 
 class Parameter(Table):
-    """[space.NAME]: a range of a field of the run, or a list of its values.
+    """[space.NAME]: a range of a run's field, or a list of its values.
 
     Attributes:
         name: of the field.
@@ -49,7 +49,7 @@ class Parameter(Table):
     @model_validator(mode="before")
     @classmethod
     def _read_values(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Read low and high, or a list of values, as the field of the run has them."""
+        """Read the range or the list in the field's type."""
 
         def read(key: str, value: Any) -> Any:
             try:
@@ -77,7 +77,7 @@ class Parameter(Table):
         return self
 
     def __str__(self) -> str:
-        """Say what it may be, and where it counts."""
+        """Describe its values, and when it applies."""
         ends = f"{self.low} to {self.high}" + (", logarithmic" if self.log else "")
         told = "one of " + ", ".join(self.choices) if self.choices else ends
         when = " and ".join(f"{name} is {' or '.join(map(str, own))}" for name, own in self.when.items())
@@ -95,20 +95,20 @@ class Parameter(Table):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Return what a search's record has of it."""
+        """Return its entry in a search's record."""
         numbers = {"low": self.low, "high": self.high, "log": self.log, "whole": self.whole}
         choices = {choice: {self.name: value} for choice, value in self.choices.items()}
         domain = {"settings_of": choices} if choices else numbers
         return {"name": self.name, "domain": domain, "when": self.when}
 
     def param_of(self, value: Any) -> Any:
-        """Return what a value of the field is called in trials; None where it is none of these."""
+        """Return the name of a field's value in trials; None if it is not in the space."""
         if self.low is None or self.high is None:
             return next((name for name, own in self.choices.items() if own == as_tuple(value)), None)
         return value if value is not None and self.low <= value <= self.high else None
 
     def counts(self, known: Mapping[str, Any]) -> bool:
-        """Return whether it counts beside what is known of the others."""
+        """Return whether it applies, given the other parameters and fields."""
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
 
 
@@ -123,14 +123,14 @@ def _read_field(name: str, value: Any) -> Any:
 
 
 def named(tables: Any) -> Any:
-    """Give each of some tables the name that it stands under."""
+    """Give each table its name as a field."""
     if not isinstance(tables, Mapping):
         return tables
     return {name: {**own, "name": name} if isinstance(own, Mapping) else own for name, own in tables.items()}
 
 
 def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
-    """Read at which values of parameters before it, or of fields, each parameter counts."""
+    """Read for which values of earlier parameters or fields each parameter applies."""
     read: dict[str, Parameter] = {}
 
     def value_of(name: str, value: Any) -> Any:
@@ -157,12 +157,12 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
 
 
 Parameters = Annotated[dict[str, Parameter], MinLen(1), BeforeValidator(named), AfterValidator(_read_when)]
-"""All of [space], in the order in which they are asked for."""
+"""All of [space], in the order in which parameters are suggested."""
 
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a search, in the order in which they are asked for.
+    """The parameters of a search, in the order in which they are suggested.
 
     Attributes:
         parameters: each after those that it hangs on.
@@ -180,7 +180,7 @@ class Space:
         return frozenset(parameter.name for parameter in self.parameters)
 
     def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
-        """Have a value suggested for every parameter that counts; return them by name."""
+        """Suggest a value for each parameter that applies; return them by name."""
         usual = self._usual_fields(self.base)
         params: dict[str, Any] = {}
         for parameter in self.parameters:
@@ -189,14 +189,14 @@ class Space:
         return params
 
     def all_values(self) -> dict[str, list[Any]]:
-        """Return every value that a field which is set may have, but of ranges."""
+        """Return all values that each field may take, except those in ranges."""
         return {
             **{key: [value] for key, value in self.fixed.items()},
             **{own.name: list(own.choices.values()) for own in self.parameters},
         }
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what a trial sets on top of the base, in fields of the run."""
+        """Return the fields of the run that a trial sets on top of the base."""
         given = dict(self.fixed)
         for parameter in self.parameters:
             if parameter.name in params:
@@ -205,11 +205,11 @@ class Space:
         return given
 
     def make_run(self, params: Mapping[str, Any], **over: Any) -> Run:
-        """Return the run of a trial, with some fields set over it."""
+        """Return the run of a trial, with some fields overridden."""
         return make_run({**join_fields(self.base, self.fields(params)), **over})
 
     def params_of(self, base: str) -> dict[str, Any]:
-        """Return the parameters that give the fields of another base, as far as the space holds them."""
+        """Return the parameters for the fields of another base, as far as the space contains them."""
         given = self._usual_fields(base)
         params: dict[str, Any] = {}
         for parameter in self.parameters:
@@ -219,7 +219,7 @@ class Space:
         return params
 
     def check(self, unread: Iterable[str] = ()) -> None:
-        """Refuse a space that makes no run at ends of its ranges, or has what does nothing.
+        """Refuse a space whose corners make no valid run, or that has parameters without effect.
 
         Args:
             unread: keys of `fixed` of which one that no run reads is refused.
@@ -239,7 +239,7 @@ class Space:
             raise UserError(does_nothing(key, runs))
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
-        """Yield trials at ends of the ranges, drawn alike each time, each with the run it makes.
+        """Yield trials at the ends of ranges, always the same ones, each with its run.
 
         Raises:
             UserError: where one makes no run.
@@ -254,7 +254,7 @@ class Space:
                 raise UserError(f"{error}, with {told}") from None
 
     def _usual_fields(self, base: str) -> dict[str, Any]:
-        """Return every field of the run as a base and what is fixed have it, not yet checked as one run."""
+        """Return all fields that the base and the fixed fields set, not yet checked as a run."""
         own = join_fields(base, self.fixed)
         brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
         return {**as_fields(Run()), **brought, **read_fields(Run, own)}

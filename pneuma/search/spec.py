@@ -1,4 +1,4 @@
-"""Searches as files: the space, the objectives, the budget, the sampler and the pruner.
+"""Search files: the space, the objectives, the budget, the sampler and the pruner.
 
 [space.learning_rate]  a range: low, high, log = true
 [space.betas]          choices = [[0.9, 0.999], [0.9, 0.9]]
@@ -36,13 +36,13 @@ from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import TEXT, check_world, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "deviation")
-"""How the outcomes of a trial's seeds become one value."""
+"""Functions that combine the outcomes of a trial's seeds."""
 DIRECTIONS = ("maximize", "minimize")
 Count = Annotated[int, Interval(ge=1, le=10_000)]
 
 
 class Objective(Table):
-    """[objectives.NAME]: an outcome of the runs, put together over a trial's seeds."""
+    """[objectives.NAME]: an outcome, combined over a trial's seeds."""
 
     name: str
     outcome: Annotated[str, passes(find_outcome)]
@@ -60,7 +60,7 @@ class Tpe(Table):
 
 
 class Random(Table):
-    """[sampler]: all alike."""
+    """[sampler]: independent random trials."""
 
     name: Literal["random"]
 
@@ -75,13 +75,13 @@ class Nsga(Table):
 
 
 class NoPruner(Table):
-    """Every trial is trained to its end."""
+    """Trains every trial to its end."""
 
     name: Literal[""] = ""
 
 
 class Median(Table):
-    """[pruner]: gives up what is behind the median of the trials at rungs of the budget."""
+    """[pruner]: stops trials that are below the median of the trials at a rung of the budget."""
 
     name: Literal["median"]
     rungs: Annotated[int, Interval(ge=2, le=10)] = 3
@@ -94,7 +94,7 @@ Pruner = NoPruner | Median
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is searched: trials, the seeds of each, and agent steps of each run."""
+    """The size of a search: trials, the seeds of each, and agent steps of each run."""
 
     trials: int
     seeds: tuple[int, ...]
@@ -103,7 +103,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Search:
-    """A search as its file has it.
+    """A search.
 
     Attributes:
         name: of the file; in another world than the text's it ends so.
@@ -134,11 +134,11 @@ class Search:
 
     @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
-        """Return the trials to begin with, as far as the space holds them; the sampler gives the rest."""
+        """Return the first trials, from `start`, as far as the space contains them."""
         return tuple(self.space.params_of(base) for base in self.start)
 
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
-        """Return the search with more that all trials share, over what its file fixes.
+        """Return the search with more fields that all trials share.
 
         Args:
             over: fields of the run.
@@ -180,7 +180,7 @@ def list_searches() -> list[str]:
 
 
 def load_search(name: str, world: str | None = None) -> Search:
-    """Load a shipped search by its name, or any by the path of its file.
+    """Load a shipped search by its name, or any search by the path of its file.
 
     Args:
         name: of the search; one that ends in -WORLD stands for the search in that world.
@@ -195,7 +195,7 @@ def load_search(name: str, world: str | None = None) -> Search:
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a list as it is, a count n for `FIRST_SEED` and the n - 1 after it.
+    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on.
 
     Raises:
         ValueError: for anything else.
@@ -205,7 +205,7 @@ def read_search_seeds(value: object) -> tuple[int, ...]:
 
 
 def check_budget(search: Search, budget: Budget) -> None:
-    """Refuse a budget that the search cannot do with, naming the objective."""
+    """Refuse a budget that an objective cannot use."""
     for objective in search.objectives:
         if objective.over_seeds == "deviation" and len(budget.seeds) < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")

@@ -1,4 +1,4 @@
-"""A search in a results folder: its record, and the lock that keeps a second process out.
+"""A search in a results folder: its record, and the lock that keeps other processes out.
 
 The record results/searches/NAME.json is rewritten after every generation. It holds trials; what was searched
 stands in the search's file, which must still say the same.
@@ -29,12 +29,12 @@ from pneuma.study.store import Store
 from pneuma.worlds import TEXT, WORLDS, check_world, in_world, split_world
 
 VERSIONS = ("optuna", "rules", "engines")
-"""What of a search's identity nobody chooses."""
+"""Parts of a search's identity that the user does not choose."""
 
 
 @dataclass(frozen=True)
 class Searched:
-    """A search as its record has it: the search with its budget, and the trials that have ended."""
+    """A recorded search: its file, its budget, and the trials that have ended."""
 
     task: Task
     trials: tuple[Told, ...]
@@ -46,7 +46,7 @@ class Searched:
 
 
 def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
-    """Search, training only runs that are not stored; yield all trials so far after every generation.
+    """Search, training only runs that are not stored; yield all trials after each generation.
 
     Args:
         task: the search with its budget.
@@ -78,12 +78,12 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
 
 
 def record_path(store: Store, name: str) -> Path:
-    """Return where the record of a search is."""
+    """Return the path of a search's record."""
     return store.root / "searches" / f"{name}.json"
 
 
 def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
-    """Write a search's record; while a stopped search is replayed, the trials it had more are kept."""
+    """Write a search's record. While a stopped search is replayed, later trials of the record are kept."""
     path = record_path(store, task.search.name)
     trials, asked = [trial_document(trial, task.search) for trial in told], task.budget.trials
     held = read_sealed(path)
@@ -104,7 +104,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
 
 
 def find_search(store: Store, name: str, world: str | None = None) -> Search:
-    """Load a search by its path or its name; one that was run by its path is known by its name, too.
+    """Load a search by its path, or by its name if it is shipped or was run by its path before.
 
     Raises:
         UserError: where it is none, or a file that only the record names would use code of a user's own.
@@ -118,14 +118,14 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
 
 
 def refuse_own_code(name: str, fields: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse values of fields that would use a user's own code or files: a record may be untrusted."""
+    """Refuse values that would use a user's own code or files, as a record may be untrusted."""
     for env, (key, values) in product(fields.get("env", [None]), fields.items()):
         for deed in (deed for value in values for deed in own_things({"env": env, key: value}).values()):
             raise UserError(f"search {name} would {deed}: name its file, which must say so, if you trust it")
 
 
 def read_record(store: Store, name: str, world: str | None = None) -> Searched:
-    """Return a search as it was recorded.
+    """Return a recorded search.
 
     Args:
         store: the results folder.
@@ -150,7 +150,7 @@ def read_record(store: Store, name: str, world: str | None = None) -> Searched:
 
 
 def _recorded_file(store: Store, name: str) -> str:
-    """Return the path by which a search that is not shipped was run, in any world.
+    """Return the path by which a search was run, in any world.
 
     Raises:
         UserError: where it was not.
@@ -164,7 +164,7 @@ def _recorded_file(store: Store, name: str) -> str:
 
 
 def replaced_note(store: Store, task: Task) -> str:
-    """Say what of a record a search is about to take the place of; empty where there is nothing."""
+    """Return a note on the record that a search is about to replace; empty if there is none."""
     held = read_sealed(record_path(store, task.search.name)) or {}
     if held.get("digest") == task.digest or not held.get("trials"):
         return ""
@@ -174,7 +174,7 @@ def replaced_note(store: Store, task: Task) -> str:
 
 
 def trial_document(told: Told, search: Search) -> dict[str, Any]:
-    """Return a trial as JSON has it: `value` with one objective, `values` with several."""
+    """Return a trial as JSON: `value` with one objective, `values` with several."""
     values = list(told.values) if told.state != "failed" else None
     one = {"value": values[0] if values else None}
     return {
@@ -195,7 +195,7 @@ def _changed(identity: object, task: Task) -> list[str]:
 
 
 def _read(path: Path, name: str, file: str) -> Searched:
-    """Return a search from its record, which may be untrusted, and its file, by a path if given."""
+    """Return a search from its record, which may be untrusted, and its file."""
     document = read_sealed(path) or {}
     try:
         over = read_fields(Run, document["set"])

@@ -1,4 +1,4 @@
-"""The loop of a search: generations of trials, asked for together, trained as runs, told in order.
+"""The loop of a search: generations of trials are suggested together, trained, and reported in order.
 
 A search is a function of its file, its budget and its runs' outcomes. It is replayed from its first
 trial at every call: runs that are stored are read, the others trained. So it goes on after a kill with
@@ -32,16 +32,16 @@ from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
 Train = Callable[[Plan], None]
-"""Trains what a plan lacks; raises `Unfinished` where a run has not come to its end."""
+"""Trains a plan's missing runs; raises `Unfinished` if a run did not finish."""
 
 
 class Unfinished(Exception):
-    """A run crashed, so that its trial has no value and the search cannot go on."""
+    """A run did not finish, so that its trial has no value and the search cannot go on."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A search with a budget.
+    """A search with its budget.
 
     Attributes:
         search: its file.
@@ -55,7 +55,7 @@ class Task:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Return all that its suggestions hang on, but the number of trials."""
+        """Return everything that the suggestions depend on, except the number of trials."""
         search = self.search
         return {
             "base": search.space.base,
@@ -75,7 +75,7 @@ class Task:
 
     @property
     def digest(self) -> str:
-        """Return a short name of the identity."""
+        """Return a short hash of the identity."""
         text = json.dumps(self.identity, sort_keys=True, default=list)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -105,7 +105,7 @@ class Told:
 
 @dataclass
 class _Asked:
-    """A trial between being asked for and being told."""
+    """A trial that has not ended."""
 
     trial: optuna.Trial
     params: Mapping[str, Any]
@@ -123,7 +123,7 @@ class _Asked:
 
 
 class Outcomes:
-    """Outcomes of stored runs as a search counts them.
+    """Reads outcomes of stored runs as a search counts them.
 
     A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
     there is such a bound, and with its last recorded value where there is none.
@@ -135,7 +135,7 @@ class Outcomes:
         self._values: dict[tuple[str, str], float] = {}
 
     def read(self, cell: Cell, name: str) -> float:
-        """Return an outcome of a finished run; NaN where it has none."""
+        """Return an outcome of a finished run; NaN if it has none."""
         key = (cell.run_id, name)
         if key not in self._values:
             self._values[key] = self._measure(cell, name)
@@ -158,7 +158,7 @@ class Outcomes:
 
 
 def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]]:
-    """Search; yield every generation's trials when they have ended.
+    """Search, and yield the trials of each generation when they have ended.
 
     Args:
         task: the search and its budget.
@@ -189,7 +189,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
 
 
 def rung_steps(count: int, budget: Budget) -> dict[int, int]:
-    """Return the steps of the trainings after each of which trials are compared, by rung from 1 on.
+    """Return the steps of the trainings after which trials are compared, by rung from 1 on.
 
     Each is a training of its own with all seeds; the last has the whole budget.
     """
@@ -197,7 +197,7 @@ def rung_steps(count: int, budget: Budget) -> dict[int, int]:
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
-    """Return runs of trials as the plan of a study, which can be exported and drawn like any other."""
+    """Return the runs of trials as the plan of a study, which can be exported and drawn."""
     name = f"search-{task.search.name}"
     study = Study(
         name=name,
@@ -215,7 +215,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
 
 
 def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
-    """Train all trials that are still in the race for so many steps; `trained` gets their cells."""
+    """Train all remaining trials for so many steps; `trained` receives their cells."""
     for each in asked:
         if each.run is None or each.pruned:
             continue
@@ -232,7 +232,7 @@ def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell]
 
 
 def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outcomes: Outcomes) -> None:
-    """Report a rung of every trial, in order, and only then give up those that the pruner names."""
+    """Report each trial's value at a rung, then stop those that the pruner names."""
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
         value = objective_value(sought, each.longest, outcomes)
@@ -259,7 +259,7 @@ def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, o
 
 
 def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
-    """Return the number of the best trial, the first of equals; of several objectives, the Pareto front.
+    """Return the number of the best trial, the first of equals; with several objectives, the Pareto front.
 
     Raises:
         ValueError: for trials that the search cannot have had.
@@ -269,7 +269,7 @@ def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
 
 
 def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
-    """Return what a trial's runs come to in one objective.
+    """Return the value of a trial's runs in one objective.
 
     Runs that diverge alike have no spread, which is no merit: theirs is the greatest that there can be.
     """
@@ -281,7 +281,7 @@ def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outco
 
 
 def over_seeds(name: str, values: np.ndarray) -> float:
-    """Put the outcomes of a trial's runs together, (seeds,); NaN where one has none."""
+    """Combine the outcomes of a trial's runs, (seeds,); NaN if one has none."""
     if not np.isfinite(values).all() or (name == "deviation" and len(values) < 2):
         return float("nan")
     return float(_OVER_SEEDS[name](values))
