@@ -1,4 +1,4 @@
-"""What trains each learning algorithm, and which of a run's fields it reads.
+"""The learning algorithms: which engines train each, and which of a run's fields it reads.
 
 Data for `pneuma.config`, which resolves a run by it. What an algorithm does not read is at its default
 in a resolved run (None, where only some algorithms have it), and a study that sets it is refused.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 MAILMAN = "pneuma/Mailman-v0"
-"""The one environment with a table of states (thesis Fig. 2.1)."""
+"""The only environment with a table of states (thesis Fig. 2.1)."""
 
 ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "ppo": ("batched", "sb3"),
@@ -44,10 +44,10 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "q-learning": _TABLE,
     "double-q-learning": _TABLE,
 }
-"""Which fields each algorithm reads, beside those that all read; an optimizer's own come on top."""
+"""The fields each algorithm reads, beside those that all read and those of its optimizer."""
 
 VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "exploration" in fields)
-"""Those that act by estimated values of actions (thesis chapter 3)."""
+"""Algorithms that act by estimated values of actions (thesis chapter 3)."""
 
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
@@ -74,7 +74,7 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     "q-learning": _TABLE_DEFAULTS,
     "double-q-learning": _TABLE_DEFAULTS,
 }
-"""What fields are where nothing is said, of those that only some algorithms have.
+"""Defaults of fields that only some algorithms have: those of Stable-Baselines3 and sb3-contrib, but for a
+tenth of their buffer.
 
-For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth.
-"""
+For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth."""

@@ -1,4 +1,4 @@
-"""What scripts and notebooks call: a study trained and opened, a policy taken up to play, an agent judged.
+"""The functions that scripts and notebooks call.
 
     run_study(study)      as `pneuma study run` does
     open_data(study)      a study's runs as `pneuma.analysis` takes them
@@ -52,7 +52,7 @@ def run_study(
     on_progress: execute.OnProgress | None = None,
     quiet: bool = False,
 ) -> StudyData:
-    """Train what a study lacks, and open it. Runs that are stored are not trained again.
+    """Train the missing runs of a study and open it. Stored runs are not trained again.
 
     Args:
         study: a shipped study's name, or the path of a file of one's own.
@@ -101,7 +101,7 @@ def run_study(
 
 
 def open_data(study: Where, results: Where | None = None, *, world: str | None = None) -> StudyData:
-    """Open the latest selection of a study that was run, imported or forked, or else what is published of it.
+    """Open the latest selection of a study that was run, imported or forked, or else its published runs.
 
     Args:
         study: its name, or the path of its file.
@@ -147,7 +147,7 @@ def compare(
 def load_policy(
     run_id: str, results: Where | None = None, *, trust: bool = False
 ) -> tuple[Policy, str, dict[str, Any]]:
-    """Take up the policy that a stored run ended with.
+    """Load the final policy of a stored run.
 
     Args:
         run_id: the run's id, or a prefix of four digits or more.
@@ -184,7 +184,7 @@ def evaluate(
     seed: int = 0,
     episodes: int = 50,
 ) -> dict[str, float]:
-    """Play an agent as the runs of a seed are evaluated, by random streams that training never draws from.
+    """Evaluate an agent as runs are evaluated, with random streams that training never uses.
 
     Every world plays one episode, all at once; the agent is asked for all of them at every step, in the same
     order, until the last has ended. Of several players each has an observation: row i is player i % players.

@@ -1,4 +1,4 @@
-"""Run configuration: the typed values that cross every layer, and the names they may take.
+"""Run configuration: the typed values that all layers share, and their allowed names.
 
 A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget
 and a seed. Studies resolve to runs, engines train them, the store is keyed by them. The environment's
@@ -39,10 +39,10 @@ from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
-"""Raised by hand when the same seed and actions give another world; part of every run id."""
+"""Raised by hand when the same seed and actions give a different world; part of every run id."""
 
 ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
-"""Raised by hand when an engine trains the same run to other numbers; part of every run id."""
+"""Raised by hand when an engine trains the same run to different numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
@@ -50,7 +50,7 @@ ENGINES = tuple(ENGINE_VERSIONS)
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 FORK_RESETS = ("optimizer", "xp", "critic")
-"""What a fork may begin anew: the optimizer's moments, the players' XP, or the critic's weights."""
+"""What a fork may reset: the optimizer's moments, the players' XP, or the critic's weights."""
 FORK_FIELDS = ("parent", "fork_step", "fork_reset")
 MAX_SLOTS = 1024
 
@@ -60,7 +60,7 @@ OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
     "rmsprop": ("smoothing", "epsilon", "momentum"),
     "upgd": ("betas", "epsilon", "utility_decay", "noise"),
 }
-"""Which of a run's fields each optimizer reads; the others are None in a resolved run."""
+"""The fields that each optimizer reads; the others are None in a resolved run."""
 
 _OPTIMIZER_DEFAULTS: dict[str, Any] = {
     "betas": (0.9, 0.999),
@@ -82,7 +82,7 @@ Steps = Annotated[int, Interval(ge=1, le=10**12)]
 
 
 def _read_limit(value: object) -> float | None:
-    """Read the limit of a norm, which "none" switches off."""
+    """Read the limit of a norm; "none" means no limit."""
     if value is None or value == "none":
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1e9:
@@ -92,27 +92,27 @@ def _read_limit(value: object) -> float | None:
 
 OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
-"""What others have registered with Gymnasium, in form."""
+"""The form of an id of other environments that are registered with Gymnasium."""
 GODOT = "Godot-v0"
-"""Among these a game made with Godot, which is started: see `pneuma.env.godot`."""
+"""The id of a game made with Godot, which is started as a program: see `pneuma.env.godot`."""
 OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
-"""Fields that other environments than Pneuma's read in place of those of `EnvConfig`."""
+"""Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
 
 
 def is_gymnasium_id(env: object) -> bool:
-    """Return whether a name is that of an environment of Gymnasium's that is not Pneuma's own."""
+    """Return whether a name is the id of a Gymnasium environment other than Pneuma's own."""
     return isinstance(env, str) and _FOREIGN.fullmatch(env) is not None
 
 
 def _read_env(value: Any) -> str:
-    """Read one of Pneuma's ids, or whatever else has the form of one registered with Gymnasium."""
+    """Read one of Pneuma's ids, or any name in the form of a Gymnasium id."""
     if value in OWN_ENVIRONMENTS or is_gymnasium_id(value):
         return str(value)
     raise ValueError
 
 
 def _read_arguments(value: Any) -> str:
-    """Read a table of keyword arguments, and keep it as JSON, the same for equal tables."""
+    """Read a table of keyword arguments as JSON; equal tables give equal text."""
     table = json.loads(value or "{}") if isinstance(value, str) else value
     if not isinstance(table, Mapping):
         raise ValueError
@@ -120,7 +120,7 @@ def _read_arguments(value: Any) -> str:
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
-    """Read one module:Class or a list of them."""
+    """Read one module:Class, or a list of them."""
     names = tuple(value.split(",") if isinstance(value, str) and value else value)
     if not all(re.fullmatch(rf"({_MODULE}):\w+", name) for name in names):
         raise ValueError
@@ -139,17 +139,17 @@ class Run(EnvConfig):
     env_module: Annotated[str, matching(rf"|{_MODULE}", "a module that registers environments")] = ""
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
-    """What the environment is made with, as JSON."""
+    """Keyword arguments of the environment, as JSON."""
     wrappers: Annotated[tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such")] = ()
-    """Classes that the environment is put in, the innermost first."""
+    """Wrapper classes, the innermost first."""
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
-    """What trains it: the compiled engine; Stable-Baselines3 as it is, where that one cannot; or tables."""
+    """The engine: batched (compiled), sb3 (Stable-Baselines3), or tabular."""
     algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = 50_000
     """Budget in agent steps, summed over slots."""
     slots: Annotated[int, Interval(ge=1, le=MAX_SLOTS)] = 1
-    """Worlds that collect a rollout side by side."""
+    """Worlds that collect a rollout in parallel."""
 
     actor: Layers = (128,)
     critic: Layers = (256,)
@@ -160,7 +160,7 @@ class Run(EnvConfig):
     learning_rate: Annotated[float, Interval(gt=0, le=100)] = 3e-4
     clip_range: Annotated[float, Interval(gt=0, le=100)] = 0.1
     horizon: Annotated[int, Interval(ge=2, le=10**6)] = 256
-    """Steps of one rollout per slot, Stable-Baselines3's n_steps; where values are learned, of one report."""
+    """Steps per slot in a rollout, Stable-Baselines3's n_steps; for value-based learners, in one report."""
     minibatch: Annotated[int, Interval(ge=2, le=10**6)] = 64
     epochs: Annotated[int, Interval(ge=1, le=1000)] = 10
     value_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.5
@@ -178,24 +178,24 @@ class Run(EnvConfig):
     line_search_steps: Annotated[int, Interval(ge=1, le=1000)] | None = None
 
     exploration: Share | None = None
-    """Chance of a random action where actions are chosen by their values (thesis Eq. 4.4)."""
+    """Probability of a random action, for learners that choose actions by value (thesis Eq. 4.4)."""
     exploration_fraction: Share | None = None
-    """Share of the budget over which that chance falls to `exploration` from 1."""
+    """Share of the budget over which this probability falls from 1 to `exploration`."""
     buffer_size: Annotated[int, Interval(ge=1, le=10**8)] | None = None
-    """Newest transitions, over all slots, that DQN replays; as many as a minibatch, it hardly replays."""
+    """Transitions that DQN keeps for replay, over all slots."""
     learning_starts: Annotated[int, Interval(ge=0, le=10**9)] | None = None
     """Agent steps of random actions before the first gradient."""
     train_every: Annotated[int, Interval(ge=1, le=10**6)] | None = None
     """Steps per slot between gradients."""
     gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = None
-    """Gradients that are taken then."""
+    """Gradient steps at a time."""
     target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = None
-    """Agent steps between copies to the target network; 1 for a copy at every step: as good as none."""
+    """Agent steps between copies to the target network; 1 is as good as no target network."""
 
     action_slip: Share | None = None
-    """Mailman's: chance that the other action is taken instead."""
+    """Mailman only: probability that the other action is taken instead."""
     reward_noise: Annotated[float, Interval(ge=0, le=1e6)] | None = None
-    """Mailman's: standard deviation of normal noise on every reward."""
+    """Mailman only: standard deviation of normal noise on every reward."""
 
     optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_FIELDS))] = "adam"
     betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = None
@@ -206,35 +206,35 @@ class Run(EnvConfig):
     smoothing: Fraction | None = None
     """Decay of RMSProp's mean square, torch's alpha."""
     utility_decay: Fraction | None = None
-    """Of the mean utility of a weight by which UPGD protects it."""
+    """Decay of UPGD's mean utility of a weight."""
     noise: Annotated[float, Interval(ge=0, le=1000)] | None = None
-    """Standard deviation of what UPGD perturbs a gradient by, before protection."""
+    """Standard deviation of the noise that UPGD adds to a gradient, before protection."""
     weight_decay: Share = 0.0
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
     evaluation_episodes: Annotated[int, Interval(ge=1, le=10_000)] = 50
     held_out_levels: Annotated[int, Interval(ge=0, le=10_000)] = 0
-    """Random islands, never trained on, to evaluate on; 0 for the level that is trained on."""
+    """Number of random islands, never trained on, for evaluation; 0 evaluates on the training level."""
 
     parent: Annotated[str, matching(r"|[0-9a-f]{16}", "the id of a run")] = ""
-    """The run that a fork goes on from; set by `pneuma run fork` alone, as are the next two."""
+    """The run that a fork continues; set only by `pneuma run fork`, as are the next two fields."""
     fork_step: Annotated[int, Interval(ge=0, le=10**12)] = 0
-    """Agent steps of the parent's checkpoint that a fork begins with."""
+    """Agent steps of the parent's checkpoint at which a fork begins."""
     fork_reset: Annotated[str, OneOf(("", *FORK_RESETS))] = ""
 
     @property
     def stream(self) -> str:
-        """What keys the run's random streams: its seed; a fork's are fresh ones."""
+        """The key of the run's random streams: its seed; a fork has fresh streams."""
         return f"{self.parent}/{self.fork_step}/{self.seed}" if self.parent else str(self.seed)
 
     @property
     def steps_per_update(self) -> int:
-        """Agent steps, over all slots and players, that one update learns from."""
+        """Agent steps, over all slots and players, in one update."""
         return self.horizon * self.slots * self.players
 
     @property
     def updates(self) -> int:
-        """Number of updates that the budget holds."""
+        """Number of updates in the budget."""
         return self.steps // self.steps_per_update
 
 
@@ -268,7 +268,7 @@ for _base in BASES.values():
 
 
 def make_run(given: Mapping[str, object]) -> Run:
-    """Resolve fields of a run to a complete run: checked, rounded, nothing left implicit.
+    """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
 
     What is not given is as the environment's preset has it. The optimizer's own fields get their
     defaults, and those that it does not read become None, so that two ways to write the same training
@@ -290,19 +290,19 @@ def make_run(given: Mapping[str, object]) -> Run:
 
 
 def fields_read(run: Run) -> frozenset[str]:
-    """Return the names of the fields that the training of a run hangs on, by algorithm and optimizer."""
+    """Return the names of the fields that affect a run, given its algorithm and optimizer."""
     return _read_by(run.env, run.algorithm, run.optimizer)
 
 
 def beyond_engine(run: Run) -> str:
-    """Return what of a run the compiled engine cannot do; empty where it can do all."""
+    """Return what the compiled engine cannot do for a run; empty if it can train it."""
     if ENGINES[0] not in ALGORITHM_ENGINES[run.algorithm]:
         return f"the algorithm {run.algorithm}"
     return "" if run.value_baseline else "advantages without a baseline"
 
 
 def _engine(values: Mapping[str, Any]) -> str:
-    """Return the engine of a run: the one that is named, or the usual one of those that can train it."""
+    """Return a run's engine: the one it names, or the first one that can train it."""
     run = Run(**{**values, "engine": ENGINES[0]})
     reason = beyond_engine(run)
     able = [name for name in ALGORITHM_ENGINES[run.algorithm] if not reason or name != ENGINES[0]]
@@ -314,7 +314,7 @@ def _engine(values: Mapping[str, Any]) -> str:
 
 
 def _check_learner(run: Run) -> None:
-    """Refuse what does not go together: environment, algorithm, and the sizes of what it learns from."""
+    """Refuse combinations of environment, algorithm and sizes that do not work together."""
     if (run.algorithm in TABULAR) != (run.env == MAILMAN):
         fitting = [name for name in ALGORITHMS if (name in TABULAR) == (run.env == MAILMAN)]
         raise UserError(
@@ -339,7 +339,7 @@ def _check_learner(run: Run) -> None:
 
 
 def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
-    """Return the names of the fields that an environment, an algorithm and its optimizer, if any, read."""
+    """Return the fields that an environment, an algorithm and its optimizer read."""
     own = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(own) | _READ_BY_ALL
@@ -348,9 +348,10 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
 
 
 _GONE = {"learners": "shared"}
-"""Fields of older versions, and the values at which they change nothing: a run with them is the same run."""
+"""Fields of older versions, with the values at which they changed nothing; a run with them is the same
+run."""
 _LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
-"""Fields that None leaves open."""
+"""Fields for which None means the default."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 _OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_FIELDS.values() for key in own)
 _READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
@@ -358,7 +359,7 @@ _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
 
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill the fields of algorithm and optimizer, and drop what nothing reads."""
+    """Fill in the defaults of the algorithm and optimizer, and drop fields that are not read."""
     algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
     read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
@@ -371,12 +372,12 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def env_config(run: Run) -> EnvConfig:
-    """Return the environment's part of a run."""
+    """Return the environment's part of a run's fields."""
     return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
 
 
 def evaluation_config(run: Run) -> EnvConfig:
-    """Return the environment that a run is evaluated in: its own, or levels that it is not trained on."""
+    """Return the fields of the environment in which a run is evaluated: its own, or held-out levels."""
     own = env_config(run)
     if not run.held_out_levels:
         return own
@@ -384,12 +385,12 @@ def evaluation_config(run: Run) -> EnvConfig:
 
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:
-    """Return a configuration as a flat dictionary that JSON can hold; `make_run` reads it back."""
+    """Return a configuration as a flat dictionary for JSON, which `make_run` reads."""
     return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
 
 
 def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
-    """Return the 64-bit seed of one random stream of a run, keyed by the run's `stream`.
+    """Return the 64-bit seed of a random stream, keyed by the run's `stream`.
 
     Streams are keyed by hash, never by adding: no two purposes, slots or seeds share one. Runs of one seed
     in several conditions do, and so begin with the same weights, where these have one shape, and worlds.

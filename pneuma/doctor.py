@@ -1,4 +1,4 @@
-"""What is installed here, and does it work: the checks behind `pneuma doctor`.
+"""Checks of the installation, for `pneuma doctor`.
 
 Every check says what it found and, where that is not well, what to do about it.
 """
@@ -21,7 +21,7 @@ from pneuma.study.store import Store
 
 GOOD, NOTE, BROKEN = "good", "note", "broken"
 PYTHONS = ((3, 11), (3, 14))
-"""From the first to before the second."""
+"""Supported versions: from the first up to but excluding the second."""
 INSTALL = "pip install --constraint constraints.txt --editable . in Pneuma's folder"
 EXTRAS = {
     "pygame": ("play", "a window to play and watch in"),
@@ -32,19 +32,19 @@ EXTRAS = {
     "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
 }
-"""What each extra is for, by the module that it brings."""
+"""By module: the extra that installs it, and its use."""
 TRIAL = (
     "import gymnasium, jax, pneuma, torch; torch.ones(8, 8).matmul(torch.ones(8, 8));"
     "jax.jit(lambda x: x + 1)(1.0).block_until_ready();"
     "env = gymnasium.make('pneuma/Pneuma-v0'); env.reset(seed=0); env.step(0);"
     "print('a step of the world, PyTorch, and JAX on', *jax.devices())"
 )
-"""A program that only runs where all parts work; in a process of its own, which a library may crash."""
+"""A program that runs only if all parts work. It has its own process, because a library may crash it."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found.
+    """The result of a check.
 
     Attributes:
         check: what was looked at.
@@ -60,7 +60,7 @@ class Finding:
 
 
 def examine(results: Path) -> Iterator[Finding]:
-    """Yield a finding for everything that Pneuma stands on."""
+    """Yield a finding for each part of the installation."""
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
     mend = "" if sound else "use Python 3.11 to 3.13"
     yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), mend)
@@ -80,7 +80,7 @@ def examine(results: Path) -> Iterator[Finding]:
 
 
 def _results(folder: Path) -> Finding:
-    """Look whether the results folder can be written, and whether the runs in it are sound."""
+    """Check that the results folder can be written and that its runs are sound."""
     there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
         return Finding("results", BROKEN, f"{folder}: cannot be written", "name another with --results")

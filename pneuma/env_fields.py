@@ -1,4 +1,4 @@
-"""The fields of one environment: their types, and what each shipped environment sets.
+"""The fields of an environment, their types, and the values that each shipped environment sets.
 
 `pneuma.config` builds a run's configuration on it; like that module it imports nothing heavy.
 """
@@ -25,7 +25,7 @@ SPELL_NAMES = ("flame", "heal")
 DASH = "dash"
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
-"""Agent steps that an episode may last."""
+"""Most agent steps of an episode."""
 PERCEIVE = "all, nearest:K for the K nearest, kind:NAME,… for monsters of some kinds, or rays:N, 1 to 64"
 
 
@@ -35,7 +35,7 @@ _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 
 
 def _read_codes(value: Any) -> tuple[int, ...]:
-    """Read one code of the ground, or a list."""
+    """Read one ground code, or a list."""
     codes = (value,) if type(value) is int else tuple(value)
     if not all(type(code) is int and 0 <= code < 2**28 for code in codes):
         raise ValueError
@@ -53,7 +53,7 @@ class EnvConfig:
     level: Annotated[str, MinLen(1)] = "thesis"
     """A shipped level, a folder of CSV layers, or random:train:N or random:test:N."""
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
-    """How many random levels, from number N on; each episode draws one."""
+    """Number of random levels, from number N on; each episode draws one of them."""
     characters: str = ""
     """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
     players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
@@ -68,7 +68,7 @@ class EnvConfig:
     dash: bool = False
     """Whether there is one more action, the last: a burst straight ahead (thesis chapter 7)."""
     reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
-    """A formula, or a list of one a player."""
+    """A formula, or a list with one per player."""
     observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
     """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
     perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
@@ -76,26 +76,26 @@ class EnvConfig:
     scale: Annotated[str, OneOf(("", *SCALES))] = ""
     """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
     observe_facing: bool = False
-    """Whether four numbers, one of them 1, follow on what a player observes of itself."""
+    """Whether the observation of a player includes its facing, as four numbers of which one is 1."""
     start: Annotated[str, OneOf(("random", "first"))] = "random"
     bodies: Annotated[str, OneOf(("block", "pass"))] = "block"
     """Whether living bodies stop each other."""
     coast: Annotated[str, OneOf(("wall", "deadly"))] = "wall"
     trees: Annotated[str, OneOf(("wall", "pass"))] = "wall"
-    """Whether what stands in the layer of obstacles stops anybody."""
+    """Whether objects in the layer of obstacles, such as trees, stop bodies."""
     terrain_stops: Annotated[str, OneOf(("all", "players"))] = "all"
     slow: Annotated[tuple[int, ...], Reads(_read_codes, "a list of codes of the ground, from 0")] = ()
     """Codes of the ground where bodies are slow; in shipped and random levels 1 snow, 2 grass, 3 sand."""
     slow_factor: Annotated[float, Interval(gt=0, le=1)] = 0.5
-    """What the speed of a body is multiplied by whose centre is there."""
+    """Factor on the speed of a body whose centre is on slow ground."""
     bite_while_knocked: bool = False
     healing_cap: bool = False
-    """Whether the HP of a kill stop at full HP."""
+    """Whether healing by a kill stops at full HP."""
     kill_credit: Annotated[str, OneOf(("striker", "near"))] = "striker"
     """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
     xp_scope: Annotated[str, OneOf(("episode", "forever"))] = "episode"
     ending_cost: Annotated[float, Interval(ge=0, le=1000)] = 0.0
-    """XP lost when an episode ends otherwise than at sea."""
+    """XP lost when an episode ends, except by drowning."""
     episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS)] = 1000
     """Time limit of an episode in agent steps of 8 ticks."""
     time_limit: Annotated[str, OneOf(("truncate", "terminate"))] = "truncate"
@@ -126,14 +126,14 @@ a reward for kills, and the facing observed."""
 ENVIRONMENTS = tuple(ENVIRONMENT_FIELDS)
 
 ENVIRONMENT_SLOTS = {"pneuma/PneumaGodot-v0": 4}
-"""How many worlds a study collects from side by side, unless it says so itself."""
+"""Slots of a study that does not set them."""
 
 OBSERVATION_FIELDS = {
     "thesis": {"perceive": "all", "order": "nearest", "scale": "unit"},
     "pygame": {"perceive": "nearest:5", "order": "nearest", "scale": "map"},
     "godot": {"perceive": "all", "order": "fixed", "scale": "raw"},
 }
-"""What each layout perceives unless told otherwise."""
+"""What each layout perceives by default."""
 
 
 def action_names(magic: bool, dash: bool) -> tuple[str, ...]:
@@ -145,7 +145,7 @@ def action_names(magic: bool, dash: bool) -> tuple[str, ...]:
 
 
 def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
-    """Resolve fields (of `EnvConfig`) of an environment to a complete configuration.
+    """Resolve the fields of an environment to a complete configuration.
 
     Raises:
         UserError: for an unknown key, a value out of range, or values that do not go together.
@@ -156,7 +156,7 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
 
 
 def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill what a layout of observations implies, and check what must go together."""
+    """Fill in what an observation layout implies, and check fields that depend on each other."""
     layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
     values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
     players = values.get("players", 1)
@@ -177,27 +177,27 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def is_own_level(name: str) -> bool:
-    """Return whether a level is a file of its user's, and neither shipped nor made from a number."""
+    """Return whether a level is a user's file, neither shipped nor random."""
     return bool(name) and name not in SHIPPED_LEVELS and not is_random_level(name)
 
 
 def is_random_level(name: str) -> bool:
-    """Return whether a level is made from a number."""
+    """Return whether a level is a random one."""
     return name.startswith("random:")
 
 
 def are_own_characters(name: str) -> bool:
-    """Return whether characters are a file of their user's."""
+    """Return whether characters come from a user's file."""
     return bool(name) and name not in SHIPPED_CHARACTERS
 
 
 def own_rewards(names: Iterable[str]) -> list[str]:
-    """Return those of the names of rewards that are functions of their user's."""
+    """Return the names of rewards that are a user's functions."""
     return [name for name in names if ":" in name]
 
 
 def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
-    """Check some fields of a configuration and return each in its final type.
+    """Check fields of a configuration and return each in its final type.
 
     Raises:
         UserError: naming the field, its value and what is allowed.

@@ -1,4 +1,4 @@
-"""The one error a person is meant to see, the nearest right name to a wrong one, counts, and safe texts.
+"""The error for users' mistakes, suggestions for misspelled names, and safe text.
 
 Every layer raises `UserError` for a mistake made outside the code (a key, a value, a file, an
 option); the command line prints it as one line and leaves with exit code 2.
@@ -10,9 +10,9 @@ import difflib
 from collections.abc import Iterable
 
 NEAR = 0.6
-"""How alike a name must be to be offered in place of a wrong one."""
+"""Least similarity of a name that is suggested."""
 MOST_LISTED = 10
-"""Names that an error lists at most: the likest, where there are more."""
+"""Most names in an error message; the most similar ones are listed."""
 MEANT = {
     "lr": "learning_rate", "reward": "return", "rewards": "return", "ep_rew_mean": "return",
     "n_steps": "horizon", "num_steps": "horizon", "batch_size": "minibatch", "minibatch_size": "minibatch",
@@ -20,20 +20,20 @@ MEANT = {
     "ent_coef": "entropy_coefficient", "vf_coef": "value_coefficient", "max_grad_norm": "gradient_limit",
     "n_envs": "slots", "num_envs": "slots", "total_timesteps": "steps",
 }  # fmt: skip
-"""What other programs, and people, call a field, a quantity or an outcome."""
+"""Other common names of fields, quantities and outcomes."""
 
 
 class UserError(Exception):
-    """A mistake in a command or a file, told in one line that says what to mend."""
+    """A mistake in a command or a file; the message says in one line what to change."""
 
 
 def install_extra(name: str) -> str:
-    """Return how to install one of the extras; from its folder, for the index has another `pneuma`."""
+    """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
     return f"pip install '.[{name}]' in Pneuma's folder"
 
 
 def plain(text: str) -> str:
-    """Return a text with each character that cannot be seen written as its code, as JSON does.
+    """Return text in which each invisible character is written as its code, as in JSON.
 
     For terminals and figures: titles and names may come from untrusted files, and control characters could
     drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
@@ -47,7 +47,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
-    """Return ' (did you mean X?)' for the closest of `names`, or an empty string when none is near.
+    """Return ' (did you mean X?)' for the most similar of `names`; empty if none is similar.
 
     A name that others give the same thing is near as well: `lr` of `learning_rate`, `reward` of
     `final-return`.
@@ -60,7 +60,7 @@ def nearest_name(word: str, names: Iterable[str]) -> str:
 
 
 def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
-    """Build the error for a name that is none of `names`, with the nearest right one."""
+    """Return the error for a name that is not among `names`."""
     known = list(names)
     hint, between = nearest_name(word, known), "; " if any("," in name for name in known) else ", "
     more = len(known) - MOST_LISTED

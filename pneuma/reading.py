@@ -1,4 +1,4 @@
-"""Reading a file that may be anybody's: a pipe is not waited for, and nothing is read without end."""
+"""Reading files that may be untrusted, without waiting for pipes and with a limit on their size."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pathlib import Path
 from pneuma.errors import UserError
 
 LARGEST_BYTES = 512 * 2**20
-"""Of a file that is read whole."""
+"""Most bytes of a file that is read whole."""
 LARGEST_TEXT = 2**20
-"""Of a TOML file; a study of a thousand conditions has a tenth of it."""
+"""Most bytes of a TOML file; a study of a thousand conditions has a tenth of it."""
 
 
 def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
-    """Return what a file holds.
+    """Return the contents of a file.
 
     Raises:
         OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
@@ -32,7 +32,7 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
 
 
 def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
-    """Return the text of a user's own file, its line ends as one character.
+    """Return the text of a user's file, with all line ends as one character.
 
     Raises:
         UserError: when it cannot be read, is too large, or no text in UTF-8.

@@ -1,4 +1,4 @@
-"""The one place between pydantic and people: a file's mistake in one line that says what to mend.
+"""The one place that turns pydantic's errors into one line that says what to change in a file.
 
     TOML file → read_toml → read_model(SomeTable, file) → the model, checked
     pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: less than or equal to 1"
@@ -40,11 +40,11 @@ Where = tuple[str, ...]
 
 CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
-"""How deep tables and lists of a file may lie in each other."""
+"""Most levels of nested tables and lists in a file."""
 
 
 class Table(BaseModel):
-    """A table of a file: no keys but its fields, and every value of its type."""
+    """A table of a file, which has no other keys than its fields."""
 
     model_config = CONFIG
 
@@ -63,12 +63,12 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def wrong(message: str, key: str = "") -> PydanticCustomError:
-    """Return what a validator raises: a message in its own words, and the key of the table it is about."""
+    """Return an error for a validator to raise: a message, and the key of the table that it is about."""
     return PydanticCustomError("wrong", "{message}", {"message": message, "key": key})
 
 
 def refuse_unknown(data: Any, known: Iterable[str]) -> None:
-    """Refuse the first key of a table that is none of those known."""
+    """Refuse the first key of a table that is not known."""
     names = tuple(known)
     for key in data if isinstance(data, Mapping) else ():
         if key not in names:
@@ -76,7 +76,7 @@ def refuse_unknown(data: Any, known: Iterable[str]) -> None:
 
 
 def passes(check: Callable[[Any], object]) -> AfterValidator:
-    """Return a validator that keeps a value which a function takes without a `UserError`."""
+    """Return a validator that accepts values for which a function raises no `UserError`."""
 
     def validate(value: Any) -> Any:
         try:
@@ -89,7 +89,7 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
 
 
 def plain(value: Any, deepest: int = DEEPEST) -> Any:
-    """Return a value as models take it: lists as tuples, whole numbers as int, NumPy's as Python's.
+    """Return a value in the types of models: lists as tuples, whole numbers as int, NumPy's as Python's.
 
     Raises:
         ValueError: where lists and tables lie too deep in each other.
@@ -112,7 +112,7 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
 
 @dataclass(frozen=True)
 class FieldsOf:
-    """Says of a dictionary that it holds some fields of a dataclass, each of its type; for `Annotated`.
+    """For `Annotated`: a dictionary of some fields of a dataclass, each of its type.
 
     Attributes:
         owner: the dataclass.
@@ -124,7 +124,7 @@ class FieldsOf:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the fields that may be set."""
+        """The fields that may be set."""
         return tuple(own.name for own in fields(self.owner) if own.name not in self.elsewhere)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -170,7 +170,7 @@ class TomlFile:
     data: dict[str, Any]
 
     def mistake(self, where: Where, message: str, key: str = "") -> UserError:
-        """Build an error that names file, line, table and what is wrong with it or one of its keys."""
+        """Return an error that names the file, line and table, and what is wrong."""
         line = _line_of(self.text, (*where, key) if key else where)
         place = f"{self.path}, line {line}" if line else str(self.path)
         table = f"[{'.'.join(where)}] " if where else ""

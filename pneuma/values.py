@@ -11,14 +11,14 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 MOST_NAMES = 8
-"""As many as there can be players in a world."""
+"""Most names in a list: the most players in a world."""
 
 Share = Annotated[float, Interval(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """Says that a text is one of a few names; the empty one, where it is among them, leaves it open."""
+    """Restricts text to some names. The empty one, if among them, means the default."""
 
     names: tuple[str, ...]
 
@@ -30,7 +30,7 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Reads:
-    """Says that a value is what a function makes of it, which raises ValueError for what is not allowed.
+    """Converts a value by a function that raises ValueError for values that are not allowed.
 
     Attributes:
         read: the function.
@@ -56,7 +56,7 @@ class Reads:
 
 
 def matching(pattern: str, allowed: str) -> Reads:
-    """Say that a text has a certain form."""
+    """Restrict text to a form."""
 
     def read(value: Any) -> str:
         if not isinstance(value, str) or not re.fullmatch(pattern, value):
@@ -67,7 +67,7 @@ def matching(pattern: str, allowed: str) -> Reads:
 
 
 def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads:
-    """Say that a value is a name of a certain form, or a list of one a player; a tuple in the end.
+    """Restrict a value to names of a form: one, or a list with one per player. The result is a tuple.
 
     As a text its names have commas between them, which no name has.
     """
@@ -84,7 +84,7 @@ def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads
 
 
 def shown_value(value: object) -> str:
-    """Return a field's value as people read it: a list without its brackets, nothing as "none"."""
+    """Return a field's value as text: a list without brackets, None as "none"."""
     if isinstance(value, list | tuple):
         return ", ".join(map(shown_value, value)) or "none"
     if isinstance(value, bool):
@@ -93,13 +93,13 @@ def shown_value(value: object) -> str:
 
 
 def shown_level(value: object) -> str:
-    """Return a field's value where others stand beside it, between commas: a list in brackets."""
+    """Return a field's value as text between commas: a list in brackets."""
     shown = shown_value(value)
     return f"[{shown}]" if "," in shown else shown
 
 
 def shown_settings(settings: Mapping[str, Any]) -> str:
-    """Return changed fields as people read them."""
+    """Return changed fields as text."""
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 
 
@@ -107,7 +107,7 @@ LONGEST_NAME = 100
 
 
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:
-    """Return what files of changed fields are called; a checksum stands for what would be too long."""
+    """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
     told = "-".join([*(f"{key}={shown_value(value)}" for key, value in settings.items()), *more])
     name = re.sub(r"[^\w.=+-]+", "-", told).strip("-")
     if len(name) > LONGEST_NAME:
@@ -116,5 +116,5 @@ def settings_name(settings: Mapping[str, Any], *more: str) -> str:
 
 
 def as_tuple(value: Any) -> Any:
-    """Return a list, as JSON and TOML give it, as the tuple that a run holds; anything else as it is."""
+    """Return a list, as JSON and TOML have it, as a tuple; other values unchanged."""
     return tuple(value) if isinstance(value, list) else value

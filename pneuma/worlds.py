@@ -1,4 +1,4 @@
-"""The worlds that a study or a search can be run in: one row each, asked by everything that tells them apart.
+"""The worlds in which a study or a search can run.
 
 A name that ends in `-WORLD` stands for the study or search of that name in that world; without an ending
 it stands for the usual one, which is the text's but where a study's file lists others alone.
@@ -15,7 +15,7 @@ from pneuma.errors import UserError, unknown_name
 
 @dataclass(frozen=True)
 class World:
-    """Where a study is run.
+    """A world in which studies run.
 
     Attributes:
         env: the environment of its runs.
@@ -29,7 +29,7 @@ class World:
 
 
 TEXT = "text"
-"""The usual world: a study's file as it stands, whichever environment it sets."""
+"""The usual world: a study's file unchanged, whichever environment it sets."""
 
 WORLDS = {
     TEXT: World("pneuma/Pneuma-v0", "the text's world"),
@@ -42,7 +42,7 @@ WORLDS = {
 
 
 def world_fields(world: str, own: Collection[str]) -> dict[str, Any]:
-    """Return the fields that a world sets of a study or search that sets the fields `own` itself."""
+    """Return the fields that a world sets, except those that the study or search sets itself."""
     if world == TEXT:
         return {}
     row = WORLDS[world]
@@ -50,7 +50,7 @@ def world_fields(world: str, own: Collection[str]) -> dict[str, Any]:
 
 
 def check_world(world: str | None) -> None:
-    """Refuse a world that there is not; None is whichever is usual.
+    """Refuse an unknown world; None stands for the usual one.
 
     Raises:
         UserError: naming the nearest.
@@ -60,12 +60,12 @@ def check_world(world: str | None) -> None:
 
 
 def in_world(name: str, world: str) -> str:
-    """Return what a study, a record or a figure is called in a world."""
+    """Return the name of a study, record or figure in a world."""
     return name if world == TEXT or name.endswith(f"-{world}") else f"{name}-{world}"
 
 
 def split_world(name: str) -> tuple[str, str]:
-    """Return the study's own name and the world that a name stands for."""
+    """Return a study's own name, and its world."""
     for world in WORLDS:
         if world != TEXT and name.endswith(f"-{world}"):
             return name.removesuffix(f"-{world}"), world
@@ -73,7 +73,7 @@ def split_world(name: str) -> tuple[str, str]:
 
 
 def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
-    """Return a study's own name, and the world that it and the option --world name together, if any.
+    """Return a study's own name, and the world chosen by it or by --world, if any.
 
     Raises:
         UserError: where they stand for two worlds.
@@ -85,5 +85,5 @@ def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
 
 
 def world_option(world: str) -> list[str]:
-    """Return the words of a command that choose a world; none for the usual one."""
+    """Return the command-line words that choose a world; none for the usual one."""
     return [] if world == TEXT else ["--world", world]

@@ -91,9 +91,7 @@ class ClaimRuns:
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
 
     def _machines(self, names: Sequence[str]) -> str:
-        """Return why times cannot be compared: different machines, or other work beside; empty if they
-        can.
-        """
+        """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
         records = [run.records for name in names for run in self.found(name)]
         told = [own.provenance() for own in records]
         if len({(on, str(own.get("threads"))) for own in told for on in processors(own)}) > 1:

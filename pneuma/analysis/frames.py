@@ -38,7 +38,7 @@ class FinishedRun:
     """A finished run, done or diverged, which counts in every statistic.
 
     Attributes:
-        fields: its run's, as the record has them, which may be a stranger's.
+        fields: its run's, as the record has them, which may be untrusted.
         records: what is held of it.
     """
 
@@ -90,7 +90,7 @@ class StudyData:
 
     Raises:
         UserError: when no run of the selection has finished, or the record's names are no file names:
-            a results folder may be a stranger's.
+            a results folder may be untrusted.
     """
 
     def __init__(self, index: Mapping[str, Records], record: Mapping[str, Any], where: str = "") -> None:

@@ -1,4 +1,4 @@
-"""The command line: parses, makes one call, prints. One file per group of commands.
+"""The command line: each command parses its options, makes one call and prints the result.
 
 Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, said in one line;
 130 after Ctrl-C.
@@ -51,7 +51,7 @@ def _root(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line and return its exit code; people's mistakes become one line."""
+    """Run a command line and return its exit code; a user's mistake is printed as one line."""
     try:
         words = None if arguments is None else list(arguments)
         code = app(args=words, prog_name="pneuma", standalone_mode=False)

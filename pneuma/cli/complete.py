@@ -1,4 +1,4 @@
-"""What a shell offers when TAB is pressed: names of studies, conditions, fields, outcomes and the like.
+"""Shell completion: names of studies, conditions, fields, outcomes and so on.
 
 Typer calls these while a line is half typed, so they load nothing heavy and never fail: what cannot be read
 is not offered. `pneuma --install-completion` sets a shell up.
@@ -27,7 +27,7 @@ Complete = Callable[[typer.Context, str], list[str]]
 
 
 def offering(names: Names) -> Complete:
-    """Return a completion: of the names for what has been typed, those that begin as the word does."""
+    """Return a completion that offers the names which begin with what is typed."""
 
     def complete(ctx: typer.Context, incomplete: str) -> list[str]:
         typed = {**ctx.params, "rest": ctx.args}  # arguments, where the word is an option's value
@@ -44,7 +44,7 @@ def _store(typed: Mapping[str, Any]) -> Store:
 
 
 def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the file of the study that was typed, unchecked; a file of one's own by its path or name."""
+    """Return the unchecked file of the study on the command line, by its name or path."""
     name = typed.get("name") or (typed.get("names") or typed["rest"])[0]
     own = split_world(name)[0]
     shipped = spec.studies_folder() / f"{own}.toml"
@@ -53,7 +53,7 @@ def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _own_files(table: str) -> list[str]:
-    """Return the files of this folder that have such a table."""
+    """Return the files in this folder that contain a table."""
     files = Path().glob("*.toml")
     return [path.name for path in files if table in path.read_text(encoding="utf-8", errors="ignore")]
 

@@ -22,7 +22,7 @@ ABOUT = {
     "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
     "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
-"""What each environment is, in a line; those of vector rewards are as their namesakes."""
+"""A description of each environment; those with vector rewards share that of their counterparts."""
 
 CAMERAS = ("map", "follow")
 
@@ -154,7 +154,7 @@ def serve(
 
 
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
-    """Return one world at the beginning of an episode; vector rewards look like any others."""
+    """Return one world at the beginning of an episode, with a scalar reward."""
     from pneuma.algorithms import MAILMAN
     from pneuma.env import REGISTERED
     from pneuma.env.worlds import Worlds
@@ -171,7 +171,7 @@ def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
 
 
 def _story(worlds: Any) -> str:
-    """Say how the episode went."""
+    """Describe how the episode went."""
     from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
 
     count = worlds.monsters.shape[1]
@@ -185,7 +185,7 @@ def _story(worlds: Any) -> str:
 def _player(
     player: str, name: str, seed: int, results: Path, trust: bool
 ) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
-    """Return the settings that a player brings along, and what makes it choose actions in worlds.
+    """Return a player's own settings, and the function that chooses its actions.
 
     The reward of a stored run is left out where it is code: no picture shows it.
     """

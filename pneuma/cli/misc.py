@@ -1,4 +1,4 @@
-"""Commands of their own, `pneuma report` and `doctor`, and the groups `import` and `bench`."""
+"""The commands `pneuma report` and `pneuma doctor`, and the groups `import` and `bench`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that several commands share; texts become values while Typer reads them."""
+"""Options that several commands share, and how their text is converted."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ def option(
     read: Callable[[str], Any] | None = None,
     offer: complete.Complete | None = None,
 ) -> Any:
-    """Return an option; `read` makes its value of its text, and `offer` completes it in a shell."""
+    """Return an option; `read` converts its text, and `offer` completes it."""
     return typer.Option(name, metavar=metavar, help=told, parser=read, autocompletion=offer)
 
 
 def argument(metavar: str, told: str, offer: complete.Complete | None = None) -> Any:
-    """Return an argument; `offer` completes it in a shell."""
+    """Return an argument; `offer` completes it."""
     return typer.Argument(metavar=metavar, help=told, autocompletion=offer, show_default=False)
 
 
 def flag(name: str, told: str) -> Any:
-    """Return an option that is there or not."""
+    """Return a flag."""
     return typer.Option(name, help=told)
 
 
 def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> Any:
-    """Return an option whose value is one of those allowed."""
+    """Return an option with a fixed set of values."""
     names = tuple(allowed)
 
     def read(text: str) -> str:
@@ -59,7 +59,7 @@ def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> A
 
 
 def count(name: str, told: str) -> Any:
-    """Return an option of a whole number of at least 1: 100000, 100_000 or 1e5."""
+    """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
     def read(text: str) -> int:
         try:
@@ -74,7 +74,7 @@ def count(name: str, told: str) -> Any:
 
 
 def seeds(name: str, told: str, first: int = 0) -> Any:
-    """Return an option of seeds: a count from `first` on, a list, or ranges with both ends among them."""
+    """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
 
     def read(text: str) -> tuple[int, ...]:
         try:
@@ -89,7 +89,7 @@ def seeds(name: str, told: str, first: int = 0) -> Any:
 
 
 def _span(text: str) -> range:
-    """Read a seed, or a first and a last one."""
+    """Read one seed, or a range of them."""
     first, dots, last = text.partition("..")
     seeds = range(int(first), int(last if dots else first) + 1)
     if len(seeds) > MOST_SEEDS:
@@ -113,7 +113,7 @@ def _read_setting(text: str) -> tuple[str, Any]:
 
 
 def read_value(text: str) -> Any:
-    """Read a value as TOML would, a list without its brackets and a word without its quotes."""
+    """Read a value as TOML would; brackets of lists and quotes of words may be left out."""
     for form in (text, f"[{text}]") if "," in text else (text,):
         try:
             return tomllib.loads(f"value = {form}")["value"]
@@ -125,7 +125,7 @@ def read_value(text: str) -> Any:
 # --- The options -----------------------------------------------------------------------------------
 
 RESULTS = Path("results")
-"""The usual results folder."""
+"""The default results folder."""
 
 Text = str | None
 """An option that may be left out."""
@@ -173,7 +173,7 @@ Settings = Annotated[
         complete.fields,
     ),
 ]
-"""Pairs of a field and its value; for a command `dict(set_ or ())`."""
+"""Pairs of a field and its value; use `dict(set_ or ())`."""
 WorldName = Annotated[
     Text,
     choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT}, or all)."),
@@ -208,7 +208,7 @@ Outcomes = Annotated[
 
 @dataclass(frozen=True)
 class Chosen:
-    """What of a study, in which world, and where it is kept."""
+    """A selection of a study, its world, and the results folder."""
 
     selection: Selection
     world: str | None
@@ -224,7 +224,7 @@ def _chosen(
     world: WorldName = None,
     results: Results = RESULTS,
 ) -> Chosen:
-    """Read the options that say what to train."""
+    """Read the options that select runs to train."""
     selection = Selection(preset, seeds, steps, tuple(condition or ()), dict(set_ or ()))
     return Chosen(selection, world, Store(results))
 
@@ -238,7 +238,7 @@ def _picked(
     world: WorldName = None,
     results: Results = RESULTS,
 ) -> Chosen:
-    """Read the options that pick from what is stored."""
+    """Read the options that select stored runs."""
     return Chosen(Selection(None, seeds, steps, tuple(condition or ())), world, Store(results))
 
 
@@ -260,7 +260,7 @@ def _place(
     ] = None,
     detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False,
 ) -> Supervision:
-    """Read the options that say where runs are trained."""
+    """Read the options that say where runs train."""
     for name, given, own in (("address", address, RAY), ("slurm", slurm, SLURM), ("detach", detach, SLURM)):
         if given and executor != own:
             raise UserError(f"--{name}: goes with --executor {own}")
@@ -273,7 +273,7 @@ _GROUPS: dict[str, Callable[..., Any]] = {"chosen": _chosen, "picked": _picked, 
 
 
 def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Give a command the options that its parameters `chosen`, `picked` and `place` are read from.
+    """Add to a command the options behind its parameters `chosen`, `picked` and `place`.
 
     Typer makes a command's options from its signature, so they are put there.
     """
@@ -297,7 +297,7 @@ def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
 
 
 def most_workers(asked: int | None, place: Supervision = HERE) -> int:
-    """Return how many runs train at once: as `--workers` says, or what the place has room for.
+    """Return how many runs train at once: `--workers`, or what the executor has room for.
 
     Raises:
         UserError: where the place cannot be reached.
@@ -307,7 +307,7 @@ def most_workers(asked: int | None, place: Supervision = HERE) -> int:
 
 
 def selecting_words(selection: Selection) -> list[str]:
-    """Return the options by which a person selects this, as words of a command."""
+    """Return a selection as words of a command."""
     words = ["--preset", selection.preset] if selection.preset else []
     if selection.seeds is not None:
         counted_up = selection.seeds == tuple(range(len(selection.seeds)))

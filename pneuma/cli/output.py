@@ -1,4 +1,4 @@
-"""What commands write: lines, tables and documents on standard output, and files where a person says."""
+"""Output of commands: lines, tables and JSON on standard output, and files."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDEST = 10_000
-"""Characters of a line where nobody reads at a terminal: tables are not folded there."""
+"""Characters per line if the output is no terminal, so that tables are not folded."""
 
 
 # --- For people -----------------------------------------------------------------------------------
 
 
 def say(text: str, aside: bool = False, quiet: bool = False) -> None:
-    """Print a line for people; aside is on standard error, where standard output is for a document.
+    """Print a line for the user; with `aside` on standard error, so that standard output is one document.
 
     Nobody need read standard error for a command to go on.
     """
@@ -42,12 +42,12 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
 
 
 def command(*words: object) -> str:
-    """Return a command of Pneuma's, quoted so that it can be typed as it stands."""
+    """Return a command of Pneuma, quoted for the shell."""
     return plain(shlex.join(["pneuma", *map(str, words)]))
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table of texts, which may be untrusted, folded where it is wider than the terminal."""
+    """Print a table of text, which may be untrusted, folded to the terminal's width."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -67,7 +67,7 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a command: data classes and tables as objects, NaN as null."""
+    """Print a command's JSON document; data classes and tables become objects, NaN becomes null."""
     from pydantic_core import to_jsonable_python
 
     whole = to_jsonable_python({"schema": 1, **document}, inf_nan_mode="null", fallback=_as_plain)
@@ -75,17 +75,17 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def _as_plain(value: Any) -> Any:
-    """Return a pandas table as its rows, and a number of NumPy's as Python's."""
+    """Return a pandas table as its rows, and a NumPy number as Python's."""
     return rows_of(value) if hasattr(value, "to_dict") else value.item()
 
 
 def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
-    """Return a table's rows, with None for what there is not."""
+    """Return a table's rows, with None for missing values."""
     return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
 def print_rows(many: str, rows: Sequence[Mapping[str, Any]], json: bool) -> None:
-    """Print rows, one at least, as a document or as a table whose heads are their keys."""
+    """Print one or more rows as JSON, or as a table with their keys as headings."""
     if json:
         return print_json({many: rows})
     return print_table([*rows[0]], [[_shown(own) for own in row.values()] for row in rows])
@@ -96,7 +96,7 @@ def _shown(value: object) -> str:
 
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
-    """Print names, titles, sections and figures of shipped files."""
+    """Print the names, titles, sections and figures of shipped files."""
     from pneuma.schema import read_toml
 
     tables = {path.stem: read_toml(path).data for path in sorted(folder.glob("*.toml"))}
@@ -113,7 +113,7 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
 
 
 def check_file(out: Path, endings: Collection[str]) -> None:
-    """Refuse a file that is a folder, or ends otherwise, before any work is done."""
+    """Refuse an output file that is a folder or has another ending, before any work is done."""
     if out.suffix.lower() not in endings:
         hint = nearest_name(out.suffix, endings) if out.suffix else ""
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
@@ -122,7 +122,7 @@ def check_file(out: Path, endings: Collection[str]) -> None:
 
 
 def write_file(out: Path, data: bytes) -> None:
-    """Write a file whole or not at all, and its folder if need be."""
+    """Write a file, whole or not at all, and create its folder if needed."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, data)
@@ -134,14 +134,14 @@ def write_file(out: Path, data: bytes) -> None:
 
 
 def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
-    """Return the kinds of file that figures are written as; refuse a file in place of their folder."""
+    """Return the formats of figures; refuse a file given as their folder."""
     if out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir():
         raise UserError(f"--out {out}: is the folder of figures; name one, and --format {out.suffix[1:]}")
     return tuple(asked or ("png", "svg"))
 
 
 def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
-    """Write what is drawn into a folder that a person names, or else into `figures` of the results.
+    """Write figures into a folder given by the user, or into `figures` of the results.
 
     In a results folder, which may be untrusted, no link is followed. Where drawing fails, nothing is written.
 
@@ -159,7 +159,7 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
 
 
 def draw_indexed(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
-    """Write what is drawn, as `draw_files`, into an index of the folder too; return the figures.
+    """Write figures as `draw_files` does, with entries in the folder's index; return the figures.
 
     Args:
         store: the results folder.

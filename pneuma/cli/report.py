@@ -1,4 +1,4 @@
-"""What the report shows of a results folder: every study with its runs, or plain words on what is missing.
+"""The contents of the report: each study in a results folder, or what it lacks.
 
 The folder may be untrusted: no study's file that only a record names is loaded.
 """
@@ -28,13 +28,13 @@ from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS, in_world, split_world
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
-"""What is told of a run's provenance: without times, in which equal runs differ."""
+"""The provenance shown for runs: without times, in which equal runs differ."""
 LONGEST_VALUE = 300
-"""Characters of a value that are shown."""
+"""Most characters of a value that are shown."""
 
 
 def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> dict[str, Any]:
-    """Return what `report_page` shows of some studies, or of all shipped and all that were run here.
+    """Return the contents of `report_page` for some studies, or for all that are shipped or were run here.
 
     Where none of them is the thesis's, the page is theirs: it has their titles, and judges no claims.
     """
@@ -62,12 +62,12 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
 
 
 def _own_name(name: str) -> str:
-    """Return a study's own name, without its file's ending and its world's."""
+    """Return a study's own name, without the ending of its file or world."""
     return split_world(Path(name).stem if name.endswith(".toml") else name)[0]
 
 
 def _section(store: Store, study: str) -> dict[str, Any]:
-    """Return a study in the worlds that it is meant for, and those it was run in."""
+    """Return a study in the worlds that it is meant for and those in which it was run."""
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
     worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
@@ -131,7 +131,7 @@ def _part(store: Store, study: str, world: str) -> Part:
 
 
 def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
-    """Add what only finished runs have: figures, numbers, and what produced them."""
+    """Add figures, numbers and provenance of the finished runs."""
     try:
         data = open_study(store, record)
         if step := common_step(data):
@@ -145,13 +145,13 @@ def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
 
 
 def _without_folder(store: Store, error: Exception) -> str:
-    """Return an error's words without this machine's folder: the page is for others to read."""
+    """Return an error's text without the path of this machine's folder, as others read the page."""
     root = str(store.root)
     return str(error) if root == "." else str(error).replace(root, "results")
 
 
 def _same_again(name: str, record: Mapping[str, Any]) -> str:
-    """Return the command that trains what a record's runs lack; '' where none is known."""
+    """Return the command that trains a record's missing runs; empty if it is not known."""
     path = record.get("path")
     try:
         words = selecting_words(execute.recorded_selection(record))
@@ -164,7 +164,7 @@ def _same_again(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record's fields: a table of those that conditions differ in, and facts of those alike."""
+    """Return a record's fields: a table of those in which conditions differ, and the shared ones."""
     resolved: dict[str, Any] = {run["condition"]: run["run"] for run in record["runs"]}
     some = next(iter(resolved.values()))
     if study in spec.list_studies():
@@ -186,14 +186,14 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, A
 
 
 def _value(value: Any) -> str:
-    """Write a setting or a fact for people."""
+    """Return a field or a fact as text."""
     several = isinstance(value, dict)
     shown = ", ".join(f"{key} {own}" for key, own in value.items()) if several else shown_value(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
 def _facts(run: FinishedRun) -> dict[str, str]:
-    """Return what produced a run."""
+    """Return a run's provenance as text."""
     try:
         found = dict(run.records.provenance() or {})
     except (UserError, ValueError, TypeError):

@@ -1,4 +1,4 @@
-"""`pneuma search …`: searches for hyperparameters, what they found, and their winners on fresh seeds."""
+"""`pneuma search …`: search for hyperparameters, and train the winners on fresh seeds."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def show(
 def status(
     name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
 ) -> None:
-    """Show how far a search is, and the best that it has found."""
+    """Show how far a search is, and its best trials."""
     from pneuma.search.storage import read_record
 
     store = Store(results)
@@ -209,7 +209,7 @@ def _task(
     over: Mapping[str, Any],
     **amount: Any,
 ) -> Task:
-    """Return a search with the fields set over its own, and its preset's budget with the amounts given."""
+    """Return a search with overridden fields, and its preset's budget with the given amounts."""
     from pneuma.config import Run
     from pneuma.env_fields import read_field
     from pneuma.search.space import FIXABLE
@@ -230,7 +230,7 @@ def _task(
 def train(
     planned: plan.Plan, *, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
 ) -> None:
-    """Train what a plan of trials lacks, and note what is to be known that was not `noted` before.
+    """Train the missing runs of trials, and print notes that are not in `noted` yet.
 
     Raises:
         Unfinished: where a run did not come to its end.
@@ -252,7 +252,7 @@ def train(
 
 
 def _document(task: Task, trials: Sequence[Told]) -> dict[str, Any]:
-    """Return what a search came to, as JSON has it."""
+    """Return the result of a search as JSON."""
     from pneuma.search.storage import trial_document
     from pneuma.search.trials import best_number
 
@@ -264,7 +264,7 @@ def _document(task: Task, trials: Sequence[Told]) -> dict[str, Any]:
 
 
 def _value(trial: Told) -> str:
-    """Return a trial's value or values for people."""
+    """Return a trial's value or values as text."""
     return "no value" if trial.state == "failed" else ", ".join(f"{value:.4g}" for value in trial.values)
 
 

@@ -1,4 +1,4 @@
-"""`pneuma study …`: which studies there are, what they compare, and how far their runs are."""
+"""`pneuma study …`: list, show and create studies, and say how far their runs are."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def status(
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:
-    """Return the jobs of Slurm's queue by the runs that they train; say so where it cannot be asked."""
+    """Return Slurm's jobs by the runs that they train; print a note if the queue cannot be asked."""
     from pneuma.study.executors.slurm import queued
 
     try:

@@ -1,4 +1,4 @@
-"""`pneuma study plot`, `export` and `publish`: what people take away from a study."""
+"""`pneuma study plot`, `export` and `publish`: files made from a study."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def plot(
     out: opt.PlotFolder = None,
     json: opt.Json = False,
 ) -> None:
-    """Draw a study: curves over its steps, or what its runs came to."""
+    """Draw a study: curves over its steps, or a summary of its outcomes."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
     formats, store = read_formats(format, out), picked.store
@@ -114,7 +114,7 @@ def plot(
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
-    """Return the quantities that a person asks for, all and actions spelled out."""
+    """Return the quantities to draw, with `all` and `actions` expanded."""
     from pneuma.analysis.curves import curve_names
 
     stand_for = {EVERY_QUANTITY: curve_names(data), ACTIONS: list(ACTION_QUANTITIES)}
@@ -168,7 +168,7 @@ def export(
 
 
 def _read_curves(text: str) -> tuple[str, ...]:
-    """Return the quantities named, of which `actions` is all actions' shares."""
+    """Return the named quantities, with `actions` expanded."""
     names = [] if text == "none" else [name.strip() for name in text.split(",")]
     allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
     for name in names:

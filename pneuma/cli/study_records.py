@@ -1,4 +1,4 @@
-"""What is stored of a study: the runs recorded under its name here, or else published."""
+"""The stored runs of a study: opening them, and saying what is shown and what is left out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Read = TypeVar("Read")
 
 
 def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None]:
-    """Return what a study is loaded by, and in which world: the path if it was run by that, else its name.
+    """Return the name or path by which a study is loaded, and its world.
 
     Raises:
         UserError: where the file names a user's own code or files, as the record may be untrusted.
@@ -44,7 +44,7 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
 
 
 def open_data(picked: Chosen, name: str, published: bool = True) -> StudyData:
-    """Open a study's data, published or not, and say what of it is left out."""
+    """Open a study's data, published or not, and say what is left out."""
     record = study_record(picked.store, name, picked.selection, picked.world, partial(say, aside=True))
     tell_shown(picked.store, record)
     from pneuma.analysis.run_index import open_study
@@ -55,7 +55,7 @@ def open_data(picked: Chosen, name: str, published: bool = True) -> StudyData:
 
 
 def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
-    """Say what else is stored of a study than what is shown: other amounts, and variants."""
+    """Print what else is stored for a study: other budgets and variants."""
     study, shown = record["study"], steps_of(record)
     amounts = {steps_of(own): own for own in store.selections(study) if not execute.can_join(own, record)}
     others = [
@@ -71,7 +71,7 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
 
 
 def tell_left_out(data: StudyData) -> None:
-    """Say how many runs of a selection are not shown, or not here, if any."""
+    """Print how many runs of a selection are only published, or left out."""
     of = f"of {data.left_out + len(data.runs)} runs of {data.study}"
     if 0 < len(data.published) < len(data.runs):
         say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
@@ -80,14 +80,14 @@ def tell_left_out(data: StudyData) -> None:
 
 
 def nothing_yet(store: Store, world: str | None = None) -> str:
-    """Return what to say where no study was run, imported or published here; '' where one was."""
+    """Return a message if no study was run, imported or published here; empty otherwise."""
     if known_studies(store, world):
         return ""
     return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
 
 
 def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[Read]:
-    """Read studies that nobody named one by one; of those that cannot be read only say so.
+    """Read studies that the user did not name; print a note for those that cannot be read.
 
     Raises:
         UserError: where none of several can be read: what hinders the first.
@@ -106,7 +106,7 @@ def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[Read]:
 
 
 class RunState(NamedTuple):
-    """How a run of a record stands: its entry there, its status here or as published, and how to say that."""
+    """The state of a run in a record: its entry, its status here or as published, and a label."""
 
     run: dict[str, Any]
     status: Status
@@ -115,7 +115,7 @@ class RunState(NamedTuple):
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
-    """Return how every run of a record stands, here or in a published table."""
+    """Return the state of each run of a record, here or in a published table."""
     here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     published: dict[str, Status] = {}
     if not all(status.finished for status in here.values()):

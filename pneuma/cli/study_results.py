@@ -1,4 +1,4 @@
-"""`pneuma study summary`, `compare`, `collapse`, `effects`, `robustness`: what a study's runs come to."""
+"""`pneuma study summary`, `compare`, `collapse`, `effects` and `robustness`: results of a study."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
 
 COLUMNS = 3
-"""Outcomes in the table that is printed unless more is asked for."""
+"""Outcomes that `summary` prints by default."""
 
 
 def _tell_step(data: StudyData) -> None:
-    """Say at what step runs of unlike budgets are compared."""
+    """Print the step at which runs of different budgets are compared."""
     from pneuma.analysis.frames import common_step, step_words
 
     if step := common_step(data):
@@ -60,7 +60,7 @@ def summary(
     all_: Annotated[bool, opt.flag("--all", "Tell all statistics of all outcomes.")] = False,
     json: opt.Json = False,
 ) -> None:
-    """Say what each condition's runs come to: means with 95 % intervals; of an --outcome all statistics."""
+    """Summarize each condition: means with 95 % intervals; with --outcome, all statistics."""
     data = open_data(picked, name)
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.intervals import shown_with_interval
@@ -113,7 +113,7 @@ def summary(
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:
-    """Say why no run of a condition has a value."""
+    """Return why no run of a condition has a value."""
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import reason
 
@@ -308,7 +308,7 @@ def effects(
 
 
 def _read_contrast(text: str) -> tuple[str, Any, Any]:
-    """Read KEY=A:B, where either value may have colons of its own, as many as the other."""
+    """Read KEY=A:B. Either value may contain colons, as many as the other."""
     key, _, values = (part.strip() for part in text.partition("="))
     parts = values.split(":")
     pair = [":".join(own).strip() for own in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]

@@ -1,4 +1,4 @@
-"""`pneuma study plan` and `pneuma study run`: what would be trained, and training it."""
+"""`pneuma study plan` and `pneuma study run`."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from pneuma.study.store import Status, Store
 from pneuma.worlds import TEXT, split_world
 
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
-"""Statuses that a cell should not have when a study has been run."""
+"""Statuses that no cell should have after a study was run."""
 STOPPED = 130
-"""The exit code after Ctrl-C; 1 is of runs that went wrong, 0 of a plan that is done."""
+"""The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
 
 Unpublished = Annotated[
     bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
@@ -41,7 +41,7 @@ def plan_(
     unpublished: Unpublished = False,
     json: opt.Json = False,
 ) -> None:
-    """Say what is stored and what would be trained, and about how long that takes; none is trained."""
+    """Say which runs are stored and which would be trained, and estimate how long that takes."""
     from pneuma.study import estimate
 
     store = chosen.store
@@ -97,7 +97,7 @@ def run(
     json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> int:
-    """Train a study's runs that are not stored yet, going on where they were stopped."""
+    """Train the missing runs of a study, resuming those that were stopped."""
     store = chosen.store
     if as_:
         if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT or not chosen.selection.settings:
@@ -123,7 +123,7 @@ def train(
     quiet: bool,
     document: bool = True,
 ) -> int:
-    """Train what a plan lacks, showing how far it is; return the exit code.
+    """Train the missing runs of a plan and show the progress; return the exit code.
 
     Args:
         planned: the plan.
@@ -156,7 +156,7 @@ def train(
 
 
 def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
-    """Return where the TensorBoard log of each run is to lie, by names that `pneuma import` reads."""
+    """Return the folder of each run's TensorBoard log, named so that `pneuma import` can read it."""
     if find_spec("tensorboard") is None:
         raise UserError(f"--tensorboard needs the tensorboard package: {install_extra('tensorboard')}")
     of_study = folder.resolve() / planned.study.name
@@ -165,7 +165,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
-    """Plan a study, naming code of a user's own first; `unpublished`, without runs of published tables."""
+    """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
     fields = [study.fields(own, chosen.selection.settings or {}) for own in study.conditions]
     deeds = dict.fromkeys(deed for own in fields for deed in own_things(own).values())

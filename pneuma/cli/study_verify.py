@@ -1,4 +1,4 @@
-"""`pneuma study verify`: what the runs say on the thesis's claims."""
+"""`pneuma study verify`: verdicts on the thesis's claims."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def verify(
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
-    """Judge the thesis's claims by the runs that each fixed beforehand; a verdict of any kind is a result."""
+    """Judge the thesis's claims by the runs that each one fixed in advance."""
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
 
@@ -98,7 +98,7 @@ def _contrast(own: Comparison) -> dict[str, Any]:
 
 
 def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, json: bool) -> None:
-    """Print what the seeds of claims can tell, and which claims are not admitted."""
+    """Print what the seeds of claims can show, and which claims are not admitted."""
     from pneuma.analysis.design import check_design, not_admitted
 
     refused = not_admitted(known)
@@ -137,7 +137,7 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
 
 
 def _print_table(shown: Sequence[Verdict]) -> None:
-    """Print a line for each claim: its verdicts side by side, and numbers of the first place with some."""
+    """Print one line per claim: its verdict in each world, and the numbers of the first world with some."""
     from pneuma.analysis.judgement import STANDINGS
 
     by_claim: dict[str, dict[str, Verdict]] = {}

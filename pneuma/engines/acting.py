@@ -1,4 +1,4 @@
-"""Compiled play of one episode in every world: what evaluations spend their time on.
+"""Compiled play of one episode in every world, for evaluations.
 
 policy and worlds → each world's return
 
@@ -18,10 +18,10 @@ from pneuma.env.compiled import cached
 from pneuma.env.worlds import Worlds
 
 MOST_WEIGHTS = 65_536
-"""A larger actor is faster in a library's matrix product, with Python in between."""
+"""Largest actor that is faster compiled than by a library's matrix product."""
 
 STEPS_AT_ONCE = 256
-"""Steps whose random numbers are drawn together."""
+"""Steps for which random numbers are drawn at once."""
 
 kernel: Any = cached(error_model="numpy")
 
@@ -55,7 +55,7 @@ def play_episodes(
 
 @kernel
 def _play(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any) -> int:
-    """Play as many steps as there are draws, or to the end; return how many worlds still run."""
+    """Play until the draws are used up or all worlds have ended; return how many still run."""
     s = rules.open_state(handle)
     count, players = s.players.shape[0], s.players.shape[1]
     sampled = draws.shape[1] // players

@@ -1,4 +1,4 @@
-"""How far estimated values of actions are from what their policy then earns (thesis section 3.3).
+"""Overestimation: estimated values of actions against the returns of their policy (thesis section 3.3).
 
 As van Hasselt, Guez and Silver (2015) measure it: the greatest estimated value, over the states that the
 greedy policy visits, beside the discounted return that it truly has from each of them on.
@@ -17,11 +17,11 @@ from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS
 
 WEIGHT_LEFT_OUT = 0.01
-"""What is earned beyond a truncated episode counts until its discount is less than this."""
+"""Rewards after a truncated episode count until their discount is below this."""
 
 
 class ActionValues:
-    """Plays the greedy policy once from every start place, far enough to know what each state was worth.
+    """Plays the greedy policy once from every start place, to measure the true value of its states.
 
     A time limit that truncates is no end to a learner, which bootstraps there: episodes go on past it until
     the last state that counts is followed by enough steps. One that terminates is an end.
@@ -35,7 +35,7 @@ class ActionValues:
         self._known = beyond is not None
 
     def measure(self, policy: Policy) -> dict[str, float]:
-        """Return means over all visited states of `q_estimate` and `q_true`.
+        """Return `q_estimate` and `q_true`, means over all visited states.
 
         Both are NaN where nothing discounts a future that has no end, or hardly anything.
         """
@@ -47,7 +47,7 @@ class ActionValues:
         return {"q_estimate": float(estimates[counted].mean()), "q_true": float(true[counted].mean())}
 
     def _play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return estimates, rewards and whether the player was there, each (steps, worlds, players)."""
+        """Return estimates, rewards and whether the player was alive, each (steps, worlds, players)."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.stream, "action-values", i) for i in range(len(worlds))])
         worlds.reset(starts=np.arange(len(worlds)))
@@ -64,7 +64,7 @@ class ActionValues:
 
 
 def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
-    """Return the discounted sum of rewards from each step on, (steps, …); nothing follows the last."""
+    """Return the discounted sum of rewards from each step on, (steps, …), with nothing after the last."""
     sums = np.zeros((len(rewards) + 1, *rewards.shape[1:]))
     for step in reversed(range(len(rewards))):
         sums[step] = rewards[step] + gamma * sums[step + 1]
@@ -72,7 +72,7 @@ def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
 
 
 def _steps_beyond(run: Run) -> int | None:
-    """Return how many steps past the time limit must be played; None where no episode is long enough."""
+    """Return how many steps past the time limit must be played; None if no number is enough."""
     if run.time_limit == "terminate" or run.gamma == 0:
         return 0
     if run.gamma == 1:

@@ -18,12 +18,12 @@ from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, Records
 
 EVALUATIONS = 20
-"""Times that the frozen policy is evaluated over a run."""
+"""Evaluations per run."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where one run of a group stands after an update.
+    """The state of one run after an update.
 
     Attributes:
         run: the run.
@@ -43,7 +43,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """How one run ended.
+    """The end of a run.
 
     Attributes:
         run: the run.
@@ -65,12 +65,12 @@ OnUpdate = Callable[[Progress], bool]
 
 
 class Engine(Protocol):
-    """What `load_engine` returns: a module with this function."""
+    """The interface of an engine module."""
 
     def train(
         self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
     ) -> Iterator[Result]:
-        """Train every run of a group; `checkpoints` maps an index of `runs` to where to go on from.
+        """Train all runs of a group; `checkpoints` maps indices of `runs` to checkpoints to resume from.
 
         Raises:
             CheckpointError: for a checkpoint that the engine cannot go on from.
@@ -84,7 +84,7 @@ def load_engine(name: str) -> Engine:
 
 
 def evaluation_updates(run: Run) -> set[int]:
-    """Return the numbers, from 1, of the updates after which a run is evaluated.
+    """Return the updates, counted from 1, after which a run is evaluated.
 
     Evenly spread, the last update among them; fewer than `EVALUATIONS` in a run of fewer updates.
     """
@@ -92,7 +92,7 @@ def evaluation_updates(run: Run) -> set[int]:
 
 
 def checkpoint_steps(run: Run, count: int) -> set[int]:
-    """Return the agent steps at which checkpoints of a run are to be kept: none where `count` is 0.
+    """Return the agent steps at which a run's checkpoints are kept; none if `count` is 0.
 
     That is after `count` updates, evenly spread, the last at its end; and after the first, so that a run
     can be forked however early it collapses.
@@ -102,5 +102,5 @@ def checkpoint_steps(run: Run, count: int) -> set[int]:
 
 
 def _spread(updates: int, count: int) -> set[int]:
-    """Return `count` of the numbers from 1 to `updates`, evenly spread, the last among them."""
+    """Return `count` evenly spread numbers from 1 to `updates`, including the last."""
     return {-(-updates * k // count) for k in range(1, count + 1)}

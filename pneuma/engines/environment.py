@@ -1,4 +1,4 @@
-"""The seam between engines and environments: all that an engine asks of what a run is trained in.
+"""The interface between engines and environments.
 
     run → check_environment; make_collector, make_vec_env, make_evaluation
 
@@ -16,7 +16,7 @@ from pneuma.config import Run, env_config, is_gymnasium_id, stream_seed
 
 
 class Collects(Protocol):
-    """Plays horizons for the engine `batched`; see `pneuma.engines.batched.rollout.Collector`.
+    """Plays horizons for the engine `batched`, as `pneuma.engines.batched.rollout.Collector` does.
 
     Attributes:
         features, actions: numbers in an observation, and how many actions there are.
@@ -31,23 +31,23 @@ class Collects(Protocol):
 
     @property
     def observations(self) -> np.ndarray:
-        """What is seen now, (slots, features)."""
+        """The current observations, (slots, features)."""
         ...
 
     def collect(self, actor: Any) -> Any:
-        """Play one horizon, and return the `Rollout`."""
+        """Play one horizon and return the `Rollout`."""
         ...
 
     def episode_rows(self, rollout: Any, first_step: int) -> list[dict[str, Any]]:
-        """Return a rollout's finished episodes as records; `first_step` agent steps were taken before it."""
+        """Return a rollout's finished episodes as records, given the agent steps before it."""
         ...
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return all that the next step depends on, but the generator: arrays by name."""
+        """Return everything that the next step depends on, except the generator: arrays by name."""
         ...
 
     def restore_state(self, saved: Any) -> None:
-        """Go on from there.
+        """Resume from a saved state.
 
         Raises:
             ValueError, KeyError: for a state that does not fit, or that cannot be reached again.
@@ -55,12 +55,12 @@ class Collects(Protocol):
         ...
 
     def fork(self) -> None:
-        """Go on with random streams of the run's own; its player's XP anew where it says so."""
+        """Continue with random streams of the run's own, and with XP reset if asked for."""
         ...
 
 
 def check_environment(run: Run) -> None:
-    """Make a run's environment once.
+    """Make a run's environment once, to find mistakes.
 
     Raises:
         UserError: where that fails, or the run's engine cannot train in it.
@@ -76,7 +76,7 @@ def check_environment(run: Run) -> None:
 
 
 def make_collector(run: Run) -> Collects:
-    """Return what plays for the engine `batched`."""
+    """Return the collector for the engine `batched`."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.batched.gymnasium_rollout import Collector as Foreign
 
@@ -87,7 +87,7 @@ def make_collector(run: Run) -> Collects:
 
 
 def make_vec_env(run: Run) -> Any:
-    """Return a `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`, `fork`."""
+    """Return the `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`, `fork`."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_vec_env import GymnasiumVecEnv
 
@@ -100,7 +100,7 @@ def make_vec_env(run: Run) -> Any:
 
 
 def make_evaluation(run: Run) -> Any:
-    """Return what judges a run's policies where they were not trained, by `evaluate(policy, step)`."""
+    """Return the evaluation of a run's policies, with a method `evaluate(policy, step)`."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_env import Evaluation as Foreign
 
@@ -111,5 +111,5 @@ def make_evaluation(run: Run) -> Any:
 
 
 def slot_seeds(run: Run) -> list[int]:
-    """Return the seeds of the worlds of a run's slots."""
+    """Return the seeds of the worlds in a run's slots."""
     return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]

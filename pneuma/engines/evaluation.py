@@ -1,4 +1,4 @@
-"""Evaluation: how well a frozen policy plays, by random streams that training never draws from.
+"""Evaluation of a frozen policy, with random streams that training never uses.
 
 Every engine evaluates here, in the same way: 50 episodes with sampled actions, and one with the
 most probable action from each distinct start place, also where training begins at the first alone. The
@@ -31,7 +31,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class OwnAgent:
-    """What is asked for actions as a `Policy` is, and whose answers are looked at.
+    """A user's agent, with the methods of a `Policy`; its actions are checked.
 
     Attributes:
         act: for play as in training.
@@ -45,17 +45,17 @@ class OwnAgent:
     actions: int
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Ask `act`, which draws from a generator of its own: (N, features) -> (N,)."""
+        """Call `act`, which has its own random numbers: (N, features) -> (N,)."""
         return self._checked(self.act, observations)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
-        """Ask `choose`, or strike: (N, features) -> (N,)."""
+        """Call `choose`, or attack if there is none: (N, features) -> (N,)."""
         if self.choose is None:
             return np.full(len(observations), rules.ATTACK)
         return self._checked(self.choose, observations)
 
     def _checked(self, ask: Act, observations: np.ndarray) -> np.ndarray:
-        """Return what a function answers, or refuse what is not an action for each observation."""
+        """Return a function's actions; refuse anything but one valid action per observation."""
         count = len(observations)
         actions = np.asarray(answer := ask(observations.copy()))
         fits = actions.shape == (count,) and actions.dtype.kind in "iu"
@@ -68,7 +68,7 @@ class OwnAgent:
 
 
 class Evaluation:
-    """Plays the evaluations of one run; made once, asked at every evaluation point."""
+    """Evaluates the policies of one run."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
@@ -111,12 +111,12 @@ class Evaluation:
         }
 
     def _score(self, share: np.ndarray) -> float:
-        """Return 0 for the random player's share of monsters killed, 1 for the hunter's."""
+        """Return the score of a share of monsters killed: 0 for the random player's, 1 for the hunter's."""
         between = self.hunter_share - self.random_share
         return float((share.mean() - self.random_share) / between) if between > 0 else float("nan")
 
     def _anchors(self) -> tuple[float, float]:
-        """Return the share of monsters that the random player and the hunter kill on these worlds."""
+        """Return the shares of monsters that the random player and the hunter kill in these worlds."""
         shares = []
         generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
         for player in (RandomPlayer(generator), Hunter(self.worlds)):
@@ -126,7 +126,7 @@ class Evaluation:
         return shares[0], shares[1]
 
     def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
-        """Play one episode in every world, the first with drawn actions, the others with the best.
+        """Play one episode in every world, the first ones with sampled actions, the others with the best.
 
         Returns:
             (N,) the return of each, the mean over its players.
@@ -142,7 +142,7 @@ class Evaluation:
         actions = np.zeros(self.worlds.players.size, np.int64)
 
         def act(worlds: Worlds) -> np.ndarray:
-            """Ask a group for the actions of all its rows, until all of it has ended.
+            """Choose the actions of a group of rows, always of all rows until the whole group has ended.
 
             Asked for fewer rows, a policy would give other last bits.
             """
@@ -157,13 +157,13 @@ class Evaluation:
         return self._play(act)
 
     def _begin(self) -> None:
-        """Begin an episode in every world, always the same."""
+        """Start an episode in every world, always the same one."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(worlds))])
         worlds.reset(starts=self._starts)
 
     def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
-        """Play one episode in every world, asking for actions step by step; return as `_play_policy`."""
+        """Play one episode in every world, step by step in Python; return the same as `_play_policy`."""
         self._begin()
         worlds = self.worlds
         returns = np.zeros(len(worlds))

@@ -1,4 +1,4 @@
-"""A stored policy for other programs: Stable-Baselines3's .zip, and ONNX.
+"""Export of a stored policy to other programs: Stable-Baselines3's .zip, and ONNX.
 
 Policy and its run → bytes of a file. Neither kind of file needs Pneuma to be read. Pneuma itself reads
 neither: loading a .zip of Stable-Baselines3's runs the code that is pickled in it.
@@ -30,11 +30,11 @@ from pneuma.env_fields import REWARDS, action_names, are_own_characters, is_own_
 from pneuma.errors import UserError, install_extra
 
 IN_ZIP = ("ppo", "a2c")
-"""Algorithms whose policies Stable-Baselines3 takes."""
+"""Algorithms whose policies Stable-Baselines3 can load."""
 
 ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
-"""As old as what is written allows, so that older runtimes read it."""
+"""The oldest version with all operators used, so that older runtimes can read it."""
 
 _ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
 """Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
@@ -50,7 +50,7 @@ _ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
-    """Return what the `load` of Stable-Baselines3's `PPO` or `A2C` reads: policy and hyperparameters.
+    """Encode a policy for the `load` of Stable-Baselines3's `PPO` or `A2C`, with its hyperparameters.
 
     The optimizer starts afresh: a stored run keeps no state of it.
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
@@ -82,7 +82,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
 
 
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
-    """Return what a policy observes, so that the exported file loads beside its environment.
+    """Return a policy's observation space, so that the exported file loads with its environment.
 
     A level or characters file of its owner's is opened with `trust` alone. Rewards do not matter to it and
     are never imported.
@@ -103,7 +103,7 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 
 
 class _Spaces(gymnasium.Env[np.ndarray, np.int64]):
-    """Stands in for an environment where a learner is set up and never trained: spaces alone."""
+    """A stand-in for an environment, with spaces only, for a learner that is never trained."""
 
     def __init__(self, observation_space: spaces.Box, actions: int) -> None:
         self.observation_space, self.action_space = observation_space, spaces.Discrete(actions)

@@ -1,4 +1,4 @@
-"""Any environment registered with Gymnasium, side by side in slots, and what a run's engine asks of it.
+"""Environments registered with Gymnasium, in parallel slots, with what engines need.
 
     run → modules imported, environment made, wrapped → Slots → collector, vec_env, evaluation
 
@@ -34,12 +34,12 @@ from pneuma.env.reward import module_files as source_files
 from pneuma.errors import UserError
 
 BEST_EPISODES = 5
-"""Of an evaluation, those with the most probable actions, beside the drawn ones."""
+"""Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
 NAN = float("nan")
 
 
 def check_spaces(run: Run) -> None:
-    """Make an environment, and refuse spaces that the run's engine or algorithm cannot learn in."""
+    """Make an environment and refuse spaces in which the run cannot be trained."""
     if isinstance(Slots(run, [0]).action_space, spaces.Box):
         if run.algorithm in VALUE_BASED:
             raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
@@ -51,7 +51,7 @@ def check_spaces(run: Run) -> None:
 
 
 class Slots:
-    """Environments side by side, each begun anew as its episode ends.
+    """Environments in parallel; each is reset as soon as its episode ends.
 
     Attributes:
         observations: (S, features) float32, as they are now.
@@ -80,7 +80,7 @@ class Slots:
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
-        """Begin the first episode of every slot."""
+        """Start the first episode of each slot."""
         for array in (self.returns, self.lengths, self.episodes):
             array[:] = 0
         self.steps = 0
@@ -92,12 +92,12 @@ class Slots:
             self._reset(slot)
 
     def reseed(self, seeds: Sequence[int]) -> None:
-        """Let every slot's next episode begin with a seed."""
+        """Give each slot's next episode a seed."""
         self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # the most that all take
         self._seedings.append([self.steps, *self._seeds])  # type: ignore[list-item]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Advance all by (S,) or (S, dimensions) actions; return rewards, float64, and what ended: (S,) each.
+        """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
 
         Of what ended, `terminated` and `truncated`; never both.
         """
@@ -116,7 +116,7 @@ class Slots:
         return rewards, terminated, truncated
 
     def actions(self, actions: np.ndarray) -> Sequence[Any]:
-        """Return actions as the environments take them."""
+        """Return actions in the form that the environments take."""
         if isinstance(self.action_space, spaces.Discrete):
             first = int(self.action_space.start)
             return [first + action for action in actions.tolist()] if first else actions.tolist()
@@ -124,7 +124,7 @@ class Slots:
         return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
-        """Advance one slot: its reward, whether it terminated or was truncated, and what else it tells."""
+        """Step one slot; return its reward, whether it terminated or was truncated, and its info."""
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
             observation, reward, ended, cut, info = self.envs[slot].step(action)
             self._see(slot, observation)
@@ -141,7 +141,7 @@ class Slots:
             raise ValueError("its observation is not finite")
 
     def _end(self, slot: int, ending: str) -> None:
-        """Note an ended episode, and begin the next."""
+        """Record an ended episode and start the next."""
         self.terminal[slot] = self.observations[slot]
         self.finished.append(
             {
@@ -167,7 +167,7 @@ class Slots:
     # --- Where it stands ---------------------------------------------------------------------------
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return all that the next step follows from, and what it is known again by: arrays by name."""
+        """Return everything that the next step depends on, and what identifies the state: arrays by name."""
         space = self.action_space
         shape = () if isinstance(space, spaces.Discrete) else (math.prod(space.shape),)
         log = np.frombuffer(bytes(self._log), self._kind).reshape(self.steps, len(self.envs), *shape)
@@ -203,7 +203,7 @@ def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | space
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    """Return what makes one row of numbers of an observation."""
+    """Return the function that flattens an observation."""
     if not space.is_np_flattenable:
         raise UserError(f"{run.env}: observations in {space} cannot be flattened: wrap it to have Box ones")
     if isinstance(space, spaces.Box):
@@ -216,7 +216,7 @@ def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
 
 
 def make_env(run: Run) -> gymnasium.Env[Any, Any]:
-    """Make a run's environment, in its wrappers."""
+    """Make a run's environment with its wrappers."""
     if run.env_module:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
@@ -237,7 +237,7 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
 
 @contextmanager
 def blamed(what: str) -> Iterator[None]:
-    """Tell whatever a user's own code raises in one line, as the fault of what it is."""
+    """Turn any exception of a user's own code into a one-line error that names its source."""
     try:
         yield
     except UserError:
@@ -247,7 +247,7 @@ def blamed(what: str) -> Iterator[None]:
 
 
 def _register_installed(namespace: str) -> None:
-    """Let an installed package register its environments by the entry point that Gymnasium once called."""
+    """Let an installed package register its environments by Gymnasium's former entry point."""
     for entry in entry_points(group="gymnasium.envs"):
         if entry.name in (namespace, "__root__"):
             entry.load()()
@@ -260,7 +260,7 @@ def _load(name: str) -> Any:
 
 
 def _importable(name: str) -> str:
-    """Return by which name a module can be imported, from the current folder too, or that of its file."""
+    """Return the name by which a module can be imported, from the current or its file's folder too."""
     path = Path(name) if name.endswith(".py") else None
     folder = str(path.parent.resolve() if path else Path.cwd())
     if folder not in sys.path:
@@ -269,7 +269,7 @@ def _importable(name: str) -> str:
 
 
 def module_files(name: str) -> list[Path]:
-    """Return the source files of a module of a user's own, and those that it imports beside it.
+    """Return the source files of a user's module, and of the modules that it imports beside it.
 
     It is not run, and where it is not found there are none: a run in it has a name, and can fail by it.
     """
@@ -280,7 +280,7 @@ def module_files(name: str) -> list[Path]:
 
 
 def wrapper_files(names: Sequence[str]) -> list[Path]:
-    """Return the source files of the modules of wrappers."""
+    """Return the source files of the wrappers' modules."""
     return [path for name in names for path in module_files(name.rpartition(":")[0])]
 
 
@@ -294,7 +294,7 @@ def told(error: BaseException) -> str:
 
 
 class Evaluation:
-    """Plays the evaluations of one run, the same episodes every time, on seeds of their own."""
+    """Evaluates the policies of one run: always the same episodes, on seeds of their own."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
@@ -335,7 +335,7 @@ class Evaluation:
         }
 
     def _play(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Play one episode in every slot; return returns, lengths, and successes where told: (N,) each."""
+        """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
         slots = self.slots
         slots.begin(self._seeds)
         returns, lengths, successes = np.zeros((3, len(slots.envs)))

@@ -1,4 +1,4 @@
-"""Gymnasium's environments as Stable-Baselines3 wants them."""
+"""Gymnasium's environments as a vector environment of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pneuma.env.sb3 import WholeVecEnv
 
 
 class GymnasiumVecEnv(WholeVecEnv):
-    """A run's slots: actions from 0 on or a row of numbers, observations a row of numbers."""
+    """A run's slots, with flat observations and with actions from 0 on or as arrays."""
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
@@ -32,19 +32,19 @@ class GymnasiumVecEnv(WholeVecEnv):
 
     @property
     def finished(self) -> list[dict[str, Any]]:
-        """Episodes that have ended since someone last emptied the list."""
+        """Episodes that ended since the list was last emptied."""
         return self.slots.finished
 
     def reset(self) -> np.ndarray:
-        """Return what all slots see: their first episodes have begun."""
+        """Start the first episodes and return all observations."""
         return self.slots.observations.copy()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the next step."""
+        """Set the actions of the next step."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Play them: observations, rewards, dones, infos."""
+        """Step all slots: observations, rewards, dones, infos."""
         rewards, terminated, truncated = self.slots.step(self._actions)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [
@@ -56,15 +56,15 @@ class GymnasiumVecEnv(WholeVecEnv):
         return self.slots.observations.copy(), rewards.astype(np.float32), dones, infos
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Copy all that the next step depends on: plain arrays by name."""
+        """Copy everything that the next step depends on: arrays by name."""
         return self.slots.saved_state()
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Go on from where `saved_state` was taken; see `Slots.restore_state`."""
+        """Resume from `saved_state`; see `Slots.restore_state`."""
         self.slots.restore_state(saved)
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
-        """Go on with other random streams, each from its next episode on; there is no XP."""
+        """Continue with other random streams, from each slot's next episode on."""
         self.slots.reseed(seeds)
         return self.slots.observations.copy()
 

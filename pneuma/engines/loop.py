@@ -1,4 +1,4 @@
-"""A run from update to update: what every engine does around its own way to learn.
+"""The training loop that all engines share: update, evaluate, report, and stop.
 
     trainer (an engine's) → update, judge, tell → result
 
@@ -18,10 +18,10 @@ from pneuma.engines.records import Checkpoint, Records, Row
 
 
 class Trainer(Protocol):
-    """What trains one run."""
+    """An engine's part in training one run."""
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from the run's own checkpoint; from its parent's where `begins_fork`.
+        """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
 
         Raises:
             CheckpointError: for one that does not fit.
@@ -29,7 +29,7 @@ class Trainer(Protocol):
         ...
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Take the update between two agent steps, and write down what it was.
+        """Do the update between two agent steps and record it.
 
         Returns:
             Whether everything is still finite.
@@ -37,15 +37,15 @@ class Trainer(Protocol):
         ...
 
     def evaluate(self, step: int) -> Row:
-        """Judge the policy as it is; return a row of evaluations."""
+        """Evaluate the current policy; return a row of evaluations."""
         ...
 
     def policy(self) -> Policy:
-        """Return the policy as it is."""
+        """Return the current policy."""
         ...
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy all that the next update depends on."""
+        """Copy everything that the next update depends on."""
         ...
 
 
@@ -56,7 +56,7 @@ def train_run(
     checkpoint: Checkpoint | None = None,
     evaluated: bool = True,
 ) -> Result:
-    """Train one run, from its start or from a checkpoint; unless `evaluated`, its policy is never judged."""
+    """Train one run, from its start or from a checkpoint; with `evaluated=False`, without evaluations."""
     records, step = Records(), 0
     if checkpoint:
         trainer.restore(checkpoint)
@@ -77,5 +77,5 @@ def train_run(
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
-    """Return whether a checkpoint is a parent's, from which the run begins as a fork."""
+    """Return whether a checkpoint is the parent's, from which the run begins as a fork."""
     return bool(run.parent) and checkpoint.step == run.fork_step

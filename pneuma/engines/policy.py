@@ -1,6 +1,6 @@
-"""A stored policy: the actor as plain arrays, independent of what trained it.
+"""A stored policy: networks as plain arrays, independent of the engine that trained them.
 
-Written as safetensors plus JSON, so that reading a stranger's file runs no code.
+Written as safetensors plus JSON, so that reading an untrusted file runs no code.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 @dataclass(frozen=True)
 class Policy:
-    """Actor and critic as multilayer perceptrons; or one network of action values, which has no critic.
+    """An actor and a critic, or one network of action values, as multilayer perceptrons.
 
     Attributes:
         activation: of the hidden layers; one of `pneuma.config.ACTIVATIONS`.
@@ -107,14 +107,14 @@ class Policy:
 
 
 def overflows(policy: Policy, observations: np.ndarray) -> bool:
-    """Return whether logits of sound observations, (N, features), are no numbers, as of huge weights."""
+    """Return whether finite observations, (N, features), give logits that are not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         logits = policy.logits(observations)
     return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())
 
 
 def read_sound_policy(data: bytes) -> Policy:
-    """Read a policy back from `Policy.to_bytes`; it may be a stranger's.
+    """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`.
 
     Raises:
         UserError: when it is no policy, or its layers do not fit each other.
@@ -138,7 +138,7 @@ def read_sound_policy(data: bytes) -> Policy:
 
 
 def _is_sound(policy: Policy) -> bool:
-    """Return whether a policy's layers fit each other."""
+    """Return whether the shapes of a policy's layers fit together."""
     networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
     inputs = {len(layers[0][0]) for layers in networks}
     fits = policy.activation in ACTIVATIONS and len(inputs) == 1
@@ -153,7 +153,7 @@ def _is_sound(policy: Policy) -> bool:
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
-    """Return what draws actions, (N, P), from a stored policy in worlds."""
+    """Return a function that draws actions, (N, P), from a policy in worlds."""
     check_fits(policy, worlds)
 
     def act(shown: Worlds) -> np.ndarray:
@@ -164,7 +164,7 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
 
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
-    """Check that a stored policy can play in worlds."""
+    """Check that a policy fits the worlds' observations and actions."""
     for what, trained, here in (
         ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
         ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
@@ -174,7 +174,7 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
 
 
 def flat(layers: Layers) -> np.ndarray:
-    """Return all weights and biases, layer by layer, in one float32 array, for the compiled player."""
+    """Return all weights and biases, layer by layer, in one float32 array, for compiled play."""
     return np.concatenate([part.ravel() for layer in layers for part in layer])
 
 
@@ -184,7 +184,7 @@ def sizes(layers: Layers) -> np.ndarray:
 
 
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
-    """Return the output of every layer, hidden ones after their activation: [(N, units), …]."""
+    """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
     outputs = []
     x = observations
     for i, (weight, bias) in enumerate(layers):

@@ -10,7 +10,7 @@
     results/studies/NAME.json  what was selected of a study, and its run ids
 
 Every file appears whole or not at all, and status.json comes last: a run that it does not vouch
-for, checksum by checksum, is not there. A stranger's folder is safe to read: names that would lead
+for, checksum by checksum, is not there. An untrusted folder is safe to read: names that would lead
 out of it are refused, and nothing in it is ever run.
 """
 
@@ -133,7 +133,7 @@ class Store:
         """Return the lock that a process must hold to train the run.
 
         Raises:
-            OSError: where the run's folder is a link, which may lead to a stranger's place.
+            OSError: where the run's folder is a link, which may lead elsewhere.
         """
         folder = self.run_folder(run_id)
         for part in (folder, folder / CHECKPOINTS):

@@ -1,4 +1,4 @@
-"""Rollouts in any Gymnasium environment: its step is Python, the policy's is compiled."""
+"""Rollouts in any Gymnasium environment: the policy is compiled, the environment's step is Python."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pneuma.env import rules
 
 
 class Collector:
-    """The environments of a run's slots; see `pneuma.engines.environment.Collects`."""
+    """The environments of a run's slots; implements `pneuma.engines.environment.Collects`."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -30,7 +30,7 @@ class Collector:
 
     @property
     def observations(self) -> np.ndarray:
-        """What is seen now, (slots, features)."""
+        """The current observations, (slots, features)."""
         return self.slots.observations
 
     def collect(self, actor: Layers) -> Rollout:
@@ -62,21 +62,21 @@ class Collector:
         )  # fmt: skip
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        """Take the episodes that have ended since the last call."""
+        """Return and forget the episodes that ended since the last call."""
         rows = self.slots.finished.copy()
         self.slots.finished.clear()
         return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return all that the next step depends on, but the generator: arrays by name."""
+        """Return everything that the next step depends on, except the generator: arrays by name."""
         slots = {f"worlds/{name}": own for name, own in self.slots.saved_state().items()}
         return {**slots, "worlds/begins": self._begins}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Go on from `saved_state`; see `Slots.restore_state`."""
+        """Resume from `saved_state`; see `Slots.restore_state`."""
         self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
         self._begins[:] = saved["worlds/begins"]
 
     def fork(self) -> None:
-        """Go on with random streams of the run's own, each from its next episode on."""
+        """Continue with random streams of the run's own, from each slot's next episode on."""
         self.slots.reseed(slot_seeds(self._run))

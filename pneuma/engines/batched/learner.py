@@ -1,4 +1,4 @@
-"""One policy and all that trains it: a rollout goes in, better networks and what they lost come out."""
+"""The learner of a policy: its networks, its optimizer, and updates from rollouts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 
 
 def initial_networks(run: Run, features: int, actions: int) -> Networks:
-    """Return orthogonal weights and zero biases, drawn from the run's stream of weights."""
+    """Return orthogonal weights and zero biases, from the run's random stream for weights."""
     generator = np.random.default_rng(stream_seed(run.stream, "weights"))
     return {
         "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
@@ -34,7 +34,7 @@ def initial_networks(run: Run, features: int, actions: int) -> Networks:
 
 
 class Learner:
-    """Networks, optimizer and order of minibatches of one policy.
+    """The networks, optimizer and minibatch order of one policy.
 
     Args:
         run: how it learns.
@@ -85,7 +85,7 @@ class Learner:
         }
 
     def _judge(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
-        """Return the batch to learn from, slot by slot; its values; and the share of dead units."""
+        """Return the batch, slot by slot, the values, and the share of dead units."""
         run = self.run
         slots, steps, features = rollout.observations.shape
         observations = np.concatenate([rollout.observations.reshape(-1, features), rollout.last_observations])
@@ -107,7 +107,7 @@ class Learner:
         return batch, own.reshape(-1), float(dead)
 
     def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
-        """Return rewards with the discounted value of what a time limit cut off, (S, T)."""
+        """Return rewards plus the discounted value of states that a time limit cut off, (S, T)."""
         cut = np.flatnonzero(is_cut_off(self.run, rollout.ended))
         if not len(cut):
             return rollout.rewards
@@ -119,19 +119,19 @@ class Learner:
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        """Return whether losses, gradient norms and every parameter are finite."""
+        """Return whether losses, gradient norms and all parameters are finite."""
         watched = [metrics[name] for name in ("policy_loss", "value_loss", "entropy", "grad_norm")]
         leaves = jax.tree.leaves(self.networks)
         return bool(np.isfinite(watched).all()) and all(bool(np.isfinite(leaf).all()) for leaf in leaves)
 
 
 def to_numpy(tree: Tree) -> Tree:
-    """Return a tree's arrays as NumPy's, without a copy where that is possible."""
+    """Return a tree's arrays as NumPy arrays, without a copy if possible."""
     return jax.tree.map(np.asarray, tree)
 
 
 def _explained_variance(values: np.ndarray, returns: np.ndarray) -> float:
-    """Return 1 - Var(returns - values) / Var(returns); not a number where all returns are equal."""
+    """Return 1 - Var(returns - values) / Var(returns); NaN if all returns are equal."""
     spread = np.var(returns)
     return float("nan") if spread == 0 else float(1 - np.var(returns - values) / spread)
 

@@ -1,4 +1,4 @@
-"""Rollouts: a run's policy plays its worlds for one horizon, in one compiled call.
+"""Rollouts: a run's policy plays its worlds for one horizon in one compiled call.
 
 worlds, actor and random numbers → observations, actions, rewards, ends, finished episodes
 
@@ -40,7 +40,7 @@ kernel: Any = cached(error_model="numpy")
 
 @dataclass(frozen=True)
 class Rollout:
-    """What one horizon of T steps in S slots brought.
+    """One horizon of T steps in S slots.
 
     Attributes:
         observations: (S, T, features) float32, before each step.
@@ -64,7 +64,7 @@ class Rollout:
 
 
 class Tape(NamedTuple):
-    """What playing reads and writes beside the worlds: the episodes so far, then a rollout's arrays."""
+    """The arrays that a rollout reads and writes, beside the worlds."""
 
     returns: Any
     lengths: Any
@@ -80,7 +80,7 @@ class Tape(NamedTuple):
 
 
 class Collector:
-    """The worlds of a run's slots, and the episodes that are being played in them.
+    """The worlds of a run's slots, with the episodes in progress.
 
     Attributes:
         worlds: as many as the run's `slots`; each of their players is a slot here.
@@ -109,7 +109,7 @@ class Collector:
 
     @property
     def observations(self) -> np.ndarray:
-        """What every slot's player sees now, (S, features)."""
+        """What each slot's player observes now, (S, features)."""
         return self.worlds.observations.reshape(len(self.idle), self.features)
 
     def collect(self, actor: Layers) -> Rollout:
@@ -132,7 +132,7 @@ class Collector:
         )  # fmt: skip
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        """Return a rollout's finished episodes as records; `first_step` agent steps were taken before it."""
+        """Return a rollout's finished episodes as records, given the agent steps before it."""
         return [
             {
                 "slot": int(row["slot"]),
@@ -148,7 +148,7 @@ class Collector:
         ]
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return the arrays of worlds and episodes by name; nobody idles in worlds of one player."""
+        """Return the arrays of worlds and episodes by name."""
         idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
         return {
             **{f"worlds/{name}": _bytes(getattr(self.worlds, name)) for name in _WORLDS},
@@ -156,7 +156,7 @@ class Collector:
         }
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Go on from `saved_state`; raise ValueError for one of another shape."""
+        """Resume from `saved_state`; raise ValueError if its shape differs."""
         for name, own in self.saved_state().items():
             if own.shape != saved[name].shape:
                 raise ValueError(f"{name} is of shape {saved[name].shape}, not {own.shape}")
@@ -164,7 +164,7 @@ class Collector:
         self.worlds.observe()
 
     def fork(self) -> None:
-        """Go on with random streams of the run's own; with XP anew where it says so."""
+        """Continue with random streams of the run's own, and with XP reset if asked for."""
         self.worlds.rekey(slot_seeds(self._run))
         if self._run.fork_reset == "xp":
             self.worlds.players["xp"] = 0.0
@@ -173,7 +173,7 @@ class Collector:
     def _play_compiled(
         self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
     ) -> tuple[Tape, int]:
-        """Play a horizon in one call, or in more where the room for endings was too little."""
+        """Play a horizon in one call, or in several if there was too little room for endings."""
         activation = ACTIVATION_CODES[self._run.activation]
         done, count = 0, 0
         while True:
@@ -188,7 +188,7 @@ class Collector:
     def _play_asking(
         self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
     ) -> tuple[Tape, int]:
-        """Play a horizon step by step, as rewards of a user's own are plain Python."""
+        """Play a horizon step by step, because a user's reward is plain Python."""
         worlds, activation = self.worlds, ACTIVATION_CODES[self._run.activation]
         chosen = np.zeros(worlds.players.shape, np.int64)
         over = np.zeros(len(worlds), np.bool_)
@@ -208,7 +208,7 @@ def _with_more_room(tape: Tape) -> Tape:
 
 
 def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
-    """Tell which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
+    """Return which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
     limit = ended["ending"] == rules.TIME_LIMIT
     return limit if run.time_limit == "truncate" else np.zeros_like(limit)
 
@@ -231,7 +231,7 @@ def _play(
     handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any,
     step: int, count: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Play from `step` on; return the step reached, short of the last where `terminal` was full."""
+    """Play from `step` on; return the step reached, which is short of the end if `terminal` was full."""
     s = rules.open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
@@ -249,7 +249,7 @@ def _choose(
     handle: Any, weights: Any, widths: Any, activation: int, draws: Any, tape: Any, step: int, chosen: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    """Note what every slot sees and draw its action; idle slots see zeros."""
+    """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = rules.open_state(handle)
     players = s.players.shape[1]
     for i in range(len(draws)):
@@ -266,7 +266,7 @@ def _choose(
 
 @kernel
 def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chosen: Any, over: Any) -> int:
-    """Note what a step brought to every slot and begin ended worlds anew; return the endings so far."""
+    """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = rules.open_state(handle)
     players = s.players.shape[1]
     any_over = False

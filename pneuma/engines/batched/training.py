@@ -1,4 +1,4 @@
-"""The trainer of the compiled engine: a run's worlds, who learns in them, and their state as plain arrays."""
+"""The compiled engine's trainer: a run's worlds, its learner, and their state as plain arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 
 
 class BatchedTrainer:
-    """Trains one run by compiled programs; see `pneuma.engines.loop.Trainer`.
+    """Trains one run by compiled programs; implements `pneuma.engines.loop.Trainer`.
 
     Attributes:
         collector: the worlds and the actions' stream.
@@ -46,7 +46,7 @@ class BatchedTrainer:
         return not (is_last and overflows(self.policy(), self.collector.observations))
 
     def evaluate(self, step: int) -> Row:
-        """Let the policy play where it was not trained."""
+        """Evaluate the policy."""
         return self._evaluation.evaluate(self.policy(), step)
 
     def policy(self) -> Policy:
@@ -68,7 +68,7 @@ class BatchedTrainer:
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint; as a fork of a parent's, with random streams of its own.
+        """Resume from a checkpoint; a fork starts from its parent's, with random streams of its own.
 
         A fork begins anew with what it is to reset.
         """
@@ -110,7 +110,7 @@ def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> No
 
 
 def _filled(tree: Any, prefix: str, checkpoint: Checkpoint) -> Any:
-    """Return a tree like this one with the arrays of a checkpoint."""
+    """Return a tree of this structure with the arrays of a checkpoint."""
     arrays = {}
     for name, own in _named(tree):
         array = checkpoint.arrays[prefix + name]
