@@ -1,1 +1,1 @@
-"""Benchmarks: ratios taken in one run, alternating, medians; machines are noisy."""
+"""Benchmarks: medians of ratios that are measured in alternation, as machines are noisy."""

@@ -1,4 +1,4 @@
-"""Calibration: how often a list of claims holds a false verdict, and how often an interval covers.
+"""Calibration: how often a list of claims has a false verdict, and how often intervals cover.
 
 Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
 claim are alike, or they differ by half the margin, which counts as no difference, or by exactly the margin,
@@ -25,13 +25,13 @@ from pneuma.analysis.pvalues import PValues
 LISTS = 2_000
 SEEDS = (3, 5, 10, 20, 50)
 CLAIMS = {"mean": 50, "incidence": 10}
-"""How many of each kind a list has."""
+"""Claims of each kind in a list."""
 MEANS = {"mean": 60}
 ONE_ARM = {"one mean": 30, "one share": 30}
 MARGINS = {"mean": 0.5, "incidence": 0.2, "one mean": 0.5, "one share": 0.2}
-"""Of means, in standard deviations."""
+"""Margins of means, in standard deviations."""
 FAR = {"mean": 2.0, "incidence": 0.7, "one mean": 2.0, "one share": 0.7}
-"""What lies far apart: the effect itself."""
+"""Effects of claims that are far apart."""
 FOUND_EQUAL = 4.5
 """Standard errors to the margin at which most of 60 claims are found equivalent, and the others look large:
 where a correction that steps down over what was found is furthest off."""
@@ -44,15 +44,15 @@ ROUNDS = ((400, 60, 1.0), (3_000, 10, 0.1), (20_000, 10, 0.01))
 is tested again by more: no greater one can come to a verdict, and the least that counts is 4e-4. So few share
 one set of many that lists are as good as independent."""
 TRUE_FINDINGS = {"alike": ("equal",), "edge": ("greater",), "far": ("greater",)}
-"""What may be found of each truth without being false."""
+"""Verdicts on each truth that are not false."""
 TRUE_OF_EQUAL = {"alike": "supported", "half": "supported", "edge": "refuted", "far": "refuted"}
-"""What may be said of a claim of equivalence."""
+"""Verdicts on claims of equivalence that are not false."""
 
 Draw = Callable[[np.random.Generator, tuple[int, int]], np.ndarray]
 
 
 def _bimodal(generator: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Draw four fifths of runs around 10 and a fifth, which failed, around 2, and set them off."""
+    """Draw runs of which four fifths lie around 10 and one fifth, which failed, around 2."""
     values = np.where(generator.random(shape) < 0.8, 10.0, 2.0) + generator.normal(size=shape)
     return (values - 8.4) / np.sqrt(1 + 0.16 * 64)
 
@@ -62,12 +62,12 @@ DISTRIBUTIONS: dict[str, Draw] = {
     "80/20 bimodal": _bimodal,
     "t, 3 degrees": lambda generator, shape: generator.standard_t(3, size=shape) / np.sqrt(3),
 }
-"""Of mean 0 and standard deviation 1."""
+"""Distributions with mean 0 and standard deviation 1."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How the claims of a list are made.
+    """How the claims of a list are simulated.
 
     Attributes:
         truths: what is true of them, in turn: alike, half, edge or far.
@@ -87,7 +87,7 @@ class Setting:
         return MARGINS[kind] if self.errors is None else self.errors * float(np.sqrt(2 / seeds))
 
     def truths_of(self, size: int) -> list[str]:
-        """Return what is true of so many claims."""
+        """Return the truth of each of `count` claims."""
         return [self.truths[i % len(self.truths)] for i in range(size)]
 
 
@@ -132,11 +132,11 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
 # --- Lists of claims ---------------------------------------------------------------------------------
 
 Arms = dict[str, tuple[np.ndarray, np.ndarray]]
-"""Both arms of every claim of many lists, by kind, (lists * claims, seeds)."""
+"""Both arms of all claims of many lists, by kind, (lists * claims, seeds)."""
 
 
 def wrong_lists(lists: int, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> int:
-    """Return how many of so many lists hold a false verdict."""
+    """Return how many of `lists` lists have a false verdict."""
     arms = _make_arms(lists, draw, seeds, setting, generator)
     wrong = np.zeros(lists, dtype=bool)
     size = sum(setting.sizes.values())
@@ -147,7 +147,7 @@ def wrong_lists(lists: int, draw: Draw, seeds: int, setting: Setting, generator:
 
 
 def is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool:
-    """Return whether a verdict, or what it speaks of, is not so."""
+    """Return whether a verdict is false."""
     if verdict == INCONCLUSIVE:
         return False
     if claimed == "equal":
@@ -174,7 +174,7 @@ def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: 
 def _contrasts(
     arms: Arms, seeds: int, setting: Setting, generator: np.random.Generator
 ) -> Iterator[tuple[str, str, int, Contrast]]:
-    """Yield kind, truth, row and contrast of every claim of every list."""
+    """Yield kind, truth, row and contrast of each claim of each list."""
     nowhere = intervals.no_interval()
     for kind, (a, b) in arms.items():
         truths = setting.truths_of(setting.sizes[kind])
@@ -190,7 +190,7 @@ def _contrasts(
 def p_of_kind(
     kind: str, a: np.ndarray, b: np.ndarray, margin: float, generator: np.random.Generator
 ) -> PValues:
-    """Return p-values of claims of one kind, each (samples,); those on one arm do not read b."""
+    """Return p-values of claims of one kind, each (samples,); those with one arm ignore b."""
     seeds = a.shape[1]
     if kind == "incidence":
         return pvalues.incidence_p_values(a.sum(axis=1), seeds, b.sum(axis=1), seeds, margin)
@@ -253,7 +253,7 @@ def _covered(method: str, distribution: str, seeds: int, share: float) -> dict[s
 
 
 def band_coverage(band: str, runs: np.ndarray) -> float:
-    """Return how often a figure's band covers the mean 0 of what (samples, runs) were drawn from."""
+    """Return how often a figure's band covers the mean 0 of (samples, runs)."""
     edges = BANDS[band].edges
     assert edges
     low, high = edges(runs.T)

@@ -1,4 +1,4 @@
-"""Speed of the engines: the compiled one over Stable-Baselines3.
+"""Speed of the engines: the compiled one against Stable-Baselines3.
 
 Both train runs without evaluation on one thread, in rounds that alternate; compiling is done before.
 """
@@ -18,7 +18,7 @@ from pneuma.engines.environment import make_vec_env
 from pneuma.study.executors.local import one_thread_environment
 
 SIZES: dict[str, dict[str, object]] = {"small": {}, "mid": {"actor": [512], "critic": [2048, 2048]}}
-"""Networks of the thesis (section 6.1): [128] / [256], and mid."""
+"""Networks of the thesis (section 6.1): [128] / [256], and the medium ones."""
 
 CASES: tuple[tuple[str, int, int, int, int], ...] = (
     ("small", 1, 10_240, 3_072, 5),
@@ -30,7 +30,7 @@ CASES: tuple[tuple[str, int, int, int, int], ...] = (
 
 
 def bench_engines() -> dict[str, Any]:
-    """Return what `measure` does, from a process of its own that is pinned to one thread."""
+    """Return the result of `measure` in a process with one thread."""
     command = [sys.executable, "-m", "pneuma.bench.engines"]
     done = subprocess.run(command, env=one_thread_environment(), stdout=subprocess.PIPE, check=True)
     report: dict[str, Any] = json.loads(done.stdout)
@@ -38,7 +38,7 @@ def bench_engines() -> dict[str, Any]:
 
 
 def measure() -> dict[str, Any]:
-    """Return steps a second of both engines, and the median of their ratio, by case."""
+    """Return the steps per second of both engines and the median of their ratio, by case."""
     cases: list[dict[str, Any]] = []
     ratios = {}
     for size, runs, steps, reference_steps, rounds in CASES:
@@ -58,7 +58,7 @@ def engine_run(size: str, engine: str, seed: int, steps: int) -> Run:
 
 
 def engine_rates(own: Sequence[Run], reference: Run, rounds: int) -> tuple[list[float], list[float]]:
-    """Return the steps a second of both engines, round by round."""
+    """Return the steps per second of both engines in each round."""
     from pneuma.engines import batched, sb3
 
     def ours(run: Run) -> None:

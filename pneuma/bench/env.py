@@ -1,4 +1,4 @@
-"""Speed of the environment's faces beside Gymnasium's CartPole, on one core."""
+"""Speed of the environment's interfaces, and of Gymnasium's CartPole, on one core."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Step = Callable[[int], None]
 
 
 def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[dict[str, Any]]:
-    """Return agent steps a second of every case: the median of rounds that alternate between cases.
+    """Return the agent steps per second of each case: the median of alternating rounds.
 
     Actions are uniformly random; an ended episode is reset within the measured time.
     """
@@ -44,7 +44,7 @@ def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[
 
 
 def rate_of(step: Step, seconds: float) -> float:
-    """Return how often a second a step can be taken, tried for some seconds."""
+    """Return how many steps per second can be taken, measured for some seconds."""
     count, start = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - start) < seconds or not count:
         for i in range(200):
@@ -54,7 +54,7 @@ def rate_of(step: Step, seconds: float) -> float:
 
 
 def engage(worlds: Worlds) -> None:
-    """Bring every monster within reach of its player, and let nobody ever die: the worst case."""
+    """Bring every monster within reach of its player and make nobody die: the worst case."""
     angles = np.random.default_rng(1).random(worlds.monsters.shape) * 6.283
     worlds.monsters["x"] = worlds.players["x"] + 30 * np.cos(angles)
     worlds.monsters["y"] = worlds.players["y"] + 30 * np.sin(angles)

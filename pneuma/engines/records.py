@@ -1,4 +1,4 @@
-"""What a run writes down while it trains: rows of episodes, updates and evaluations; and its checkpoints."""
+"""Records of a run in training: rows of episodes, updates and evaluations; and checkpoints."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ Row = Mapping[str, Any]
 
 
 def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]:
-    """Return how often each action was taken, as columns of the metrics.
+    """Return the share of each action, as columns of the metrics.
 
     In environments that are not Pneuma's, of more actions than there are columns the most frequent; none
     where actions are no choices, which is where they are not whole numbers.
@@ -70,7 +70,7 @@ def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]
 
 @dataclass
 class Records:
-    """What a run writes down: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
+    """The records of a run: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
 
     Every evaluation may have some of `VALUE_COLUMNS` as well.
     """
@@ -80,12 +80,12 @@ class Records:
     evaluations: list[Row] = field(default_factory=list)
 
     def copy(self) -> Records:
-        """Return records that further rows do not reach."""
+        """Return a copy that later rows do not change."""
         return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
 
 
 def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of a table: those of the contract, then those of `VALUE_COLUMNS` that it has."""
+    """Return the columns of a table: those of the contract, then its `VALUE_COLUMNS`."""
     return (*columns, *(name for name in VALUE_COLUMNS if rows and name in rows[0]))
 
 
@@ -93,12 +93,12 @@ def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that an engine cannot go on from."""
+    """A checkpoint from which an engine cannot resume."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A run's whole state after an update: all that its engine needs to go on with the same bits.
+    """A run's whole state after an update, from which its engine resumes with the same bits.
 
     Attributes:
         step: agent steps trained, over all slots.

@@ -1,4 +1,4 @@
-"""The reference engine: learners of Stable-Baselines3 as they are, one run after the other.
+"""The reference engine: Stable-Baselines3's learners, unchanged, one run after another.
 
 A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`), listens
 to its gradients and its log without touching its arithmetic, and evaluates between updates. An update of a
@@ -49,12 +49,12 @@ LOGGED: dict[str, dict[str, tuple[int, str]]] = {
     "dqn": {"value_loss": (1, "loss")},
     "double-dqn": {"value_loss": (1, "loss")},
 }
-"""Columns of the metrics that each learner logs, with sign and name there; it has no others of `LOSSES`."""
+"""Metrics that each learner logs, with their sign and name in its log."""
 
 LOSSES = tuple(LOGGED["ppo"])
 NORMS = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES))))
-"""Columns of the metrics that tell what a policy met and did."""
+"""Metrics of what a policy visited and did."""
 
 
 def train(
@@ -79,7 +79,7 @@ def train_one(
 
 
 class Sb3Trainer:
-    """Trains one run by a learner of Stable-Baselines3; see `pneuma.engines.loop.Trainer`."""
+    """Trains one run by a learner of Stable-Baselines3; implements `pneuma.engines.loop.Trainer`."""
 
     def __init__(self, model: Any, run: Run, norms: GradientNorms) -> None:
         self.run = run
@@ -93,7 +93,7 @@ class Sb3Trainer:
         return make_evaluation(self.run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint, or begin as the fork of a parent's."""
+        """Resume from a checkpoint, or start as a fork of the parent's."""
         if begins_fork(self.run, checkpoint):
             begin_fork(self._model, self.run, checkpoint)
         else:
@@ -115,7 +115,7 @@ class Sb3Trainer:
         return not overflows(self._policy, model._last_obs)
 
     def evaluate(self, step: int) -> Row:
-        """Let the policy play where it was not trained."""
+        """Evaluate the policy."""
         return self._evaluation.evaluate(self._policy, step)
 
     def policy(self) -> Policy:
@@ -128,7 +128,7 @@ class Sb3Trainer:
 
 
 def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:
-    """Let a learner collect a rollout, by `policy`, and train on it; return what it told of both.
+    """Let a learner collect a rollout and train on it; return the metrics of both.
 
     Where weights are huge, logits overflow, and torch refuses to draw: that is no crash but a run that
     diverged.
@@ -145,7 +145,7 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
 
 
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
-    """Let the learner train on the rollout it collected; return its log of that.
+    """Let the learner train on its rollout; return what it logged.
 
     Once a weight, the critic's too, or a logit is not a number, torch refuses the next minibatch; that run
     diverged, and its losses are then not numbers either.
@@ -163,7 +163,7 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
 
 
 def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
-    """Let DQN take a horizon's steps and gradients, as its `learn` does; return what it told of them."""
+    """Let DQN take one horizon of steps and gradients, as its `learn` does; return its metrics."""
     assert model.env is not None and model.replay_buffer is not None and run.train_every
     policy, losses = extract_policy(model, run), []
     for _ in range(run.horizon // run.train_every):
@@ -182,7 +182,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
 
 
 def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
-    """Put a learner where its parent's checkpoint was taken, with random streams of its own from there on.
+    """Restore a learner from its parent's checkpoint, with random streams of its own.
 
     What the run asks to reset is as it is at a run's start instead.
     """
@@ -198,7 +198,7 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
 
 
 class GradientNorms:
-    """Measures every minibatch's gradient norms before clipping, and clips parts separately if asked.
+    """Measures the gradient norms of each minibatch before clipping; clips parts separately if asked.
 
     Listens by torch's own hooks; the learner's code and arithmetic stay as they are. TRPO, whose actor
     takes no steps of gradients, is not listened to.
@@ -220,11 +220,11 @@ class GradientNorms:
         )
 
     def __enter__(self) -> GradientNorms:
-        """Listen until the end of a `with` block."""
+        """Register the hooks."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop listening: a hook keeps its network in memory."""
+        """Remove the hooks, which would keep the network in memory."""
         for hook in self._hooks:
             hook.remove()
 
@@ -240,7 +240,7 @@ class GradientNorms:
             nn.utils.clip_grad_norm_(part, self._limit)
 
     def take(self) -> dict[str, float]:
-        """Return the mean norms over the minibatches since the last call, and forget them.
+        """Return the mean norms over the minibatches since the last call.
 
         A network of action values has neither actor nor critic; before its first gradient there is no norm.
         """
@@ -258,7 +258,7 @@ class GradientNorms:
 
 
 class Visited(BaseCallback):
-    """Keeps what a learner without rollouts saw and did since someone last took it."""
+    """Records the observations and actions of a learner without rollouts."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -269,14 +269,14 @@ class Visited(BaseCallback):
         return True
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return observations (N, features) and actions (N,), and forget them."""
+        """Return and forget observations (N, features) and actions (N,)."""
         observations, actions = zip(*self._seen, strict=True)
         self._seen.clear()
         return np.concatenate(observations), np.concatenate(actions)
 
 
 def logged_losses(model: Learner, run: Run) -> dict[str, float]:
-    """Return what a learner logged of its last training, NaN for what it has none of."""
+    """Return what a learner logged in its last training; NaN for what it does not log."""
     log = model.logger.name_to_value
     told = LOGGED[run.algorithm].items()
     return {
@@ -288,13 +288,13 @@ def logged_losses(model: Learner, run: Run) -> dict[str, float]:
 def visited_metrics(
     run: Run, policy: Policy, observations: np.ndarray, actions: np.ndarray
 ) -> dict[str, float]:
-    """Measure what a policy met and did: dead units over (N, features), shares of the actions (N,)."""
+    """Return dead units over (N, features) observations and the shares of (N,) actions."""
     chosen = actions if policy.deviation is not None else actions.astype(np.int64)
     return {"dead_units": dead_share(policy, observations), **action_shares(run, chosen, policy.actions)}
 
 
 def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
-    """Measure the rollout just collected: dead units of the policy that collected it, action shares.
+    """Return dead units and action shares of the rollout just collected.
 
     TRPO logs no entropy; it is that of the policy that collected.
     """
@@ -305,7 +305,7 @@ def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
 
 
 def finished_episodes(env: VecEnv | None) -> list[dict[str, Any]]:
-    """Take the episodes that ended since the last call."""
+    """Return and forget the episodes that ended since the last call."""
     finished: list[dict[str, Any]] = getattr(env, "finished", [])
     rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in finished]
     finished.clear()
@@ -336,7 +336,7 @@ def _layers(hidden: nn.Module, *head: nn.Module) -> tuple[tuple[np.ndarray, np.n
 
 
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
-    """Return whether losses, gradient norms and every parameter are finite.
+    """Return whether losses, gradient norms and all parameters are finite.
 
     The explained variance is left out: it is undefined where all returns are equal. So are losses that
     a learner has none of, or none before its first gradient.

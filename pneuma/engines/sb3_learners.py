@@ -1,4 +1,4 @@
-"""The learners of Stable-Baselines3 and sb3-contrib, set up from a run: PPO, A2C, TRPO, DQN, Double DQN.
+"""Learners of Stable-Baselines3 and sb3-contrib for a run: PPO, A2C, TRPO, DQN and Double DQN.
 
 Each is its library's own. What Pneuma adds is said in two classes: the target of Double DQN, and
 advantages from which no baseline is subtracted.
@@ -43,7 +43,7 @@ Learner = PPO | A2C | TRPO | DQN
 
 
 def make_model(run: Run, env: VecEnv) -> Any:
-    """Set a run's learner up, one of `Learner`.
+    """Set up a run's learner, one of `Learner`.
 
     Each of torch's and NumPy's global generators has a stream of its own: torch's gives the initial
     weights, then the actions, and where TRPO's conjugate gradient begins; NumPy's the minibatches.
@@ -80,7 +80,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
 
 
 def seed_streams(model: Learner, run: Run) -> None:
-    """Begin the streams of a run's actions and minibatches.
+    """Seed the random streams of a run's actions and minibatches.
 
     DQN draws from NumPy's both minibatches and whether to explore; what to do then from its action space's.
     """
@@ -91,12 +91,12 @@ def seed_streams(model: Learner, run: Run) -> None:
 
 
 def joint_limit(run: Run) -> float:
-    """Return the limit that Stable-Baselines3 itself applies, to one norm over all parameters."""
+    """Return the limit that Stable-Baselines3 itself applies to the norm over all parameters."""
     return run.gradient_limit if run.gradient_limit is not None and run.clip == "joint" else float("inf")
 
 
 def optimizer_arguments(run: Run) -> dict[str, Any]:
-    """Return the keyword arguments of the run's torch optimizer, all stated.
+    """Return all keyword arguments of the run's torch optimizer.
 
     Stable-Baselines3 uses epsilon 1e-5 only when given none, torch's own 1e-8 otherwise.
     """
@@ -107,13 +107,13 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
 
 
 class DoubleDQN(DQN):
-    """DQN whose target is that of Double DQN (thesis Eq. 3.10, van Hasselt et al. 2015).
+    """DQN with the target of Double DQN (thesis Eq. 3.10, van Hasselt et al. 2015).
 
     The online network chooses the next action, the target network rates it.
     """
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """Take gradient steps; DQN's own, which rates next observations by what `_rate` says."""
+        """Take gradient steps as DQN does, with the next values that `_rate` returns."""
         target = self.q_net_target
 
         def rate(observations: torch.Tensor) -> torch.Tensor:
@@ -128,10 +128,10 @@ class DoubleDQN(DQN):
 
 
 class WithoutBaseline(RolloutBuffer):
-    """A rollout whose advantages are its returns: the critic's values are not subtracted (section 4.2)."""
+    """A rollout buffer whose advantages are the returns, without the critic's values (section 4.2)."""
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        """Compute the returns (with lambda = 1, discounted sums to the rollout's end) and take them whole."""
+        """Compute the returns, with lambda = 1, and use them as advantages."""
         super().compute_returns_and_advantage(last_values, dones)
         self.advantages = self.returns.copy()
 
@@ -163,14 +163,15 @@ LEARNERS: dict[str, tuple[type[Learner], Mapping[str, str]]] = {
     "dqn": (DQN, _DQN),
     "double-dqn": (DoubleDQN, _DQN),
 }
-"""Every algorithm's learner, and the fields of a run that are arguments of it alone, by their names there."""
+"""The learner class of each algorithm, and the run's fields that are its own arguments, by their names
+there."""
 
 
 # --- Checkpoints ----------------------------------------------------------------------------------
 
 
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
-    """Copy all that the next update depends on."""
+    """Copy everything that the next update depends on."""
     env: Any = model.env
     kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     replayed, exploring = _replay_state(model) if isinstance(model, DQN) else ({}, {})
@@ -195,7 +196,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
 
 
 def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
-    """Put a learner, and torch's and NumPy's global generators, where a checkpoint was taken.
+    """Restore a learner, and torch's and NumPy's global generators, from a checkpoint.
 
     Arrays whose names begin with one of `left_out` stay as the learner has them.
     """
@@ -226,7 +227,7 @@ _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones",
 
 
 def _replay_state(model: DQN) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Copy what DQN's replay buffer holds, and where its schedules and its stream of random actions stand."""
+    """Copy DQN's replay buffer, schedules and stream of random actions."""
     buffer = model.replay_buffer
     assert buffer is not None
     numbers = {
@@ -251,7 +252,7 @@ def _restore_replay(model: DQN, arrays: Mapping[str, np.ndarray], numbers: Mappi
 
 
 def critic_names(model: Learner) -> tuple[str, ...]:
-    """Return how the names of all arrays of the critic begin, its optimizer's among them."""
+    """Return the prefixes of the names of the critic's arrays, including those of its optimizer."""
     named = [name for name, _ in model.policy.named_parameters()]
     critic = [name for name in named if "value_net" in name]
     return (*(f"policy/{name}" for name in critic), *(f"optimizer/{named.index(name)}/" for name in critic))
@@ -262,7 +263,7 @@ def _copy(tensor: torch.Tensor) -> np.ndarray:
 
 
 def _tensors(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, torch.Tensor]:
-    """Return the arrays of a prefix as tensors in memory of torch's own, aligned as its kernels like it."""
+    """Return the arrays with a prefix as tensors in torch's own memory, which its kernels need aligned."""
     return {
         name.removeprefix(prefix): torch.tensor(array)
         for name, array in arrays.items()
@@ -271,7 +272,7 @@ def _tensors(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, torch.T
 
 
 def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, np.ndarray]:
-    """Return what an optimizer keeps of every parameter: optimizer/INDEX/NAME."""
+    """Return an optimizer's state of each parameter as optimizer/INDEX/NAME."""
     state: dict[int, dict[str, Any]] = optimizer.state_dict()["state"]
     return {
         f"optimizer/{index}/{name}": _copy(torch.as_tensor(value))

@@ -1,4 +1,4 @@
-"""The engine of tables: Q-learning and double Q-learning on `pneuma/Mailman-v0` (thesis chapter 3).
+"""The tabular engine: Q-learning and double Q-learning on `pneuma/Mailman-v0` (thesis chapter 3).
 
 Every step is learned from at once (Eq. 3.3). An update, after which a run may be stopped, is `horizon`
 steps. All that a run keeps is a few numbers, so that its checkpoints are small.
@@ -43,7 +43,7 @@ def train(
 
 
 class TableTrainer:
-    """Trains the tables of one run; see `pneuma.engines.loop.Trainer`.
+    """Trains the tables of one run; implements `pneuma.engines.loop.Trainer`.
 
     Attributes:
         tables: (1 or 2, places, actions) values of actions, 0 at first; two in double Q-learning.
@@ -62,7 +62,7 @@ class TableTrainer:
         self._finished: list[Row] = []
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Take a horizon's steps, and learn from each."""
+        """Take one horizon of steps and learn from each."""
         told = [self._step(taken) for taken in range(before, after)]
         records.metrics.append({**_metrics(told), "step": after})
         records.episodes.extend(self._finished)
@@ -70,7 +70,7 @@ class TableTrainer:
         return bool(np.isfinite(self.tables).all())
 
     def evaluate(self, step: int) -> Row:
-        """Judge the tables, as played and as computed."""
+        """Evaluate the tables, by play and by computation."""
         return evaluate_tables(self.run, self.tables, step)
 
     def _step(self, taken: int) -> tuple[int, float]:
@@ -91,20 +91,20 @@ class TableTrainer:
         return action, error
 
     def _choose(self, taken: int) -> int:
-        """Return an action at random, or one of the greatest value: which of several is left to chance."""
+        """Return a random action, or one with the greatest value, with ties broken at random."""
         if self._generator.random() < exploration_rate(self.run, taken):
             return int(self._generator.integers(self.tables.shape[2]))
         values = self.tables[:, self._place].mean(axis=0)
         return int(self._generator.choice(np.flatnonzero(values == values.max())))
 
     def policy(self) -> Policy:
-        """Return the mean of the tables as a network without hidden layers, of a place's one-hot code."""
+        """Return the mean of the tables as a network without hidden layers, for one-hot observations."""
         table = self.tables.mean(axis=0).astype(np.float32)
         layer = (table, np.zeros(table.shape[1], np.float32))
         return Policy(self.run.activation, (layer,), (), self.run.exploration)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy all that the next step depends on."""
+        """Copy everything that the next step depends on."""
         numbers = {
             "actions": self._generator.bit_generator.state,
             "world": self.env.np_random.bit_generator.state,
@@ -113,7 +113,7 @@ class TableTrainer:
         return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from where a checkpoint was taken."""
+        """Resume from a checkpoint."""
         try:
             if checkpoint.arrays["tables"].shape != self.tables.shape:
                 raise ValueError("it is of another number of tables")
@@ -129,7 +129,7 @@ class TableTrainer:
 def temporal_difference(
     tables: np.ndarray, updated: int, step: tuple[int, int, float, int | None], gamma: float
 ) -> float:
-    """Return what a step says beyond a table's entry (thesis Eq. 3.2; with two tables Eq. 3.9).
+    """Return the temporal-difference error of a step (thesis Eq. 3.2; with two tables Eq. 3.9).
 
     The table that is updated chooses the next action; the other rates it. A single table does both.
 
@@ -148,14 +148,14 @@ def temporal_difference(
 
 
 def exploration_rate(run: Run, taken: int) -> float:
-    """Return the chance of a random action after so many steps; it falls in a line, then stays."""
+    """Return the probability of a random action after so many steps; it falls linearly, then stays."""
     assert run.exploration is not None and run.exploration_fraction is not None
     falling = run.exploration_fraction * run.steps
     return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
 
 
 def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
-    """Return what is known of some steps: shares of actions, and the mean squared error as the loss."""
+    """Return the metrics of some steps: action shares, and the mean squared error as the loss."""
     actions, errors = np.array([action for action, _ in told]), np.array([error for _, error in told])
     shares = np.bincount(actions, minlength=len(ACTION_NAMES)) / len(actions)
     return {
@@ -169,7 +169,7 @@ def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
 
 
 def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
-    """Return one row: returns and lengths as played, explored as at training's end; values as computed.
+    """Return one evaluation: returns and lengths by play with exploration, values by computation.
 
     `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
     post office and letters, the latter of the greedy route's discounted value. Tables are (1 or 2, places,
@@ -193,7 +193,7 @@ def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
 
 
 def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
-    """Return every episode's return and length."""
+    """Return the return and length of each episode."""
     assert run.action_slip is not None and run.reward_noise is not None
     generator = np.random.default_rng(stream_seed(run.stream, "evaluation-actions", step))
     env = MailmanEnv(run.action_slip, run.reward_noise)
@@ -211,7 +211,7 @@ def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[in
 
 
 def estimated_values(tables: np.ndarray) -> np.ndarray:
-    """Return what tables hold a place to be worth, (places,): of Q-learning the greatest entry.
+    """Return the tables' estimate of each place's value, (places,).
 
     Of double Q-learning, what one table says of the other's best action, the mean of both (Eq. 3.9): the
     estimate that it learns from.
@@ -225,7 +225,7 @@ def estimated_values(tables: np.ndarray) -> np.ndarray:
 
 
 def policy_values(process: tuple[np.ndarray, np.ndarray], actions: np.ndarray, gamma: float) -> np.ndarray:
-    """Return what post office and letters are worth, (2,), by one action in each."""
+    """Return the values of post office and letters, (2,), for one action in each."""
     chances, rewards = process
     worth = np.zeros(HOME + 1)
     for _ in range(LONGEST_ROUTE):

@@ -16,7 +16,7 @@ from pneuma.config import stream_seed
 
 
 class UPGD(torch.optim.Optimizer):
-    """Adaptive UPGD: the form that its authors train PPO with, beside Adam's moments.
+    """Adaptive UPGD, the form with which its authors train PPO, with Adam's moments.
 
     For a weight w with gradient g, its moments m and v as Adam's, corrected, and noise ξ ~ N(0, 1):
 
@@ -56,7 +56,7 @@ class UPGD(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> None:  # type: ignore[override]
-        """Move every parameter that has a gradient."""
+        """Update all parameters that have a gradient."""
         moving = [(p, group) for group in self.param_groups for p in group["params"] if p.grad is not None]
         for parameter, group in moving:
             self._take_in(parameter, group)
@@ -73,7 +73,7 @@ class UPGD(torch.optim.Optimizer):
         return [torch.randn(p.shape, generator=generator, dtype=p.dtype) for p in parameters]
 
     def _take_in(self, parameter: torch.Tensor, group: dict[str, Any]) -> None:
-        """Bring a parameter's moments and utility up to its new gradient."""
+        """Update a parameter's moments and utility by its gradient."""
         state, gradient = self.state[parameter], parameter.grad
         assert gradient is not None
         if not state:

@@ -13,13 +13,13 @@ from pneuma.config import GODOT
 from pneuma.env_fields import ENVIRONMENTS
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
-"""The same worlds with vector rewards."""
+"""The same worlds with vector rewards, for multi-objective learning."""
 
 REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 
 
 def register_environments() -> None:
-    """Make every environment known to Gymnasium, those of the world as vector environment too."""
+    """Register all environments with Gymnasium, with vector environments for Pneuma's worlds."""
     for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
         own: dict[str, Any] = {"kwargs": {"env_id": name}}
         gymnasium.register(

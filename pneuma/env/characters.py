@@ -25,7 +25,7 @@ TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
 DASH_PACE, DASH_TICKS, DASH_REST = 3.0, 8, 60
-"""Of a dash: its speed in walking speeds, and the ticks that it lasts, then until the next."""
+"""A dash: its speed in walking speeds, its length in ticks, and the ticks until the next one."""
 
 DATA = Path(__file__).parent / "data"
 FACINGS = ("down", "left", "up", "right")
@@ -43,13 +43,13 @@ _Place = Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=2)]
 
 
 class _Body(Table):
-    """What players and monsters have in common."""
+    """Keys that players and monsters share."""
 
     hp: _Hp
     speed: _Speed
     body: _Box
     body_at: _Place = (0.0, 0.0)
-    """Centre of the body from the position."""
+    """Centre of the body relative to the position."""
     invulnerable: _Seconds
 
     @model_validator(mode="after")
@@ -61,7 +61,7 @@ class _Body(Table):
 
 
 class Player(_Body):
-    """A class of players."""
+    """A player's class."""
 
     energy: _Points
     attack: _Points
@@ -71,7 +71,7 @@ class Player(_Body):
 
 
 class Reach(Table):
-    """For each way faced a place from the player, or a distance straight ahead."""
+    """For each facing, a place relative to the player, or a distance straight ahead."""
 
     down: _Place | _Ahead
     left: _Place | _Ahead
@@ -79,7 +79,7 @@ class Reach(Table):
     right: _Place | _Ahead
 
     def places(self) -> list[tuple[float, ...]]:
-        """Return x and y from the player by facing."""
+        """Return x and y relative to the player, by facing."""
         ways = ((0, 1), (-1, 0), (0, -1), (1, 0))
         own = [getattr(self, facing) for facing in FACINGS]
         return [
@@ -109,7 +109,7 @@ class Heal(Table):
 
 
 class Flame(Heal):
-    """The spell that burns a box ahead."""
+    """The spell that burns a box ahead of the player."""
 
     length: _Side
     width: _Side
@@ -146,7 +146,7 @@ class Monster(_Body):
 
 
 class Characters(Table):
-    """Everybody, and all that they fight with."""
+    """All characters, weapons and spells."""
 
     players: dict[str, Player]
     weapons: dict[str, Weapon]
@@ -168,7 +168,7 @@ class Characters(Table):
 
 
 def load_characters(name: str = "") -> Characters:
-    """Read the shipped characters, overridden by those of a file.
+    """Read the shipped characters, overridden by a file's.
 
     Args:
         name: path of a user's own file, or the name of a shipped variant; empty for none.
@@ -184,14 +184,14 @@ def load_characters(name: str = "") -> Characters:
 
 
 def _laid_over(data: Any, own: Any, depth: int = 2) -> Any:
-    """Return tables in which a file's own keys stand in place of others', down to those of a character."""
+    """Return tables in which a file's keys replace those of the shipped ones, key by key."""
     if depth < 0 or not isinstance(own, dict) or not isinstance(data, dict):
         return own
     return {**data, **{key: _laid_over(data.get(key, {}), value, depth - 1) for key, value in own.items()}}
 
 
 def character_files(name: str) -> list[Path]:
-    """Return the user's own file that a name of characters stands for, if it does."""
+    """Return the user's file behind a name of characters, if there is one."""
     if not name or name in SHIPPED_CHARACTERS:
         return []
     path = Path(os.path.expanduser(name))
@@ -202,7 +202,7 @@ def character_files(name: str) -> list[Path]:
 
 
 def monster_codes(characters: Characters) -> dict[int, str]:
-    """Return which entity code of a level's layer stands for which kind of monster."""
+    """Return the kind of monster of each entity code in a level's layer."""
     return {kind.code: name for name, kind in characters.monsters.items()}
 
 
@@ -239,7 +239,7 @@ def monster_stats(
 
 
 def margin(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return how far from its centre, on either axis, any body can reach within one tick."""
+    """Return the greatest distance from its centre, on an axis, that a body can reach in one tick."""
     walks = np.maximum(players["speed"], players["dash_speed"])
     flies = np.maximum(monsters["knock_speed"], players["knock_speed"].max())
     both = (players, walks), (monsters, np.maximum(monsters["speed"], flies))
@@ -248,13 +248,13 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return the greatest speed of anybody who walks, dashes or flies, in pixels a tick."""
+    """Return the greatest speed of any body, in pixels per tick."""
     speeds = [stats[name] for stats in (players, monsters) for name in ("speed", "knock_speed")]
     return float(max(each.max(initial=0.0) for each in (*speeds, players["dash_speed"])))
 
 
 def crowd(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return how far apart, on an axis, two positions are at most whose bodies can meet within a step."""
+    """Return the greatest distance, on an axis, of two positions whose bodies can meet within a step."""
     widest = 0.0
     for stats in (players, monsters):
         for half, at in (("half_width", "body_x"), ("half_height", "body_y")):
@@ -332,7 +332,7 @@ def _fill_monster(row: Any, kind: Monster) -> None:
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
-    """Return a distance to a player's body beyond which a resting monster meets nothing in a step.
+    """Return the distance to a player's body beyond which a resting monster meets nothing in a step.
 
     The furthest that it senses, that it is in the way, or that a weapon or flame reaches it, and as far as a
     player walks.

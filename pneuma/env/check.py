@@ -1,4 +1,4 @@
-"""Conformance: does an environment keep the promises of the libraries it meets?
+"""Conformance checks of an environment.
 
 Runs the checkers of Gymnasium, Stable-Baselines3 and PettingZoo, and Pneuma's own: same seed same bits,
 observations inside their space, worlds that go on when put back. Meant for levels, character files and
@@ -30,7 +30,7 @@ Settings = Mapping[str, object]
 
 
 def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, str]]:
-    """Run every check that applies to an environment; yield its name and what it found, "" for nothing.
+    """Run all checks that apply to an environment; yield each one's name and its finding, "" for none.
 
     Worlds of several players have no single environment: PettingZoo's is checked.
 
@@ -59,7 +59,7 @@ def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, st
 
 
 def _check_settings(env_id: str, settings: Settings) -> int:
-    """Make the environment once; return its number of players."""
+    """Make the environment once and return its number of players."""
     if env_id not in REGISTERED:
         raise unknown_name("environment", env_id, REGISTERED)
     several = env_id != MAILMAN and make_env_config(settings, _world_id(env_id)).players
@@ -73,7 +73,7 @@ def _check_settings(env_id: str, settings: Settings) -> int:
 
 
 def _world_id(env_id: str) -> str:
-    """Return the environment that has the same world, with a reward that is one number."""
+    """Return the id of the environment with the same world and a scalar reward."""
     return env_id.replace("/mo-", "/")
 
 
@@ -113,14 +113,14 @@ def _check_pettingzoo(env_id: str, settings: Settings) -> None:
 
 
 def _check_seeds(env_id: str, settings: Settings) -> None:
-    """Play one seed twice; of vector rewards, hold each against its space."""
+    """Play one seed twice and compare; check vector rewards against their space."""
     first, again = (_play(_make(env_id, settings)) for _ in range(2))
     if first != again:
         raise UserError("two plays of one seed differ")
 
 
 def _play(env: Any) -> list[bytes]:
-    """Return everything that a random player sees in some steps from a seed."""
+    """Return everything that a random player observes in some steps from a seed."""
     seen: list[bytes] = [np.asarray(env.reset(seed=1)[0]).tobytes()]
     for action in np.random.default_rng(1).integers(env.action_space.n, size=STEPS):
         *told, _ = env.step(action)
@@ -145,7 +145,7 @@ def _check_bounds(env_id: str, settings: Settings) -> None:
 
 
 def check_restore(env_id: str, settings: Settings) -> None:
-    """Put a world back in another slot and another object, and compare how each goes on, bit by bit."""
+    """Restore a world in another slot and object, and check that it continues with the same bits."""
     worlds = _begin(2, env_id, settings)
     shape = 120, worlds.players.shape[1]
     actions = np.random.default_rng(0).integers(int(worlds.action_space.n), size=shape)
@@ -169,14 +169,14 @@ def _begin(count: int, env_id: str, settings: Settings) -> Worlds:
 
 
 def _step_all(worlds: Worlds, actions: np.ndarray) -> None:
-    """Play actions (steps, players), the same in every world, into new episodes where they end."""
+    """Play actions (steps, players), the same in every world, with resets where episodes end."""
     for chosen in actions:
         worlds.step(np.stack([chosen] * len(worlds)))
         worlds.reset(worlds.worlds["ending"] != 0)
 
 
 def _bits(worlds: Worlds, world: int) -> list[bytes]:
-    """Return every bit of one world's state and of what its last step told."""
+    """Return all bits of one world's state and of its last step's results."""
     state = (worlds.worlds, worlds.players, worlds.monsters, worlds.events)
     fields = [array[world][name] for array in state for name in array.dtype.names or ()]
     return [np.ascontiguousarray(each).tobytes() for each in (*fields, worlds.observations[world])]

@@ -1,4 +1,4 @@
-"""Godot RL Agents' protocol from both ends: an environment as a game, and a game as an environment.
+"""Both ends of Godot RL Agents' protocol: an environment as a game, and a game as an environment.
 
 A message is JSON behind its length in four bytes, little-endian, over TCP. The trainer listens and the game
 connects; then the trainer says `handshake` and asks for `env_info`, `reset`, `action` (one step) and `close`.
@@ -29,11 +29,11 @@ from pneuma.errors import UserError
 
 PORT = 11008
 START_SECONDS = 60
-"""How long one end waits for the other to start."""
+"""Seconds that one end waits for the other to start."""
 SILENT_SECONDS = 5
-"""How long a trainer waits for a game before it says so."""
+"""Seconds after which a trainer says that it waits for a game."""
 ANSWER_SECONDS = 10
-"""How long a trainer waits for a game's answer."""
+"""Seconds that a trainer waits for a game's answer."""
 
 
 def send(connection: socket.socket, message: Mapping[str, Any]) -> None:
@@ -70,7 +70,7 @@ def _exactly(connection: socket.socket, size: int) -> bytes:
 
 
 def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
-    """Play a game for the trainer that listens at a port, until it closes; return the steps played.
+    """Play the game for a trainer that listens at a port, until it closes; return the steps played.
 
     Args:
         name: an environment's id. Box actions come from -1 to 1 and are scaled to the space's bounds.
@@ -161,7 +161,7 @@ def _env_info(envs: list[gymnasium.Env[Any, Any]]) -> dict[str, Any]:
 
 
 def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) -> list[Any]:
-    """Return the action of every copy.
+    """Return the action of each copy.
 
     Raises:
         KeyError, TypeError, ValueError: for what is none.
@@ -175,7 +175,7 @@ def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) ->
 
 
 def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
-    """Step one copy, and begin its next episode where one ends."""
+    """Step one copy, and reset it if its episode ends."""
     obs, reward, terminated, truncated, info = env.step(action)
     told: dict[str, Any] = {
         key: value for key, value in info.items() if isinstance(value, bool | int | float)
@@ -194,7 +194,7 @@ def _observed(obs: Any) -> dict[str, list[float]]:
 
 
 class GodotGame(gymnasium.Env[np.ndarray, Any]):
-    """A game that speaks Godot RL Agents' protocol, with one agent, one action and flat observations.
+    """A game with Godot RL Agents' plugin, one agent, one action and flat observations.
 
     Args:
         env_path: the exported game. It is started with `--port`, `--env_seed` and without a window, and again
@@ -227,7 +227,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; for a seed that the game does not take, start it anew."""
+        """Start an episode; for a new seed that the game does not take, restart the game."""
         super().reset(seed=seed)
         if seed is not None:
             answer = self._ask({"type": "reset", "seed": seed}, "reset")
@@ -242,7 +242,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         return self._array(begun["obs"]), {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Play one step; an episode's end counts as truncated where the game says so."""
+        """Play one step; an episode counts as truncated only if the game says so."""
         plain = np.asarray(action).tolist()
         answer = self._ask({"type": "action", "action": [{self._action: plain}]}, "step")
         obs, reward, done = answer["obs"][0], float(answer["reward"][0]), bool(answer["done"][0])
@@ -257,7 +257,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._stop()
 
     def __del__(self) -> None:
-        """End the game with what played it: engines close no environment."""
+        """End the game with its owner, as engines close no environment."""
         self._stop()
 
     def _start(self, seed: int) -> None:
@@ -285,7 +285,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._set_spaces(self._ask({"type": "env_info"}, "env_info"))
 
     def _accept(self, listening: socket.socket) -> socket.socket:
-        """Wait for the game, as long as it runs, and say so when it takes long."""
+        """Wait for the game while its process runs, and say so if it takes long."""
         listening.settimeout(0.1)
         for tenths in range(START_SECONDS * 10):
             if tenths == SILENT_SECONDS * 10:
@@ -313,7 +313,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._connection = self._process = None
 
     def _ask(self, message: Mapping[str, Any], kind: str) -> dict[str, Any]:
-        """Return the game's answer; whatever else comes ends the game."""
+        """Send a message and return the game's answer; any failure ends the game."""
         if self._connection is None:
             raise UserError(f"{self._name}: was ended")
         try:
@@ -365,5 +365,5 @@ _SPACES = ("n_agents", "action_space", "observation_space")
 
 
 def _first(told: Any) -> Any:
-    """Return the first agent's space; games of an older plugin send one for all."""
+    """Return the first agent's space; games with an older plugin send one for all agents."""
     return told[0] if isinstance(told, list) else told

@@ -43,9 +43,9 @@ START_CODE = 400
 EMPTY, WATER_CODE = -1, 0
 MAX_SIDE = 1000
 LARGEST_LAYER = 16 * 2**20
-"""Bytes of a layer, with every code of the longest."""
+"""Most bytes of a layer."""
 MOST_PLACES = 1000
-"""Of start places and monsters together, in a level."""
+"""Most start places and monsters together in a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
 
 _Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -53,13 +53,13 @@ _GroundCode = Annotated[int, Field(ge=EMPTY, lt=2**28)]
 
 
 class Header(Table):
-    """What a level says beside its layers, as `level.toml` has it."""
+    """The contents of `level.toml`."""
 
     title: Annotated[str, Field(min_length=1)]
     tile: Annotated[float, Field(ge=8, le=4096)] = 64.0
     """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
     origin: Annotated[tuple[_Pixels, ...], Field(min_length=2, max_length=2)] | None = None
-    """Column and row of the tile at whose upper left corner (0, 0) lies; None: the centre."""
+    """Column and row of the tile whose upper left corner is (0, 0); None: the centre."""
     coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER_CODE,)
     """Ground codes where the land ends."""
 
@@ -109,7 +109,7 @@ class Level:
 
 
 def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Level]:
-    """Load a world's level, or so many random ones numbered from the first on, and mark the slow ground."""
+    """Load a world's level, or `count` consecutive random ones, and mark the slow ground."""
     from pneuma.env.random_level import parse_name  # builds on this module
 
     names = [config.level]
@@ -165,7 +165,7 @@ def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
 
 
 def level_files(name: str) -> list[Path]:
-    """Return the user's own files that a level depends on; none for shipped and random levels.
+    """Return the user's own files of a level; none for shipped and random levels.
 
     Raises:
         UserError: when there is no such level.
@@ -174,7 +174,7 @@ def level_files(name: str) -> list[Path]:
 
 
 def _level_path(name: str) -> Path:
-    """Return the folder that a name other than `random:…` stands for."""
+    """Return the folder of a level that is not random."""
     if name in SHIPPED_LEVELS:
         return LEVELS / name
     path = Path(os.path.expanduser(name))
@@ -185,7 +185,7 @@ def _level_path(name: str) -> Path:
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    """Return the files of a folder that make its level, sorted; none when it holds no level."""
+    """Return the files of a level's folder, sorted; none if it holds no level."""
     return [folder / name for name in FOLDER_FILES if (folder / name).is_file()]
 
 
@@ -212,7 +212,7 @@ def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[fl
 
 
 def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
-    """Return the numbers of a CSV table, (rows, columns), whose first line is `head` if there is one."""
+    """Return the numbers of a CSV table, (rows, columns), which begins with the line `head` if given."""
     lines = read_text(path, LARGEST_LAYER).splitlines()
     try:
         if head and lines[:1] != [head]:
@@ -228,7 +228,7 @@ def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
 
 
 def room_for_bodies(level: Level, margin: float) -> np.ndarray:
-    """Return where a body cannot meet anything: (2 rows, 2 columns) uint8 over half tiles.
+    """Return where a body is too far from everything to meet it: (2 rows, 2 columns) uint8, half tiles.
 
     A cell has room when every tile within `margin` pixels of it is open. The rules look here first:
     most moves need no closer look.
@@ -305,7 +305,7 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
 
 
 class _Body:
-    """A body box at the place where it begins."""
+    """A body's box at the place where it begins."""
 
     def __init__(self, who: str, x: float, y: float, stats: np.void) -> None:
         self.who = f"{who} at ({x:g}, {y:g})"
@@ -321,7 +321,7 @@ class _Body:
 
 
 def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
-    """Refuse a body that overlaps a tile that stops it; touching one is no overlap."""
+    """Refuse a body that overlaps a tile that stops it; touching is allowed."""
     corner = (level.left, level.top)
     first = np.floor((body.low - corner) / level.tile).astype(int)
     last = np.ceil((body.high - corner) / level.tile).astype(int)
@@ -356,7 +356,7 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
 
 
 def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
-    """Number the regions in which a body of so many tiles a side can move about, from 1.
+    """Number the regions in which a body of `size` tiles a side can move, from 1.
 
     Args:
         free: (rows, columns) bool, the tiles that do not stop a body.

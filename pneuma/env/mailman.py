@@ -74,7 +74,7 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
 
 
 def decision_process(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the process as numbers: what dynamic programming takes, and a learner is never told.
+    """Return the process as arrays, for dynamic programming; learners never see it.
 
     Returns:
         (2, 2, 3) the chance to come, from the post office or the letters, by an action, to a place; and

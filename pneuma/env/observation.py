@@ -55,16 +55,16 @@ MONSTER_FEATURES = {
 }
 FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
 MOST_XP = 1e9
-"""Bound of XP that outlives episodes, in points."""
+"""Bound of XP, in points, that is kept through episodes."""
 
 
 def player_features(config: EnvConfig) -> tuple[str, ...]:
-    """Name what a player observes of itself, in order."""
+    """Return the names of the numbers that a player observes of itself, in order."""
     return PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
 
 
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
-    """Return whether each monster is perceived, and the most rows that an observation has.
+    """Return whether each monster is perceived, and the most rows in an observation.
 
     Raises:
         UserError: for a kind of monster that the level does not have.
@@ -118,7 +118,7 @@ def fill_scales(
 
 
 def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]) -> None:
-    """Write how many rays there are, where they point, and which kinds of monsters they tell apart."""
+    """Write the number and directions of rays, and the kinds of monsters they distinguish."""
     what, _, count = config.perceive.partition(":")
     settings["rays"] = rays = int(count) if what == "rays" else 0
     sights = sorted({kind for level in levels for kind, _, _ in level.monsters})
@@ -134,7 +134,7 @@ def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: l
 def observation_space(
     settings: Any, player: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
 ) -> spaces.Box:
-    """Return the Box of finite bounds that every observation of a player lies in, float32."""
+    """Return the Box, with finite bounds, of a player's observations, float32."""
     edges = levels[0].grid
     beyond = config.coast == "deadly"  # players die a little way out
     left, top, right, bottom = edges if beyond else _land(levels)
@@ -175,17 +175,17 @@ def observation_space(
 
 
 def _scaled(settings: Any, axis: str, *places: float) -> tuple[float, ...]:
-    """Return places on an axis in pixels as they are observed."""
+    """Return positions on an axis as they are observed."""
     return tuple((place - settings[f"middle_{axis}"]) * settings[f"scale_{axis}"] for place in places)
 
 
 def most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
-    """Return the HP of who kills everything unhurt."""
+    """Return the HP of a player who kills every monster and is never hurt."""
     healed = 0.0 if config.healing_cap else monsters["heal"].sum(axis=-1).max(initial=0.0)
     return float(player["hp"] + healed)
 
 
 def _land(levels: list[Level]) -> tuple[float, float, float, float]:
-    """Return the box around the land: left, top, right, bottom; of random levels, the whole grid."""
+    """Return the box of the land: left, top, right, bottom; for random levels, the whole grid."""
     level = levels[0]  # several are random
     return level.grid if level.name.startswith(RANDOM) else level.land

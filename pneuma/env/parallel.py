@@ -1,4 +1,4 @@
-"""The face of PettingZoo: one world, several players at once, each with class, reward and view of its own."""
+"""The PettingZoo interface: one world with several players, each with its own class, reward and view."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
-    """One world of 1 to 8 players, `player_0` and so on; `PneumaEnv` says what the world is.
+    """One world of 1 to 8 players, named `player_0` and so on; see `PneumaEnv` for the world.
 
     A player leaves `agents` when it dies; the episode ends for all when nobody lives, when the level is
     cleared and `end_on_clear` is set, or at the time limit. `infos` hold `action_mask`, and `ending`,
@@ -57,13 +57,13 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         return self.worlds.spaces[self._index[agent]]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """Return what a player can do; each has a space of its own to seed."""
+        """Return a player's actions; each player has a space of its own to seed."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Begin an episode with all players alive; the same seed begins the same world.
+        """Start an episode with all players alive; the same seed gives the same world.
 
         `options={"start": i}` puts player 0 at the i-th start place, and the others at the next.
         """
@@ -86,7 +86,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Play one action of every living player.
+        """Play one action of each living player.
 
         Raises:
             ValueError: for what is no action, or when a living player has none.
@@ -117,11 +117,11 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         return self._observations(acting), rewards, terminations, truncations, infos
 
     def save(self) -> Snapshot:
-        """Return a copy of the world's state, for `restore` here, in another face or another process."""
+        """Return a snapshot of the world, which any interface or process can restore."""
         return self.worlds.save(0)
 
     def restore(self, snapshot: Snapshot) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Put a saved world back with its living `agents`; return what they see, as `reset` does.
+        """Restore a snapshot with its living `agents`; return what `reset` returns.
 
         Of an episode that has ended nobody is left, as after its last step.
         """
@@ -135,7 +135,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         return self._observations(self.agents), self._masks(self.agents)
 
     def state(self) -> np.ndarray:
-        """Return everything that all players observe, one after the other."""
+        """Return the observations of all players, one after the other."""
         return self.worlds.observations[0].ravel().copy()
 
     def _observations(self, agents: list[str]) -> dict[str, np.ndarray]:
@@ -146,5 +146,5 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
 
 
 def parallel_env(**settings: Any) -> PneumaParallelEnv:
-    """Make the environment, under the name that PettingZoo's users expect."""
+    """Make the environment, under PettingZoo's usual name."""
     return PneumaParallelEnv(**settings)

@@ -1,4 +1,4 @@
-"""Ways over a level: how far it is on foot to anywhere, and the steps that bring a body nearer.
+"""Paths over a level: walking distances, and the steps that bring a body nearer to a goal.
 
 A step takes a body a fixed way along one axis, or flush to what stops it, so that it cannot stand
 just anywhere, and a gap that is one tile wide can be missed. Distances are therefore walked over
@@ -22,18 +22,18 @@ from pneuma.env.level import Level, walkable_regions
 
 NOWHERE = math.inf
 MOST_PLACES = 4000
-"""How many places a search looks at before it gives up."""
+"""Most places that a search visits before it gives up."""
 MOST_FIELDS = 6000
-"""How many fields of distances are kept: to every tile of the thesis's level, and more."""
+"""Most distance fields kept: enough for every tile of the thesis's level."""
 
 Place = tuple[float, float]
 Spot = tuple[int, int]
 Plan = dict[Spot, int]
-"""The action to take at the spot of each place along the way."""
+"""The action at each spot along the way."""
 
 
 class Body(NamedTuple):
-    """A body's box: half its sides, and its centre from the body's place."""
+    """A body's box: half its sides, and its centre relative to its position."""
 
     half_width: float
     half_height: float
@@ -42,19 +42,19 @@ class Body(NamedTuple):
 
 
 def spot(place: Place) -> Spot:
-    """Return what places have in common that only rounding sets apart."""
+    """Return a key that is equal for places that differ by rounding only."""
     return round(place[0] * 32), round(place[1] * 32)
 
 
 class Ways:
-    """Ways of one body over levels of one shape, found when first asked for and kept while there is room.
+    """Paths of one body over levels of one shape, computed when needed and cached.
 
     A cell is the upper left tile of a block of tiles that the body fits into; `lengths` and the
     fields behind it count from cell to cell. All grids have a rim of closed tiles.
     """
 
     def __init__(self, levels: Sequence[Level], body: Body, stops: int, sea: bool) -> None:
-        """Prepare for some levels.
+        """Prepare the levels.
 
         Args:
             levels: of equal shape and place, as those of a `Worlds` are.
@@ -80,7 +80,7 @@ class Ways:
     def lengths(
         self, level: np.ndarray, to_x: np.ndarray, to_y: np.ndarray, x: np.ndarray, y: np.ndarray
     ) -> np.ndarray:
-        """Return how many tiles a body has to walk to each of M places, infinite where none leads.
+        """Return the walking distance in tiles to each of M places; infinite if there is no path.
 
         Args:
             level: (N,) indices of levels.
@@ -99,7 +99,7 @@ class Ways:
         return np.array(found).reshape(goals.shape)
 
     def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
-        """Return steps that bring a body two tiles nearer to a goal, empty if there are none.
+        """Return steps that bring a body two tiles nearer to a goal; empty if there are none.
 
         Args:
             level: index of the level.
@@ -127,7 +127,7 @@ class Ways:
         return dict(_trace(came, best))
 
     def step(self, level: int, place: Place, action: int, reach: float) -> Place | None:
-        """Return where a step leads, as the rules have it; None into the sea."""
+        """Return where a step leads by the rules; None if that is the sea."""
         axis = 0 if action in (rules.LEFT, rules.RIGHT) else 1
         way = reach if action in (rules.RIGHT, rules.DOWN) else -reach
         end = self._slide(level, place, axis, way)
@@ -137,18 +137,18 @@ class Ways:
     # --- Distances -------------------------------------------------------------------------------
 
     def _room(self, free: np.ndarray) -> np.ndarray:
-        """Return which cells the body fits into, in the shape of the grid."""
+        """Return the cells into which the body fits, in the shape of the grid."""
         fits = walkable_regions(free, self._abreast) > 0
         return np.pad(fits, (0, self._abreast - 1))
 
     def _tiles(self, x: np.ndarray, y: np.ndarray, shift: float) -> np.ndarray:
-        """Return the index of the tile at each place moved by `shift` tiles."""
+        """Return the index of the tile at each place, moved by `shift` tiles."""
         column = np.floor((x - self._corner[0]) / self._tile + shift).astype(np.int64)
         row = np.floor((y - self._corner[1]) / self._tile + shift).astype(np.int64)
         return np.asarray(row * self._shape[1] + column)
 
     def _field(self, level: int, tile: int) -> np.ndarray:
-        """Return how many tiles every cell is away from the cells that cover a tile, (cells,)."""
+        """Return the distance in tiles from each cell to those that cover a tile, (cells,)."""
         if (level, tile) not in self._fields:
             if len(self._fields) >= MOST_FIELDS:
                 self._fields.clear()
@@ -163,7 +163,7 @@ class Ways:
         return self._fields[level, tile]
 
     def _length(self, field: np.ndarray, x: float, y: float) -> float:
-        """Return how many pixels it is from a place to a field's goal, by the best cell at hand."""
+        """Return the distance in pixels from a place to a field's goal, by the best cell nearby."""
         tile, width, abreast = self._tile, self._shape[1], self._abreast
         across = (x + self._offset[0] - self._corner[0]) / tile
         down = (y + self._offset[1] - self._corner[1]) / tile
@@ -196,7 +196,7 @@ class Ways:
         return place[axis] + way
 
     def _meets_sea(self, level: int, place: Place, there: Place) -> bool:
-        """Return whether a body's place comes to a tile of the coast on a straight way."""
+        """Return whether a body's position reaches a coast tile on a straight move."""
         (left, right), (top, bottom) = (
             sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, there))
             for axis in (0, 1)
@@ -206,7 +206,7 @@ class Ways:
 
 
 def _graph(fits: np.ndarray) -> csr_array:
-    """Return which cells are beside each other, of those that a body fits into."""
+    """Return which of the cells that a body fits into are neighbours."""
     cells = np.arange(fits.size).reshape(fits.shape)
     down, along = fits[:-1] & fits[1:], fits[:, :-1] & fits[:, 1:]
     one = np.concatenate([cells[:-1][down], cells[:, :-1][along]])
@@ -216,13 +216,13 @@ def _graph(fits: np.ndarray) -> csr_array:
 
 
 def _cells(middle: float, half: float, abreast: int) -> range:
-    """Return which lines of cells a body is in, by its middle and half its size in tiles."""
+    """Return the lines of cells that a body is in, by its centre and half its size in tiles."""
     first, last = math.floor(middle - half), math.ceil(middle + half) - abreast
     return range(min(first, last), max(first, last) + 1)
 
 
 def _trace(came: dict[Spot, tuple[Spot, int]], end: Spot) -> Iterator[tuple[Spot, int]]:
-    """Yield the spots on the way to an end, the last but one first, and what to do at each."""
+    """Yield the spots on the way to an end, from the last but one backwards, with the action at each."""
     place, action = came[end]
     while action >= 0:
         yield place, action

@@ -1,4 +1,4 @@
-"""Two players that anchor every scale: the uniformly random one and the scripted hunter.
+"""Two players that define the scale of scores: a random one (0) and a scripted hunter (1).
 
 A player chooses actions for all worlds at once, from their state; score 0 is the random one's,
 score 1 the hunter's.
@@ -16,11 +16,11 @@ from pneuma.env.paths import Body, Plan, Ways, spot
 from pneuma.env.worlds import Worlds
 
 FARTHEST = 1e6
-"""Beyond every way that can be walked: monsters that cannot be reached come last."""
+"""A distance beyond all paths, so that monsters that cannot be reached come last."""
 
 
 class RandomPlayer:
-    """Chooses every action with equal probability, from the generator it is given."""
+    """Chooses actions uniformly at random, with the generator that it is given."""
 
     def __init__(self, generator: np.random.Generator) -> None:
         self.generator = generator
@@ -31,7 +31,7 @@ class RandomPlayer:
 
 
 class Hunter:
-    """Walks to the living monster nearest on foot and strikes whenever the sword would meet one.
+    """Walks to the nearest living monster and attacks when the sword would hit one.
 
     From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it turns to where
     its sword meets the monster. Where something stops it, it goes another way for a few steps. It
@@ -40,7 +40,7 @@ class Hunter:
 
     SIDE_STEPS = 4
     NEAR_PIXELS = 128.0
-    """On foot; nearer monsters are walked to straight on."""
+    """Path length in tiles below which monsters are approached in a straight line."""
 
     def __init__(self, worlds: Worlds) -> None:
         self._left_off = np.full((2, *worlds.players.shape), np.nan)  # where the last walk began
@@ -66,7 +66,7 @@ class Hunter:
         return np.where(free, actions, rules.ATTACK)
 
     def _choose(self, worlds: Worlds, alive: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Return actions, of which those of the players that are free to act count."""
+        """Return actions; those of players who are busy do not matter."""
         x, y = _offsets(worlds)
         meets = np.stack([self._meets_sword(worlds, x, y, facing) & alive for facing in range(4)])
         strike = _pick(meets.any(axis=-1), worlds.players["facing"])
@@ -89,7 +89,7 @@ class Hunter:
         return np.where(strike | self._drowns(worlds, walk, walks), rules.ATTACK, walk)
 
     def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:
-        """Return the way, or another one for a few steps where somebody was stopped.
+        """Return the direction, or another one for a few steps if the player was stopped.
 
         First aside, then round to the right. Later players go further, lest two meet in the same place
         for ever. All are (N, P).
@@ -105,7 +105,7 @@ class Hunter:
         return np.where(self._detour > 0, self._way, way)
 
     def _drowns(self, worlds: Worlds, walk: np.ndarray, walks: np.ndarray) -> np.ndarray:
-        """Tell whose next step would lead into a deadly sea, (N, P)."""
+        """Return whose next step would lead into a deadly sea, (N, P)."""
         drowns = np.zeros(walks.shape, bool)
         for world, player in np.argwhere(walks & (worlds.config.coast == "deadly")).tolist():
             level, place = int(worlds.worlds["level"][world]), _place(worlds, world, player)
@@ -114,13 +114,13 @@ class Hunter:
         return drowns
 
     def _begin_again(self, fresh: np.ndarray) -> None:
-        """Forget what concerns the worlds whose episodes have only just begun, (N,)."""
+        """Forget plans in worlds whose episodes have just started, (N,)."""
         if fresh.any():
             self._left_off[:, fresh], self._seen[:, fresh], self._detour[fresh] = np.nan, np.nan, 0
             self._plans = {key: plan for key, plan in self._plans.items() if not fresh[key[0]]}
 
     def _lengths(self, worlds: Worlds) -> np.ndarray:
-        """Return how many tiles every player has to walk to every monster, (N, P, M)."""
+        """Return the path length in tiles from each player to each monster, (N, P, M)."""
         level = worlds.worlds["level"].astype(np.int64)
         monsters, (x, y) = worlds.monsters, (worlds.players["x"].T, worlds.players["y"].T)  # (P, N)
         every = [
@@ -129,7 +129,7 @@ class Hunter:
         return np.stack(every, axis=1)
 
     def _under_way(self, worlds: Worlds) -> np.ndarray:
-        """Return who is in the middle of a plan, which is walked to its end, (N, P)."""
+        """Return which players are following a plan, which they finish, (N, P)."""
         flags = np.zeros(worlds.players.shape, bool)
         for key, plan in self._plans.items():
             flags[key] = spot(_place(worlds, *key)) in plan
@@ -139,7 +139,7 @@ class Hunter:
         return self._ways[self._bodies[player]]
 
     def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
-        """Return the next step of the plan, of a new one where the last is at its end."""
+        """Return the next step of the plan, or of a new one if it is finished."""
         prey = worlds.monsters[world, monster]
         place = _place(worlds, world, player)
         plan = self._plans.get((world, player), {})
@@ -150,7 +150,7 @@ class Hunter:
         return plan.get(spot(place))
 
     def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray, facing: int) -> np.ndarray:
-        """Tell which monsters a swing begun now, this way, would meet: (N, P, M).
+        """Return which monsters an attack in a direction would hit if it began now: (N, P, M).
 
         One that is awake comes closer meanwhile, on each axis on which nothing holds it up.
         """
@@ -170,12 +170,12 @@ class Hunter:
 
 
 def _pick(by_facing: Any, facing: np.ndarray) -> np.ndarray:
-    """Return what (4, N, P) has for the facing of every player, (N, P)."""
+    """Return the entry of (4, N, P) for each player's facing, (N, P)."""
     return np.asarray(np.take_along_axis(by_facing, facing[None].astype(np.int64), 0)[0])
 
 
 def _ways_towards(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ways along the longer and the shorter axis to a place at (dx, dy)."""
+    """Return the directions along the longer and shorter axis towards (dx, dy)."""
     along_x, along_y = np.where(dx > 0, rules.RIGHT, rules.LEFT), np.where(dy > 0, rules.DOWN, rules.UP)
     sideways = np.abs(dx) > np.abs(dy)
     return np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
@@ -196,18 +196,18 @@ def _reach(worlds: Worlds, player: int) -> float:
 
 
 def _kinds(worlds: Worlds) -> np.ndarray:
-    """Return the stats of every monster on its world's level, (N, 1, M)."""
+    """Return the stats of each monster in its world's level, (N, 1, M)."""
     return np.asarray(worlds.monster_stats[worlds.worlds["level"]][:, None, :])
 
 
 def _offsets(worlds: Worlds) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y from every player to every monster, each (N, P, M)."""
+    """Return x and y from each player to each monster, each (N, P, M)."""
     monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
     return monsters["x"] - players["x"], monsters["y"] - players["y"]
 
 
 def _come_closer(worlds: Worlds, offset: np.ndarray) -> np.ndarray:
-    """Return where, on one axis, a chasing monster is after two thirds of a swing."""
+    """Return where, on one axis, a chasing monster is after two thirds of an attack."""
     stats = _kinds(worlds)
     way = stats["speed"] * worlds.player_stats["swing"].min() * 2 / 3
     closer = np.maximum(np.abs(offset) - way, stats["stand_off"])

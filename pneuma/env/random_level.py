@@ -1,4 +1,4 @@
-"""Random levels: islands drawn from a number, for training on many and testing on others.
+"""Random levels: islands generated from a number, for training on many and testing on others.
 
 `random:train:17` is the island that number 17 draws on the training side. The two sides never share
 an island's random stream: its key is 2 x number for training and 2 x number + 1 for testing.
@@ -32,16 +32,17 @@ WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 MARGIN = 3
 """Water on every side, in tiles."""
 LAND = (1000, 1600)
-"""How many tiles of land an island has, at least and at most."""
+"""Least and most tiles of land."""
 LEAST = 100
-"""How many tiles of it are snow, grass and sand, at least."""
+"""Least tiles of snow, grass and sand."""
 START_GAP, MONSTER_GAP = 6, 4
-"""Tiles between a start place and anybody (more than a monster notices), and between monsters."""
+"""Least distances in tiles: from a start place to anything (more than a monster notices), and between
+monsters."""
 
 _ATTEMPTS = 200
 
 Draw = Callable[[int], np.ndarray]
-"""Takes so many uniform numbers in [0, 1) off an island's random stream."""
+"""A function that takes `count` uniform numbers in [0, 1) from an island's random stream."""
 
 
 def parse_name(name: str) -> tuple[str, int]:
@@ -59,7 +60,7 @@ def parse_name(name: str) -> tuple[str, int]:
 
 
 def random_level(split: str, number: int) -> Level:
-    """Draw the island of a number; equal arguments give equal levels, in whatever order they are drawn.
+    """Generate the island of a number; equal arguments give equal levels, in any order.
 
     Every monster can be walked to from every start place by a body as wide as a tile.
     """
@@ -72,7 +73,7 @@ def random_level(split: str, number: int) -> Level:
 
 
 def _attempt(draw: Draw, split: str, number: int) -> Level | None:
-    """Draw an island with everybody on it; None when it is no good."""
+    """Generate an island with everything on it; None if it is not valid."""
     ground = _draw_ground(draw)
     terrain = _draw_terrain(draw, ground)
     tiles = _choose_places(draw, terrain, STARTS + len(KINDS))
@@ -101,7 +102,7 @@ def _attempt(draw: Draw, split: str, number: int) -> Level | None:
 
 
 def _draw_ground(draw: Draw) -> np.ndarray:
-    """Return (rows, columns) codes of the ground of one island in the water."""
+    """Return (rows, columns) ground codes of one island in the water."""
     land = _draw_land(draw)
     rows = np.arange(ROWS)[:, None]
     snow_ends = _draw_border(draw, 17, 3) + _draw_noise(draw, 3) * 3
@@ -116,7 +117,7 @@ def _draw_ground(draw: Draw) -> np.ndarray:
 
 
 def _draw_land(draw: Draw) -> np.ndarray:
-    """Return (rows, columns) bool: a rough oval with bays and capes, without specks and puddles."""
+    """Return (rows, columns) bool: a rough oval with bays and capes, without tiny islands and lakes."""
     width, height, corners = 19 + 5 * draw(1)[0], 16 + 4 * draw(1)[0], 0.7 * draw(1)[0]
     across = ((np.arange(COLUMNS) - (COLUMNS - 1) / 2) / width)[None, :]
     down = ((np.arange(ROWS) - (ROWS - 1) / 2) / height)[:, None]
@@ -132,14 +133,14 @@ def _draw_land(draw: Draw) -> np.ndarray:
 
 
 def _draw_border(draw: Draw, row: int, swing: float) -> np.ndarray:
-    """Return, for every column, the row at which one ground gives way to the next."""
+    """Return, for each column, the row at which one ground changes to the next."""
     along = _draw_noise(draw, 8)[0]  # (columns,)
     tilt = (draw(1)[0] - 0.5) * 8 * (np.arange(COLUMNS) / COLUMNS - 0.5)
     return row + (draw(1)[0] - 0.5) * 4 + tilt + (along - 0.5) * 4 * swing
 
 
 def _dig_strait(draw: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None:
-    """Cut the sand off by a strait, with two or three bridges over it where both shores have room."""
+    """Separate the sand by a strait, with two or three bridges where both shores have room."""
     width = 2 + int(draw(1)[0] * 2)
     shore = np.ceil(sand_begins).astype(np.int64)
     places = _bridge_places(ground, shore, width)
@@ -152,7 +153,7 @@ def _dig_strait(draw: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None
 
 
 def _bridge_places(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndarray:
-    """Return the columns around which a bridge three tiles wide has two tiles of land on either shore."""
+    """Return the columns where a bridge three tiles wide has two tiles of land on each shore."""
     straight = (shore[:-2] == shore[1:-1]) & (shore[1:-1] == shore[2:])
     return np.array(
         [
@@ -168,7 +169,7 @@ def _bridge_places(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndar
 
 
 def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
-    """Return (rows, columns) uint8: the coast, and obstacles strewn inland, here denser, there sparser."""
+    """Return (rows, columns) uint8: the coast, and obstacles inland, with varying density."""
     inland = _count_around(((ground != WATER) & (ground != BRIDGE)).astype(np.int64)) == 9
     chance = 0.01 + 0.12 * np.maximum(_draw_noise(draw, 5) - 0.4, 0)
     stones = inland & (draw(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < chance)
@@ -178,7 +179,7 @@ def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
 
 
 def _choose_places(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
-    """Return (count, 2) rows and columns, start places first, well apart and with open tiles around."""
+    """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
     free = terrain == rules.OPEN
     regions = walkable_regions(free)
     roomy = (regions == _largest(regions)) & (_count_around(free.astype(np.int64)) == 9)
@@ -214,17 +215,17 @@ def _steps(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _smooth(land: np.ndarray) -> np.ndarray:
-    """Return where most tiles around, and the tile itself, are land."""
+    """Return whether most tiles around, and the tile itself, are land."""
     return _count_around(land.astype(np.int64)) >= 5
 
 
 def _count_around(tiles: np.ndarray) -> np.ndarray:
-    """Return the sum over every tile and the eight around it; nothing counts beyond the edge."""
+    """Return the sum over each tile and its eight neighbours; tiles beyond the edge count 0."""
     return np.asarray(convolve(tiles, np.ones((3, 3), np.int64), mode="constant"))
 
 
 def _without_specks(tiles: np.ndarray, least: int) -> np.ndarray:
-    """Return the tiles of every region of at least so many."""
+    """Return the tiles of all regions with at least `least` tiles."""
     regions = walkable_regions(tiles)
     return (regions > 0) & (np.bincount(regions.ravel())[regions] >= least)
 

@@ -28,7 +28,7 @@ VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
 
 FOLLOW_FACTOR = 4
 MAP_SIDE = 900
-"""About how many pixels the longer side of the whole map gets."""
+"""Approximate pixels along the longer side of the whole map."""
 
 MOST_TILES = 90_000
 BAR_WIDTH = 12
@@ -36,14 +36,14 @@ PANEL_BAR = (48, 3)
 PANEL_GAP = 6  # art pixels between two things, and around all
 PANEL_LINE = 7
 PANEL_WIDTH = 360
-"""Of all things side by side, in art pixels."""
+"""Gap between items in the strip, in art pixels."""
 STRIDE = 40.0  # pixels that a body walks between two poses: a player's way in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
 
 @dataclass(frozen=True)
 class Item:
-    """A picture and where it goes, in art pixels of the map; those with a lower foot go in front."""
+    """A picture and its place on the map, in art pixels; a lower foot is drawn in front."""
 
     foot: float
     picture: np.ndarray
@@ -52,7 +52,7 @@ class Item:
 
 
 class Renderer:
-    """Draws the worlds of a `Worlds` object as they are at the moment.
+    """Draws the current state of the worlds in a `Worlds` object.
 
     Attributes:
         size: width and height of a frame, with the strip.
@@ -136,7 +136,7 @@ class Renderer:
     # --- What stands in the world ----------------------------------------------------------------
 
     def _draw(self, canvas: np.ndarray, world: int, left: int, top: int) -> None:
-        """Draw everything that stands in a world onto a canvas whose corner is at (left, top)."""
+        """Draw everything in a world onto a canvas whose corner is at (left, top)."""
         height, width = canvas.shape[:2]
         items = [*self._obstacles, *self._monsters(world), *self._players(world)]
         for item in sorted(items, key=lambda item: item.foot):
@@ -173,7 +173,7 @@ class Renderer:
                 yield self._sword(player, stats)
 
     def _bitten(self, world: int) -> int:
-        """Return the bits of the players that some living monster has only just bitten."""
+        """Return a bit for each player that a living monster has just bitten."""
         level = int(self.worlds.worlds["level"][world])
         monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats[level]
         fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
@@ -199,7 +199,7 @@ class Renderer:
         return Item(foot + (-0.2 if facing == "up" else 0.2), picture, x - width // 2, y - height // 2)
 
     def _bars(self, world: int) -> Iterator[Item]:
-        """Yield the HP bars of all who are hurt and alive, monsters first."""
+        """Yield the HP bars of everyone who is hurt and alive, monsters first."""
         level = int(self.worlds.worlds["level"][world])
         groups = (
             (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 17),
@@ -226,7 +226,7 @@ class Renderer:
         return strip
 
     def _pieces(self, world: int, player: int) -> list[np.ndarray]:
-        """Return the pictures of all that is told, one after the other; what finds no room is cut off."""
+        """Return the pictures in the strip, one after the other; those without room are cut off."""
         worlds = self.worlds
         row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
@@ -246,7 +246,7 @@ class Renderer:
 
 
 def _filled_part(hp: float, full: float, width: int) -> int:
-    """Return how much of a bar is filled; somebody alive always has something."""
+    """Return how much of a bar is filled; anyone alive has at least a little."""
     return min(max(round(width * float(hp) / float(full)), int(hp > 0)), width)
 
 
@@ -256,7 +256,7 @@ def _foot(body: Any, stats: Any) -> float:
 
 
 def ground_kinds(level: Level) -> np.ndarray:
-    """Return what every tile of a level is made of, (rows, columns) of `sprites.WATER`, `SNOW` ….
+    """Return the ground of each tile of a level, (rows, columns) of `sprites.WATER`, `SNOW` …
 
     Any other code is grass, and where the land ends there is always water.
     """
@@ -265,7 +265,7 @@ def ground_kinds(level: Level) -> np.ndarray:
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
-    """Yield what stands in the way, by what it stands on."""
+    """Yield the obstacles' pictures, which depend on their ground."""
     kinds = {sprites.SNOW: ("pine",), sprites.GRASS: ("tree", "tree", "rock"), sprites.SAND: ("cactus",)}
     shadow = sprites.shadow_picture(14)
     for row, column in np.argwhere(solid).tolist():
@@ -277,7 +277,7 @@ def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
 
 
 def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
-    """Return a player as they stand, walk or strike; which foot is in front follows from the place."""
+    """Return a player standing, walking or attacking; the position decides which foot is in front."""
     facing = sprites.FACINGS[player["facing"]]
     if player["busy"] > 0:
         return sprites.player_picture(index, facing, "strike", flash)
@@ -286,14 +286,14 @@ def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
 
 
 def _clamp(centre: int, length: int, available: int) -> tuple[int, int]:
-    """Return start and length of a window around a centre that does not leave the map."""
+    """Return start and length of a window around a centre, moved to stay within the map."""
     if length >= available:
         return 0, available
     return min(max(centre - length // 2, 0), available - length), length
 
 
 def _centre(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a picture cut, or surrounded by water, to a width and height."""
+    """Return a picture cropped, or padded with water, to a width and height."""
     width, height = size
     if picture.shape[:2] == (height, width):
         return picture

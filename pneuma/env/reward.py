@@ -1,4 +1,4 @@
-"""Rewards: the formulas by name, rewards of a user's own, and vector rewards of the same parts.
+"""Rewards: named formulas, users' own functions, and vector rewards of the same parts.
 
 With xp and hp after the step, hp0 full HP, and Δ for what the step itself brought:
 
@@ -54,7 +54,7 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
 def load_reward(name: str) -> RewardFunction:
-    """Import a reward of a user's own, looking in the current folder too.
+    """Import a user's reward, also from the current folder.
 
     What was imported for this before is read anew, with the modules of its own that it imports, where one
     was edited, as between two cells of a notebook, or the current folder is another.
@@ -92,7 +92,7 @@ def load_reward(name: str) -> RewardFunction:
 
 
 def reward_files(names: Sequence[str]) -> list[Path]:
-    """Return the source files of rewards of a user's own: of the module named, and what it imports beside it.
+    """Return the source files of users' rewards: the module, and what it imports beside it.
 
     Raises:
         UserError: when a module or function does not exist; the module is imported to tell.
@@ -105,11 +105,11 @@ def reward_files(names: Sequence[str]) -> list[Path]:
 
 
 _READ: dict[str, Any] = {}
-"""Of modules that were imported for a reward: what `_stamp` said then."""
+"""The result of `_stamp` when a module was imported for a reward."""
 
 
 def _stamp(module: str) -> tuple[Path, list[tuple[Path, int]]]:
-    """Return the current folder, and when each of a module's own files was last written."""
+    """Return the current folder, and the modification times of a module's files."""
     files = [file for file in _own_files(module) if file.is_file()]
     return Path.cwd(), [(file, file.stat().st_mtime_ns) for file in files]
 
@@ -120,14 +120,14 @@ def _own_files(module: str) -> list[Path]:
 
 
 def present(events: np.ndarray) -> np.ndarray:
-    """Return which players were alive when the step began that (N, P) events tell of."""
+    """Return which players were alive when the step began, for (N, P) events."""
     return (events["present"] > 0) | (events["died"] > 0)
 
 
 def custom_rewards(
     function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
 ) -> np.ndarray:
-    """Call a reward of a user's own and check what it returns: (N, P) numbers, finite for the living.
+    """Call a user's reward and check its result: (N, P) numbers, finite for living players.
 
     Raises:
         UserError: naming the function, its file and line, and what was wrong.
@@ -205,7 +205,7 @@ def module_files(name: str, path: Path) -> list[Path]:
 
 
 class _Imports(ModuleFinder):
-    """Reads import statements, and runs nothing."""
+    """Finds import statements without running anything."""
 
     def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
         try:
@@ -215,6 +215,6 @@ class _Imports(ModuleFinder):
 
 
 def _is_installed(folder: Path) -> bool:
-    """Return whether a folder holds what was installed, or comes with Python."""
+    """Return whether a folder belongs to installed packages or to Python itself."""
     paths = sysconfig.get_paths()
     return folder.resolve() in {Path(paths[key]).resolve() for key in ("stdlib", "purelib", "platlib")}

@@ -1,4 +1,4 @@
-"""The vector environment of Stable-Baselines3 over the same worlds."""
+"""The vector environment of Stable-Baselines3, over the same worlds."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from pneuma.errors import UserError
 
 
 class WholeVecEnv(VecEnv):
-    """One that answers for all its slots at once: attributes and methods are its own."""
+    """A vector environment whose attributes and methods apply to all slots at once."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute, the same for every slot."""
+        """Return an attribute, the same for each slot."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -33,19 +33,19 @@ class WholeVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method for every slot asked for; `action_masks` gives each its own mask."""
+        """Call a method for the given slots; `action_masks` returns each slot's own mask."""
         result = getattr(self, method_name)(*method_args, **method_kwargs)
         if method_name == "action_masks":
             return [result[i] for i in self._get_indices(indices)]
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """Say that no slot is wrapped."""
+        """Return that no slot is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
 class PneumaVecEnv(Rendering, WholeVecEnv):
-    """Slots as Stable-Baselines3 wants them: an ended world resets at once.
+    """A vector environment of slots that resets ended worlds at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
     `terminal_observation`, `TimeLimit.truncated`, `episode` with the return `r` and length `l`, and how
@@ -99,13 +99,13 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self._no_dones = np.zeros(self.num_envs, np.bool_)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed world i with seed + i at the next reset; return every slot's seed."""
+        """Seed world i with seed + i at the next reset; return each slot's seed."""
         first = int(seeding.np_random()[0].integers(2**32)) if seed is None else seed
         self._seeds = [first + slot // self.slots.players for slot in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every world, with the seeds and options set beforehand.
+        """Start an episode in each world, with the seeds and options set before.
 
         `set_options({"start": i})` chooses the start place; in a list of one a slot, those of the first
         players count.
@@ -125,13 +125,13 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the next step, shape (slots,)."""
+        """Set the actions of the next step, shape (slots,)."""
         self._actions[:] = self.slots.checked(actions)
         if not self.slots.begun:
             raise ResetNeeded("no episode has begun: call reset first")
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Play them: observations, rewards, dones, infos."""
+        """Step all slots: observations, rewards, dones, infos."""
         slots = self.slots
         ended = slots.step(self._actions)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
@@ -147,7 +147,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return slots.observations, rewards, dones.copy(), infos
 
     def _end(self, slot: int) -> dict[str, Any]:
-        """Note an ended episode and return its info."""
+        """Record an ended episode and return its info."""
         world, player = divmod(slot, self.slots.players)
         info = ending_info(self.state, world, player)
         length, total = int(self._lengths[slot]), float(self._returns[slot])
@@ -164,12 +164,12 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return info
 
     def save(self, world: int) -> Snapshot:
-        """Return a copy of one world's state, for `restore` here, in another face or another process."""
+        """Return a snapshot of one world, which any interface or process can restore."""
         players = slice(world * self.slots.players, (world + 1) * self.slots.players)
         return replace(self.state.save(world), returns=self._returns[players].copy())
 
     def restore(self, world: int, snapshot: Snapshot) -> np.ndarray:
-        """Put a saved state into one world, and return what all slots see, as `reset` does.
+        """Restore a snapshot in one world; return all observations, as `reset` does.
 
         If the saved episode had ended, the next begins. What the `episode` of its info will say counts
         from the episode's beginning; from here on, if another face saved it. See `Slots.restore`.
@@ -184,13 +184,13 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return self.observe()
 
     def observe(self) -> np.ndarray:
-        """Return what all slots see of the state as it is, after it was changed by hand."""
+        """Return the observations of the current state, after it was changed by hand."""
         self.state.observe()
         self._show()
         return self.slots.observations
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Copy all that the next step depends on, and the accumulated episodes: plain arrays by name.
+        """Copy everything that the next step depends on, including episodes in progress: arrays by name.
 
         Worlds, players, monsters and events are bytes, laid out as `layout` tells.
         """
@@ -198,7 +198,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return {"layout": layout} | {name: _bytes(array).copy() for name, array in self._state_arrays()}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Go on from where `saved_state` was taken, in this process or another."""
+        """Resume from `saved_state`, in this process or another."""
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for name, array in self._state_arrays():
@@ -208,7 +208,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self.slots.begun = True
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
-        """Go on with other random streams, and XP anew if asked for; return what all slots see."""
+        """Continue with other random streams, and with XP reset if asked for; return all observations."""
         self.state.rekey(seeds)
         if fresh_xp:
             self.state.players["xp"] = 0.0
@@ -222,18 +222,18 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         ]
 
     def action_masks(self) -> np.ndarray:
-        """Return which actions would do anything, (slots, actions) booleans."""
+        """Return which actions would have an effect, (slots, actions) booleans."""
         return self.slots.masks.astype(np.bool_)
 
     def render(self, mode: str | None = None) -> np.ndarray | None:
-        """Return one picture of all slots for `rgb_array`; bring the window up to date for `human`."""
+        """Return one picture of all slots for `rgb_array`; update the window for `human`."""
         if self.render_mode == "human":
             self._show()
             return None
         return VecEnv.render(self, mode)
 
     def get_images(self) -> Sequence[np.ndarray]:
-        """Return a picture for every slot, of its world as its player is shown."""
+        """Return a picture for each slot, of its world with its player in view."""
         return self._frames()
 
 

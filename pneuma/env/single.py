@@ -1,4 +1,4 @@
-"""The single environment of Gymnasium: one world, one player; and the same with vector rewards."""
+"""The single Gymnasium environment: one world, one player; also with vector rewards."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; see `gymnasium.Env.reset`. The same seed begins the same world."""
+        """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
         start = chosen_starts(self.state, (options or {}).get("start"))
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
@@ -92,11 +92,11 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         return self._seen()
 
     def save(self) -> Snapshot:
-        """Return a copy of the world's state, for `restore` here, in another face or another process."""
+        """Return a snapshot of the world, which any interface or process can restore."""
         return self.state.save(0)
 
     def restore(self, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
-        """Put a saved world back, and return what `reset` returns; see `Worlds.restore`."""
+        """Restore a snapshot and return what `reset` returns; see `Worlds.restore`."""
         self.state.restore(0, snapshot)
         self.state.observe()
         self._keyed = True
@@ -130,7 +130,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
 
 class VectorRewards:
-    """What a face with vector rewards has more; before the face among its bases."""
+    """A mixin for vector rewards; it comes before the environment among the bases."""
 
     state: Worlds
 

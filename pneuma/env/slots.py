@@ -1,4 +1,4 @@
-"""Slots: every player of every world as an environment of its own, as learners want them.
+"""Slots: each player of each world as an environment of its own, as learners need it.
 
 A slot's player may die while its world goes on. Its episode then ends, at once, with what it saw last; from
 the next step until the world ends as well, the slot idles: observations of zeros, no reward, and no ending.
@@ -18,7 +18,9 @@ from pneuma.env.worlds import Snapshot, Worlds
 
 
 class Slots:
-    """The bookkeeping of slots over `Worlds`; slot i is player i % P of world i // P.
+    """Tracks the slots of `Worlds`; slot i is player i % P of world i
+
+    P.
 
     Attributes:
         begun: whether all worlds were ever reset.
@@ -37,7 +39,7 @@ class Slots:
         self.world_over = np.zeros(len(worlds), np.bool_)
 
     def checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions as the rules take them, (slots,) int64.
+        """Return actions in the form that the rules take, (slots,) int64.
 
         Raises:
             ValueError: for what is no action, or not one for each slot.
@@ -50,7 +52,7 @@ class Slots:
         raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
 
     def restore(self, world: int, snapshot: Snapshot) -> bool:
-        """Put a saved state into one world; tell whether its episode goes on.
+        """Restore a snapshot in one world; return whether its episode goes on.
 
         Raises:
             ResetNeeded: before the first reset of all worlds.
@@ -62,7 +64,7 @@ class Slots:
         return bool(self.worlds.worlds["ending"][world] == rules.RUNNING)
 
     def step(self, actions: np.ndarray) -> bool:
-        """Advance all worlds by (slots,) actions; tell whether any slot's episode ended."""
+        """Advance all worlds by (slots,) actions; return whether any slot's episode ended."""
         worlds = self.worlds
         ended = worlds.advance(actions.reshape(worlds.players.shape))
         if not ended and self.players == 1:
@@ -85,7 +87,7 @@ class Slots:
 
     @property
     def observations(self) -> np.ndarray:
-        """A copy of all observations, (slots, features); idle slots see zeros."""
+        """A copy of all observations, (slots, features); zeros for idle slots."""
         observations = self.worlds.observations.reshape(self.count, -1).copy()
         if self.players > 1:
             observations[self._idle] = 0.0
@@ -93,7 +95,7 @@ class Slots:
 
     @property
     def masks(self) -> np.ndarray:
-        """A copy of all action masks, (slots, actions); idle slots are left attack."""
+        """A copy of all action masks, (slots, actions); idle slots may only attack."""
         masks = self.worlds.masks.reshape(self.count, -1).copy()
         if self.players > 1:
             masks[self._idle] = np.arange(masks.shape[1]) == rules.ATTACK
@@ -101,12 +103,12 @@ class Slots:
 
     @property
     def _idle(self) -> np.ndarray:
-        """Which slots' players were dead already when the last step began, (slots,)."""
+        """Which slots' players were dead before the last step, (slots,)."""
         return ((self.worlds.players["hp"] <= 0) & ~self.worlds.present).ravel()
 
 
 def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
-    """Say how a world's episode ended for a player."""
+    """Describe how a world's episode ended for a player."""
     row = state.players[world, player]
     return {
         "ending": state.ending(world) if row["hp"] > 0 else "killed",
@@ -117,7 +119,7 @@ def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
 
 
 def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
-    """Return the start places that `reset` is asked for, shape (N,), or None for the usual ones.
+    """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
 
     Args:
         worlds: which are reset.

@@ -41,7 +41,7 @@ def _read_art(name: str) -> np.ndarray:
 
 @cache
 def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.ndarray:
-    """Return the picture of player `index`, in the cloak that is theirs.
+    """Return the picture of player `index`, in its own cloak.
 
     Args:
         index: which player; from the ninth on, cloaks repeat.
@@ -57,7 +57,7 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
 
 @cache
 def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
-    """Return the picture of a monster; a kind without pictures is drawn as a stranger.
+    """Return the picture of a monster; kinds without pictures look like `stranger.png`.
 
     Args:
         kind: as in `data/characters.toml`; `art/monsters/KIND.png` holds both poses, calm above alert.
@@ -87,7 +87,7 @@ def sword_picture(facing: str, moment: str) -> np.ndarray:
 
 @cache
 def shadow_picture(width: int) -> np.ndarray:
-    """Return the shadow, a flat ellipse, of something `width` art pixels wide."""
+    """Return the shadow, a flat ellipse, of a body `width` art pixels wide."""
     height = max(width // 3, 3)
     y = (2 * np.arange(height) + 1 - height)[:, None] * width
     x = (2 * np.arange(width) + 1 - width)[None] * height
@@ -101,7 +101,7 @@ def shadow_picture(width: int) -> np.ndarray:
 
 @cache
 def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.ndarray:
-    """Return a framed bar, of whose `width` art pixels the first `filled` are coloured."""
+    """Return a framed bar with the first `filled` of its `width` art pixels coloured."""
     picture = np.empty((height + 2, width + 2, 4), np.uint8)
     picture[...] = (*rgb(OUTLINE), 255)
     picture[1:-1, 1:-1] = (*rgb("7a6070"), 255)
@@ -110,7 +110,7 @@ def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.nda
 
 
 def text_picture(text: str) -> np.ndarray:
-    """Return a line of text, 7 art pixels high, in capitals; what has no glyph is left blank."""
+    """Return a line of text, 7 art pixels high, in capitals; characters without a glyph are blank."""
     glyphs, gap = _glyphs(), np.zeros((7, 1, 4), np.uint8)
     pieces = [piece for letter in text.upper() for piece in (glyphs.get(letter, gap.repeat(3, 1)), gap)]
     return np.concatenate(pieces or [gap], axis=1)
@@ -128,7 +128,7 @@ def _glyphs() -> dict[str, np.ndarray]:
 
 
 def blend(canvas: np.ndarray, picture: np.ndarray, left: int, top: int) -> None:
-    """Paint a picture onto an RGB canvas, shape (height, width, 3); what lies outside is cut off."""
+    """Paint a picture onto an RGB canvas, shape (height, width, 3); parts outside are cut off."""
     first_row, first_column = max(-top, 0), max(-left, 0)
     last_row = min(picture.shape[0], canvas.shape[0] - top)
     last_column = min(picture.shape[1], canvas.shape[1] - left)
@@ -141,18 +141,18 @@ def blend(canvas: np.ndarray, picture: np.ndarray, left: int, top: int) -> None:
 
 
 def enlarge(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Return a picture or a frame with every pixel a square of `factor`."""
+    """Return a picture with each pixel as a square of `factor`."""
     return picture.repeat(factor, 1).repeat(factor, 0)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return red, green and blue of six hexadecimal digits."""
+    """Return the red, green and blue of six hexadecimal digits."""
     red, green, blue = bytes.fromhex(colour)
     return red, green, blue
 
 
 def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:
-    """Return the picture with its inside two thirds of the way to a colour, or as it is."""
+    """Return the picture with its inside two thirds of the way to a colour, or unchanged."""
     if not colour:
         return picture
     flashed = picture.copy()
@@ -166,7 +166,7 @@ def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:
 WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 
 _PATCHES = ("3a7fc5", "e9f0f9", "7fbd66", "eed798")
-"""What water, snow, grass and sand look like in patches."""
+"""Colours of water, snow, grass and sand, in patches."""
 _FOAM, _SHALLOWS = "bfe8f2", "62b6dc"
 _EDGES = {
     SNOW: ("c4d6ec", "9db8da", "7c98c4"),  # rim, then the bank down to the water: upper, lower
@@ -175,7 +175,7 @@ _EDGES = {
 }
 _RAIL_COLOURS = ("d09d68", "5b3a2e")
 _VARIANTS = (0, 0, 0, 0, 1, 1, 2, 3)
-"""Which variant of its ground a tile takes, by three bits of its hash."""
+"""The variant of its ground for a tile, by three bits of its hash."""
 _SOFT = (WATER, SNOW, GRASS, SAND)
 _ROUNDING = 6
 _RAIL = 4
@@ -207,7 +207,7 @@ def hatch(image: np.ndarray, tiles: np.ndarray) -> np.ndarray:
 
 
 def tile_hash(row: np.ndarray | int, column: np.ndarray | int, salt: int = 0) -> np.ndarray:
-    """Return 32 well-mixed bits for every tile: what varies from tile to tile follows from them."""
+    """Return 32 well-mixed bits for each tile, from which all variation between tiles follows."""
     mixed = np.array(row, np.uint64) * np.uint64(0x9E3779B1) ^ np.array(column, np.uint64) * np.uint64(
         0x85EBCA77
     )
@@ -218,7 +218,7 @@ def tile_hash(row: np.ndarray | int, column: np.ndarray | int, salt: int = 0) ->
 
 
 def _texture(shape: tuple[int, ...], kind: int) -> np.ndarray:
-    """Return a whole map of one ground, each tile in the variant that its hash says."""
+    """Return a map of one ground, each tile in the variant that its hash selects."""
     rows, columns = shape
     drawn = _ground_pictures(kind)
     variants = np.concatenate([drawn, drawn[:, :, ::-1]])  # and each the other way round
@@ -240,7 +240,7 @@ def _ground_pictures(kind: int) -> np.ndarray:
 
 
 def _soften(ground: np.ndarray) -> np.ndarray:
-    """Return the ground of every art pixel, corners rounded and borders a little uneven.
+    """Return the ground of each art pixel, with rounded corners and slightly uneven borders.
 
     Each pixel takes the ground of which there is most in a small square around it, plus a smooth
     wobble; whole numbers throughout, so that every processor paints the same.

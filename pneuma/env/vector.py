@@ -20,7 +20,7 @@ from pneuma.errors import UserError
 
 
 class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """N worlds as one environment; `PneumaEnv` says what each is.
+    """N worlds as one environment; see `PneumaEnv` for each.
 
     World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With
     several players to a world, each is a slot: slot i is player i % players of world i // players. A
@@ -94,11 +94,11 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self.slots.observations, self._infos()
 
     def save(self, world: int) -> Snapshot:
-        """Return a copy of one world's state, for `restore` here, in another face or another process."""
+        """Return a snapshot of one world, which any interface or process can restore."""
         return self.state.save(world)
 
     def restore(self, world: int, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
-        """Put a saved state into one world, and return what all slots see, as `reset` does.
+        """Restore a snapshot in one world; return all observations, as `reset` does.
 
         The world goes on as the saved one would have here: if its episode had ended, this autoreset
         mode decides when the next begins. See `Slots.restore`.
@@ -150,7 +150,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return seen, rewards, slots.terminated.copy(), slots.truncated.copy(), self._infos(infos)
 
     def _note_over(self, over: np.ndarray) -> None:
-        """Note which worlds are over; where the step that ends resets too, begin anew in them."""
+        """Record which worlds are over, and reset them if the ending step does so."""
         self._over, self._waiting = over, bool(over.any())
         if self._waiting and self.autoreset_mode == AutoresetMode.SAME_STEP:
             self.state.reset(over)

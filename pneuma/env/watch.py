@@ -1,4 +1,4 @@
-"""A world for somebody to watch: a window, what the faces render, smooth episodes, videos, play by hand.
+"""Showing a world: a window, rendering, smooth episodes, videos, and play by hand.
 
 The faces give one frame a step. Episodes and play show a step of 8 ticks in four frames of 2, so that
 motion is smooth. A window needs pygame-ce.
@@ -29,7 +29,7 @@ from pneuma.errors import UserError, install_extra, unknown_name
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
 RENDER_MODES = ("rgb_array", "human")
 VIDEOS = (".gif", ".mp4", ".png")
-"""What frames can be written to; .png is the first."""
+"""File formats for frames; .png holds the first one."""
 
 FRAMES_PER_STEP = 4
 FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
@@ -39,10 +39,10 @@ KEYS = {
     "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
     "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "leave": ("ESCAPE",),
 }  # fmt: skip
-"""What a window is asked for, and the keys that do it, by pygame's names."""
+"""Commands in a window and their keys, by pygame's names."""
 
 Act = Callable[[Worlds], np.ndarray]
-"""Chooses actions (N, P) for all worlds."""
+"""A function that chooses actions (N, P) for all worlds."""
 
 
 class Window:
@@ -76,7 +76,7 @@ class Window:
         self.closed = False
 
     def show(self, frame: np.ndarray, frames_per_second: float) -> None:
-        """Show a frame, (height, width, 3) uint8, then wait for as long as the rate asks."""
+        """Show a frame, (height, width, 3) uint8, then wait as the frame rate requires."""
         self._tapped.clear()
         if not self._listen():
             return
@@ -87,20 +87,20 @@ class Window:
         self._clock.tick(frames_per_second)
 
     def keys(self) -> set[str]:
-        """Return which of `KEYS` are held; one that was only tapped since the last frame counts."""
+        """Return which of `KEYS` are held, or were tapped since the last frame."""
         if not self._listen():
             return set()
         held = self._pygame.key.get_pressed()
         return {name for code, name in self._names.items() if held[code] or code in self._tapped}
 
     def close(self) -> None:
-        """Close the window; closing twice does no harm."""
+        """Close the window; it may be closed twice."""
         if not self.closed:
             self._pygame.display.quit()
         self.closed = True
 
     def _listen(self) -> bool:
-        """Note what happened to the window and its keys since the last time; tell whether it is open."""
+        """Process the window's events; return whether it is open."""
         for event in [] if self.closed else self._pygame.event.get():
             if event.type == self._pygame.KEYDOWN:
                 self._tapped.add(event.key)
@@ -110,7 +110,7 @@ class Window:
 
 
 def _load_pygame() -> Any:
-    """Import pygame-ce, without its greeting on standard output and without looking for a sound card."""
+    """Import pygame-ce without its greeting and without looking for a sound card."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland complains aloud
@@ -121,7 +121,7 @@ def _load_pygame() -> Any:
 
 
 class Rendering:
-    """What the faces share: a world to show, drawn only when somebody looks.
+    """The rendering that all interfaces share; frames are drawn only when needed.
 
     `rgb_array` gives the frame of the first world, or one a slot for a vector environment: that slot's
     world, with its player followed and told of. `human` opens a window, which needs the extra `play`.
@@ -158,7 +158,7 @@ class Rendering:
         return tuple(self._frames()) if hasattr(self, "num_envs") else self._frame(0)
 
     def _frames(self) -> list[np.ndarray]:
-        """Return a frame for every slot, as recorders of vector environments want them."""
+        """Return a frame for each slot, for recorders of vector environments."""
         return [self._frame(world, player) for world, player in np.ndindex(*self._drawn.players.shape)]
 
     def _frame(self, world: int, player: int = 0) -> np.ndarray:
@@ -167,7 +167,7 @@ class Rendering:
         return self._renderer.frame(world, player)
 
     def _show(self) -> None:
-        """Bring the window up to date, if there is to be one."""
+        """Update the window, if there is one."""
         if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
         frame = self._frame(0)
@@ -187,7 +187,7 @@ class Rendering:
 
 
 def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.ndarray]:
-    """Yield the frames of one episode of the first world, which must just have been reset.
+    """Yield the frames of one episode of the first world, which must have been reset just before.
 
     An episode that goes on after the last monster's death is shown for two more seconds.
     """
@@ -207,7 +207,7 @@ def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.
 
 
 def agent_steps(worlds: Worlds) -> int:
-    """Return how many steps of 8 ticks a smooth first world has taken, a part of one counted whole."""
+    """Return how many steps of 8 ticks a smooth first world has taken; a partial one counts as one."""
     return -(-int(worlds.worlds["steps"][0]) // FRAMES_PER_STEP)
 
 
@@ -218,7 +218,7 @@ def smooth(worlds: Worlds) -> None:
 
 
 def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
-    """Let a person play player 0 with the keyboard until the window closes.
+    """Let the user play player 0 with the keyboard until the window closes.
 
     Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can,
     escape leaves; the world waits while no key is held. The other players stand and strike.
@@ -257,7 +257,7 @@ def level_worlds(start: int = 0) -> Worlds:
 
 
 def fight_worlds() -> Worlds:
-    """Return the shipped level in the middle of a fight: a monster just hit, as many awake as ever."""
+    """Return the shipped level during a fight: a monster just hit, and as many awake as possible."""
     best, most = level_worlds(), 0
     for start in range(len(best.level.starts)):
         worlds = level_worlds(start)
@@ -278,7 +278,7 @@ def fight_worlds() -> Worlds:
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
-    """Write frames to a .gif, .mp4 or, only the first, .png; the file appears whole or not at all.
+    """Write frames to a .gif or .mp4, or the first to a .png; the file is written whole or not at all.
 
     Args:
         path: where to; its suffix says which format.
@@ -329,13 +329,13 @@ def _write_mp4(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
 
 
 def _with_even_sides(frame: np.ndarray) -> np.ndarray:
-    """Return a frame with its last row or column doubled where H.264 needs an even number."""
+    """Return a frame with its last row or column doubled if needed, as H.264 requires even sides."""
     height, width = frame.shape[:2]
     return np.ascontiguousarray(np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: float) -> None:
-    """Write a GIF that plays for ever; Pillow's own `save_all` would keep every frame in memory."""
+    """Write a looping GIF; Pillow's own `save_all` would keep every frame in memory."""
     before: np.ndarray | None = None
     with open(path, "wb") as file:
         for number, frame in enumerate(frames):

@@ -1,4 +1,4 @@
-"""N worlds side by side: owns their state and drives the rules.
+"""N worlds in parallel: their state, and the calls to the rules.
 
 Every face (single, vector, parallel, Stable-Baselines3) is a thin layer over `Worlds`, so all of them
 give the same bits for the same seeds and actions.
@@ -29,12 +29,12 @@ ENDINGS = ("running", "killed", "cleared", "time-limit")
 _SEEN_OR_PAID = {
     "reward", "perceived", "sight", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
 }  # fmt: skip
-"""Stats that no state depends on."""
+"""Stats on which no state depends."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole state of one world: what it needs to go on as it would have.
+    """The whole state of one world, from which it continues unchanged.
 
     Attributes:
         worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
@@ -137,16 +137,16 @@ class Worlds:
         self.usual_starts = np.full(count, start, np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the addresses behind: a copy's arrays lie elsewhere."""
+        """Leave out the addresses, as the arrays of a copy lie elsewhere."""
         return {name: value for name, value in vars(self).items() if name not in _ADDRESSES}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        """Take the copied arrays and note their addresses."""
+        """Take the copied arrays and store their addresses."""
         vars(self).update(kept)
         self._take_addresses()
 
     def _take_addresses(self) -> None:
-        """Note where the arrays lie, and look at them in the other ways that are needed."""
+        """Store the addresses of the arrays, and views of them that are needed."""
         self._handle = state.make_handle(self._arrays)
         whole = self.worlds, self.players, self.monsters, self.events
         self.raw = tuple(state.raw(each) for each in whole)  # bytes: NumPy copies those faster
@@ -158,7 +158,7 @@ class Worlds:
 
     @property
     def handle(self) -> np.ndarray:
-        """What the compiled rules are called with, for compiled code elsewhere; see `state.make_handle`."""
+        """The argument of compiled rules, for compiled code elsewhere; see `state.make_handle`."""
         return self._handle
 
     @property
@@ -168,12 +168,12 @@ class Worlds:
 
     @property
     def space(self) -> spaces.Box:
-        """What player 0 observes."""
+        """The observation space of player 0."""
         return self.spaces[0]
 
     @property
     def slot_space(self) -> spaces.Box:
-        """What any of the players may observe."""
+        """A space for the observations of any player."""
         low = np.min([space.low for space in self.spaces], axis=0)
         return spaces.Box(low, np.max([space.high for space in self.spaces], axis=0), dtype=np.float32)
 
@@ -206,7 +206,7 @@ class Worlds:
         return settings
 
     def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
-        """Key the random stream of every world, or of those of `mask`, by its own seed.
+        """Seed the random stream of all worlds, or of those in `mask`.
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
@@ -214,13 +214,13 @@ class Worlds:
         self.players["xp"][self._every if mask is None else mask] = 0.0
 
     def rekey(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
-        """Give worlds random streams of their own from here on; all else goes on as it is."""
+        """Give worlds new random streams; everything else continues."""
         for world in np.flatnonzero(self._every if mask is None else mask):
             self.worlds["key"][world] = world_key(int(seeds[int(world)]))
             self.worlds["draws"][world] = 0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
-        """Begin an episode in all worlds, or in those of `mask`, and observe all.
+        """Start an episode in all worlds, or in those of `mask`, and observe all.
 
         Args:
             mask: (N,) booleans.
@@ -237,7 +237,7 @@ class Worlds:
         self._observe()
 
     def step(self, actions: np.ndarray) -> int:
-        """Advance every running world; return how many episodes ended with this step.
+        """Advance all running worlds; return how many episodes ended.
 
         Args:
             actions: (N, P) whole numbers of the action space.
@@ -251,7 +251,7 @@ class Worlds:
         return self.advance(actions)
 
     def advance(self, actions: np.ndarray) -> int:
-        """Do as `step` does, of actions that are known to be (N, P) int64 of the action space."""
+        """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
         ended = int(rules.step_worlds(self._handle, actions, False))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
@@ -259,7 +259,7 @@ class Worlds:
         return ended
 
     def _try_rewards(self) -> None:
-        """Call every reward of a user's own once, as after a reset and with nothing to tell.
+        """Call each user's reward once, as after a reset, with no events.
 
         Raises:
             UserError: naming the function, its file and line, and what was wrong.
@@ -275,23 +275,23 @@ class Worlds:
 
     @property
     def present(self) -> np.ndarray:
-        """Which players were alive when the last step began, (N, P)."""
+        """Which players were alive before the last step, (N, P)."""
         return present(self.events)
 
     @property
     def truncated(self) -> np.ndarray:
-        """Which worlds a time limit that truncates has ended, (N,)."""
+        """Which worlds ended by a time limit that truncates, (N,)."""
         limit = self.worlds["ending"] == rules.TIME_LIMIT
         return limit if self.config.time_limit == "truncate" else np.zeros_like(limit)
 
     def ending(self, world: int) -> str:
-        """Name how a world's episode ended, or 'running'."""
+        """Return how a world's episode ended, or 'running'."""
         return ENDINGS[self.worlds["ending"][world]]
 
     # --- Saving and restoring ---------------------------------------------------------------------
 
     def save(self, world: int) -> Snapshot:
-        """Return a copy of one world's state; it can be sent and restored elsewhere.
+        """Return a snapshot of one world, which can be sent and restored elsewhere.
 
         Raises:
             ValueError: when there is no such world, or no episode has ever begun in it.
@@ -306,7 +306,7 @@ class Worlds:
         return Snapshot(*kept, self._fits)
 
     def restore(self, world: int, snapshot: Snapshot) -> None:
-        """Put a saved state into one world, of this or of another `Worlds` of equal levels and characters.
+        """Restore a snapshot in one world, of this or another `Worlds` with equal levels and characters.
 
         The world goes on as the saved one would have; its events are empty. Its observation is that of
         the next step; `observe` writes it at once.
@@ -325,7 +325,7 @@ class Worlds:
         self.raw[3][world] = state.NO_EVENTS
 
     def _fingerprint(self) -> str:
-        """Return a digest of levels, characters and who may stand where: not of what is seen or paid."""
+        """Return a digest of levels, characters and what stops whom, without observations and rewards."""
         digest = hashlib.sha256(state.LAYOUT_DIGEST.encode())
         for level in self.levels:
             digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
@@ -339,7 +339,7 @@ class Worlds:
         return digest.hexdigest()
 
     def observe(self) -> None:
-        """Write all observations and masks from the state as it is, which may have been written by hand.
+        """Write all observations and masks from the current state, which may have been changed by hand.
 
         What the state counts, who is left, is counted anew.
 
@@ -352,7 +352,7 @@ class Worlds:
         self._observe()
 
     def _refuse_nowhere(self) -> None:
-        """Refuse what the rules could not look up. Dead monsters may be anywhere, dead players may not."""
+        """Refuse positions that the rules cannot look up. Dead monsters may be anywhere."""
         left, top, right, bottom = self.level.grid
         kinds, alive = self.monster_stats[self.worlds["level"]], self.monsters["hp"] > 0
         for name, bodies, stats in (
@@ -372,12 +372,12 @@ class Worlds:
 
 
 def world_key(seed: int) -> int:
-    """Return the key of the random stream of the world seeded `seed`."""
+    """Return the key of the random stream of the world with seed `seed`."""
     return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))
 
 
 def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:
-    """Return what was given as the compiled rules take it, booleans or int64; they look no index up twice."""
+    """Return actions or masks in the compiled rules' type, after checking their range."""
     array = np.asarray(given)
     if array.shape != shape or array.dtype.kind not in kinds:
         of = "booleans" if kinds == "b" else "whole numbers"
@@ -390,4 +390,4 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
 
 
 _ADDRESSES = ("_handle", "_shown", "raw")
-"""What of `Worlds` holds only where it is."""
+"""Attributes of `Worlds` that are valid in one process only."""

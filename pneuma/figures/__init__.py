@@ -1,5 +1,5 @@
-"""Figures: what people see. Reads analysis, draws with matplotlib, writes the same bytes every time."""
+"""Figures, drawn with matplotlib from the results of analysis; the same data give the same bytes."""
 
 FIGURE_FORMATS = ("png", "svg", "pdf")
 FIGURE_KINDS = ("curves", "summary")
-"""What a study's runs did over their steps; or what they came to in the end."""
+"""Curves over steps, or a summary of final outcomes."""

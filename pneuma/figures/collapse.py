@@ -1,4 +1,4 @@
-"""The figure of collapses: every collapsed run's signs around its onset, and how often it comes."""
+"""The figure of collapses: the signs of each collapsed run around its onset, and the incidence."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from pneuma.figures import panels, style
 from pneuma.figures.style import GREY, INK
 
 PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
-"""Heights of the panels: the usual one, the greatest with which a figure fits a page, and a condition's."""
+"""Heights in inches: of panels as usual, of panels that fill a page, and of a condition's row."""
 MOST_ROWS = 24
-"""Conditions up to which all are shown; of more, those of which a run collapsed."""
+"""With more conditions than this, only those with a collapse are shown."""
 
 PANELS = {
     "entropy": ("Entropy (nats)", float(np.log(5)), LEAST_ENTROPY),
@@ -31,13 +31,13 @@ PANELS = {
     "dead_units": ("Dead units", 1.0, None),
     "share_killed": ("Monsters killed", 0.01, None),
 }
-"""Title; what the axis reaches to at least; the level beyond which a policy is down to one action."""
+"""Title; least upper end of the axis; level beyond which a policy has one action."""
 
 Colours = Mapping[str, str]
 
 
 def collapsed_shares(data: StudyData) -> pd.DataFrame:
-    """Return the `incidence` of conditions some of whose runs collapsed; no rows where none is known to."""
+    """Return the `incidence` of all conditions; no rows if no run is known to have collapsed."""
     if "evaluations" not in data.tables:
         return pd.DataFrame()
     shares = incidence(data)
@@ -47,7 +47,7 @@ def collapsed_shares(data: StudyData) -> pd.DataFrame:
 def draw_collapse(
     data: StudyData, folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
-    """Draw a study's collapses; return the files written.
+    """Draw a study's collapses and return the files written.
 
     On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
     held of its curves; on the right the share of each condition's runs that did, with its interval.
@@ -88,7 +88,7 @@ def draw_collapse(
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
-    """Return what is held of a run for one of `PANELS`."""
+    """Return a run's data for one of `PANELS`."""
     if name == "share_killed":
         return view(data, run).evaluations(name)
     if name != "action":
@@ -99,7 +99,7 @@ def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
 
 
 def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
-    """Draw one of `PANELS`: steps from the onset, values and colour of every run that collapsed."""
+    """Draw one of `PANELS`: steps from the onset, values and colour of each collapsed run."""
     title, reach, threshold = PANELS[name]
     axes.axvline(0, color=GREY, linewidth=0.8)
     if threshold is not None:
@@ -115,7 +115,7 @@ def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndar
 
 
 def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) -> None:
-    """Draw the share of each condition's runs that collapsed, hollow as far as they recovered."""
+    """Draw the share of collapsed runs of each condition; the recovered part is hollow."""
     for place, row in enumerate(rows):
         colour, again = colours[row["condition"]], row["recovered"] / row["runs"]
         axes.barh(place, row["share"], height=0.55, color=colour, alpha=0.6)
@@ -130,7 +130,7 @@ def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) 
 
 
 def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
-    """Return what to mind in this figure: sentences, the gravest first."""
+    """Return the notes in the caption, the most important first."""
     told = panels.notes_of(data)
     if blind := shares["unknown"].sum():
         told.append(f"Left out: {blind} runs without records that a collapse shows in.")

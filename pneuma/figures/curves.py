@@ -1,4 +1,4 @@
-"""A study's curves: a panel for each quantity, or for each condition where there are many.
+"""The curves of a study: one panel per quantity, or per condition if there are many.
 
 A line is the mean over runs; what its band is stands in the legend. Of more conditions than
 `MOST_IN_A_PANEL` each has a small panel, with the others' means behind it.
@@ -36,20 +36,20 @@ from pneuma.figures import panels, style
 
 _, TRAILING_WINDOW = WINDOWS
 AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
-"""How the author's own script drew: the least and the greatest."""
+"""As the author's script drew: the least and the greatest run."""
 USUAL_QUANTITIES = ("share_killed", "success", "return")
 MOST_CURVES = 40
-"""Conditions of which curves still fit a page; of more there is shown what they came to."""
+"""Most conditions whose curves fit a page; with more, a summary is drawn."""
 MOST_OTHERS = 24
-"""Panels up to which all other means stand behind each; of more they would be a grey blur."""
+"""With at most this many panels, each shows the other means in grey."""
 LONGEST_INCHES = 7.6
-"""Of small panels: with the texts around them a figure fits a page, unless they are too many."""
+"""Most inches of small panels, so that a figure fits a page, unless there are too many."""
 MARKED_POINTS = 8
-"""About so many markers a line, so that lines are told apart in grey."""
+"""Markers per line, so that lines can be told apart in grey."""
 MANY_RUNS = 30
-"""From which number of runs in a panel on their lines are fainter, so that means stay in front."""
+"""With this many runs in a panel, their lines are fainter, so that means stay in front."""
 LONG_AXIS = 5000
-"""From which length on an axis's numbers are written with a k."""
+"""An axis longer than this has numbers with a k."""
 OTHERS_COLOUR, BESIDE_COLOUR = "#C4C4C4", "#404040"
 
 Curves = Mapping[str, Sequence[Curve]]
@@ -57,7 +57,7 @@ Curves = Mapping[str, Sequence[Curve]]
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a figure of curves is drawn, with nothing left open: what an index tells of it."""
+    """How a figure of curves is drawn, with all choices made."""
 
     quantities: tuple[str, ...]
     band: str
@@ -73,7 +73,7 @@ def draw_study(
     shown: str = "",
     beside: StudyData | None = None,
 ) -> list[Path]:
-    """Draw a study's curves from its finished runs; return the files written.
+    """Draw the curves of a study's finished runs and return the files written.
 
     `shown` is what the headline says; runs of `beside` are drawn as dashed lines, each its own.
 
@@ -110,7 +110,7 @@ def draw_study(
 def settle(
     data: StudyData, band: str | None = None, window: str | None = None, quantities: Sequence[str] = ()
 ) -> Drawing:
-    """Return how to draw a study, given what a person asks for.
+    """Return how to draw a study, given the user's choices.
 
     Args:
         data: the study.
@@ -133,7 +133,7 @@ def settle(
 
 
 def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
-    """Return the name of a figure's files: that of the study's, and in what it differs from the usual."""
+    """Return the name of a figure's files: the study's figure, and how this one differs from the usual."""
     usual, differs = settle(data), []
     if drawing.quantities != usual.quantities:
         every = list(drawing.quantities) == curve_names(data)
@@ -149,7 +149,7 @@ def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> s
 def _draw_quantities(
     figure: Figure, data: StudyData, curves: Curves, drawing: Drawing, beside: StudyData | None
 ) -> float:
-    """Draw a panel of all conditions for each quantity; return the height of all in inches."""
+    """Draw one panel with all conditions for each quantity; return the total height in inches."""
     rows = -(-len(curves) // style.COLUMNS)
     columns = -(-len(curves) // rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -178,7 +178,7 @@ def _draw_quantities(
 
 
 def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str) -> tuple[float, str]:
-    """Draw a small panel for each condition; return the height of all, and what their names consist of."""
+    """Draw a small panel for each condition; return the total height, and what their names consist of."""
     ((name, group),) = curves.items()
     columns = min(range(2 * style.COLUMNS, style.COLUMNS - 1, -1), key=lambda each: -len(group) % each)
     rows = -(-len(group) // columns)
@@ -213,7 +213,7 @@ def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str)
 
 
 class Quantity(NamedTuple):
-    """How a quantity's panel reads: its title, and its vertical axis, of shares or logarithmic."""
+    """The look of a quantity's panel: its title and vertical axis."""
 
     title: str
     label: str
@@ -262,7 +262,7 @@ def _draw_means(
     looks: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, str],
 ) -> None:
-    """Draw means and bands of a quantity, faint where not all runs have a value.
+    """Draw means and bands of a quantity, faint where some runs have no value.
 
     On a logarithmic axis they are of logarithms. Conditions without a label are not in the legend.
     """
@@ -296,7 +296,7 @@ def _draw_means(
 
 
 def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]) -> None:
-    """Draw what a panel of a quantity has beside its curves, and set what its axes run over."""
+    """Draw everything but the curves in a panel, and set the limits of its axes."""
     values = np.concatenate([curve.runs.ravel() for curve in curves])
     highest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
     panels.draw_players(axes, shared_levels(data, name), highest)
@@ -324,7 +324,7 @@ def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]
 
 
 def _meaning(drawn: Sequence[Curve], band: str) -> str:
-    """Return what lines and bands are, for the legend."""
+    """Return the legend's words for lines and bands."""
     told = ["Mean over n runs"]
     if any(_shows_band(curve, band) for curve in drawn):
         told.append(f"band: {BANDS[band].label}")
@@ -334,7 +334,7 @@ def _meaning(drawn: Sequence[Curve], band: str) -> str:
 
 
 def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
-    """Return what to mind in these curves: sentences, the gravest first."""
+    """Return the notes in the caption, the most important first."""
     told = []
     for name, group in curves.items():
         for curve in group:

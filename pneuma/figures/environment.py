@@ -1,4 +1,4 @@
-"""What the thesis's Figs. 2.1, 5.1, 5.2 and 6.1 show, drawn from this environment."""
+"""The counterparts of the thesis's Figs. 2.1, 5.1, 5.2 and 6.1, drawn from this environment."""
 
 from __future__ import annotations
 

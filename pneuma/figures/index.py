@@ -1,4 +1,4 @@
-"""The index of a folder of figures: from each file to the command that draws it again, and its runs."""
+"""The index of a folder of figures: the command that draws each file, and its runs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pneuma.reading import read_whole
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
 MOST_NAMED = 12
-"""Conditions whose runs are counted one by one for people; of more there is a sum."""
+"""Most conditions whose runs are listed one by one; with more, their sum is given."""
 
 
 def index_entries(
     paths: Sequence[Path], command: str, data: StudyData, drawn: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return what the index tells of files, already written, that show a study."""
+    """Return the index entries for files that show a study."""
     runs = {name: [run.run_id for run in data.of_condition(name)] for name in data.conditions}
     shared = {
         "command": command,
@@ -43,7 +43,7 @@ def index_entries(
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:
-    """Return the entries of a folder's index whose files are still in it, or in a folder of it."""
+    """Return the entries of a folder's index whose files still exist."""
     path, whole = folder / INDEX, folder.resolve()
     if not path.is_file():
         return []
@@ -60,14 +60,14 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
 
 
 def encode_index(entries: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return an index as JSON, its entries in the order of their files; a later entry replaces an earlier."""
+    """Encode an index as JSON, sorted by file; a later entry replaces an earlier one."""
     by_file = {entry["file"]: entry for entry in entries}
     document = {"schema": SCHEMA, "figures": [by_file[name] for name in sorted(by_file)]}
     return (json.dumps(document, indent=2) + "\n").encode()
 
 
 def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return a page of a folder's figures for people, a section to a source, its figures in their order."""
+    """Return a page that lists a folder's figures, one section per source."""
     sections: dict[str, list[Mapping[str, Any]]] = {}
     for entry in entries:
         if Path(entry["file"]).suffix != ".svg":  # the same in one more format
@@ -83,7 +83,7 @@ def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def _drawn(entry: Mapping[str, Any]) -> str:
-    """Say what a file shows: which figure or table, of which quantities, and of how many runs."""
+    """Describe what a file shows: its kind, quantities, and number of runs."""
     kind = entry.get("figure", f"table: {entry['table']}" if "table" in entry else "")
     quantities = ", ".join(name.replace("_", " ") for name in entry.get("quantities", ()))
     known = {name: count for name, count in entry.get("n", {}).items() if count}

@@ -1,4 +1,4 @@
-"""The robustness map: in which cells of a crossed study a contrast holds, is reversed, or is open."""
+"""The robustness map: the cells of a crossed study in which a contrast holds, is reversed, or is open."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from pneuma.figures.style import COLOURS, GREY, INK, house_style, save_figure
 from pneuma.values import shown_level, shown_value
 
 ROW_INCHES, AROUND_INCHES = 0.17, 0.75
-"""Heights of a row, and of a map's title, ticks and label together."""
+"""Heights in inches of a row, and of a map's title, ticks and label together."""
 
 LOOKS: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": COLOURS[0], "markerfacecolor": COLOURS[0]},
     REVERSED: {"marker": "s", "color": COLOURS[1], "markerfacecolor": COLOURS[1]},
     OPEN: {"marker": "o", "color": GREY, "markerfacecolor": "white"},
 }
-"""Filled where decided, square where reversed: told apart in grey too."""
+"""Markers: filled if decided, a square if reversed, so that they can be told apart in grey."""
 
 MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
     "robustness": (
@@ -38,11 +38,11 @@ MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
         ("clip_range", 0.1, 0.2),
     )
 }
-"""Contrasts of the thesis that a study maps: a field, the value said to do better, and the other."""
+"""Contrasts of the thesis: a field, the value that is said to do better, and the other."""
 
 
 def study_maps(data: StudyData) -> list[Map]:
-    """Return every map that a study is for; one whose conditions were not run is left out."""
+    """Return all maps of a study, without those whose conditions were not run."""
     found = []
     for contrast in MAPS.get(data.own_name, ()):
         try:
@@ -55,7 +55,7 @@ def study_maps(data: StudyData) -> list[Map]:
 def draw_robustness(
     data: StudyData, maps: Sequence[Map], folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
 ) -> list[Path]:
-    """Draw maps of one outcome, a panel each; return the files written."""
+    """Draw maps of one outcome, one panel each; return the files written."""
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
     with house_style():
@@ -78,7 +78,7 @@ def draw_robustness(
 
 
 def _draw_map(axes: Axes, found: Map) -> None:
-    """Draw a row for each cell, named by its levels; the vertical axis says of which factors."""
+    """Draw one row per cell, named by its levels; the axis names their factors."""
     axes.axvline(0, color=INK, linewidth=0.8)
     for place, cell in enumerate(found.cells):
         look, interval = LOOKS[cell.label], cell.contrast.interval
@@ -98,7 +98,7 @@ def _draw_map(axes: Axes, found: Map) -> None:
 
 
 def _unit(found: Map) -> str:
-    """Return the unit of differences, for an axis; '' where there is none."""
+    """Return the unit of differences for an axis; empty if there is none."""
     return " (percentage points)" if find_outcome(found.outcome).bounds == (0.0, 1.0) else ""
 
 

@@ -1,4 +1,4 @@
-"""What figures of studies share: the texts around the panels, and how axes read."""
+"""What figures of studies share: titles, legends, captions, and axes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pneuma.values import settings_name
 from pneuma.worlds import WORLDS
 
 FEW_RUNS = 5
-"""Runs of a condition below which they are drawn themselves, and no interval: it would set the axis."""
+"""With fewer runs than this, runs are drawn without an interval, which would set the axis."""
 FAR = 3.0
-"""How many times as high as the highest point a player's level is for its line to be left out."""
+"""A player's level this many times above the highest point is not drawn."""
 BELOW_ZERO = 0.02
-"""How far an axis of shares reaches below 0 and above 1, so that what is none or all is seen."""
+"""How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 3
 PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
@@ -44,7 +44,7 @@ def stem_of(data: StudyData, *parts: str) -> str:
 
 
 def title_of(data: StudyData) -> str:
-    """Return a study's title, the fields that a variant changed, and where it is played."""
+    """Return a study's title, with a variant's changed fields and the world."""
     own, changed = data.record["title"], data.title.removeprefix(data.record["title"])
     told = own.removesuffix(f" ({data.world})") + changed
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
@@ -54,7 +54,7 @@ def title_of(data: StudyData) -> str:
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
-    """Return a figure's first line: title, what is shown, and which conditions are one configuration.
+    """Return a figure's headline: title, what is shown, and conditions with equal configurations.
 
     Args:
         data: the study.
@@ -68,7 +68,7 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
 
 def notes_of(data: StudyData, returns: bool = False) -> list[str]:
-    """Return what to mind in any figure of a study, or one of returns: sentences, the gravest first."""
+    """Return notes for any figure of a study, or one of returns, the most important first."""
     told = []
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     if len(engines) > 1:
@@ -84,7 +84,7 @@ def notes_of(data: StudyData, returns: bool = False) -> list[str]:
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    """Return a condition's name, and of how many runs it is."""
+    """Return a condition's name and its number of runs."""
     runs = data.of_condition(condition)
     longest = max(run.budget for run in runs)  # other conditions may go further
     at_end = sum(run.status == "done" and run.end >= longest for run in runs)
@@ -93,7 +93,7 @@ def label_of(data: StudyData, condition: str, name: str = "") -> str:
 
 
 def runs_told(counts: Iterable[int]) -> str:
-    """Return counts as '10', or as '6 to 10' where they differ."""
+    """Return counts as '10', or as '6 to 10' if they differ."""
     known = sorted({*counts})
     return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"
 
@@ -106,7 +106,7 @@ def put_texts(
     caption: Iterable[str] = (),
     legend_title: str = "",
 ) -> None:
-    """Put headline and legend above the panels and a caption below, and give the figure its size.
+    """Put the headline and legend above the panels and the caption below, and set the figure's size.
 
     The figure has a constrained layout, a caption the sentences first that matter most.
     """
@@ -144,7 +144,7 @@ def put_texts(
 
 
 def legend_entries(axes: Iterable[Axes]) -> dict[str, Any]:
-    """Return an artist for each label in some panels; the players' levels last."""
+    """Return one artist for each label in some panels, with the players' levels last."""
     entries = {
         label: artist
         for each in axes
@@ -157,7 +157,7 @@ def legend_entries(axes: Iterable[Axes]) -> dict[str, Any]:
 
 
 def draw_players(axes: Axes, levels: Mapping[str, float], top: float, upright: bool = False) -> None:
-    """Draw the levels of players of known skill as grey lines; the legend tells their numbers.
+    """Draw the levels of the random player and the hunter as grey lines.
 
     Args:
         axes: where.
@@ -175,30 +175,30 @@ def draw_players(axes: Axes, levels: Mapping[str, float], top: float, upright: b
 
 
 def set_steps(axes: Axes, most: int) -> None:
-    """Let a horizontal axis count steps, as 500k."""
+    """Format a horizontal axis as steps, such as 500k."""
     axes.xaxis.set_major_locator(round_ticks(most))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
 def set_shares(axes: Axes, upright: bool = True) -> None:
-    """Let an axis of shares read in per cent."""
+    """Format an axis of shares in per cent."""
     axis = axes.yaxis if upright else axes.xaxis
     axis.set_major_locator(round_ticks(5))
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 
 
 def round_ticks(most: int) -> MaxNLocator:
-    """Return what places few ticks at round numbers, whose labels do not meet."""
+    """Return a locator of few ticks at round numbers, whose labels do not overlap."""
     return MaxNLocator(most, steps=[1, 2, 5, 10])
 
 
 def per_cent(share: float) -> str:
-    """Return a share in per cent without idle decimals."""
+    """Return a share in per cent without superfluous decimals."""
     return f"{100 * share:.3g} %"
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
-    """Put labels beside rows, the first on top, in type that fits rows of a height in inches."""
+    """Label rows, the first at the top, in type that fits their height in inches."""
     points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches)
     axes.set_yticks(range(len(labels)), list(map(clean, labels)), fontsize=points)
     axes.set_ylim(len(labels) - 0.4, -0.6)

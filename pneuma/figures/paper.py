@@ -1,4 +1,4 @@
-"""Everything in `paper_figures/`: `make figures` runs this, and nothing else writes there.
+"""Everything in `paper_figures/`; `make figures` runs this module.
 
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
@@ -59,9 +59,9 @@ CONTRASTED = {
     "optimizer": ("stationary", "non-stationary"),
     "actor-size": ("smallest", "small"),
 }
-"""Conditions of the thesis's own figure, of studies that have more."""
+"""Conditions in the thesis's own figure, for studies that have more."""
 MORE_CURVES = {"gradient-limits": "grad_norm", "collapse": "entropy"}
-"""What else a study is about, beside the share killed and the return."""
+"""More quantities that a study is about, beside the share killed and the return."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
 
 SETTINGS = (
@@ -69,14 +69,14 @@ SETTINGS = (
     "value_coefficient", "entropy_coefficient", "optimizer", "betas", "epsilon", "activation",
     "gradient_limit", "actor", "critic",
 )  # fmt: skip
-"""What the thesis's Tables 6.1 and 6.2 state, or leave to the library."""
+"""Fields that the thesis's Tables 6.1 and 6.2 state or leave to the library."""
 
 Entries = list[dict[str, Any]]
-"""What the index tells of some files."""
+"""Entries of the index."""
 
 
 def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
-    """Draw every figure, write every table, the index and its page; return the files written.
+    """Draw all figures and write all tables, the index and its page; return the files written.
 
     What the index knew of and is not drawn any more is removed.
 
@@ -104,7 +104,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
 
 
 def _draw_environment(folder: Path) -> Entries:
-    """Draw what the thesis shows of the environment itself, which has more colours than a palette."""
+    """Draw the figures of the environment itself, which have more colours than a palette."""
     level = sorted([*draw_screens(folder), *draw_level(folder)])
     drawn = [("pneuma/Mailman-v0", path) for path in sorted(draw_mailman(folder))]
     drawn += [("pneuma/Pneuma-v0, level thesis", path) for path in level]
@@ -119,7 +119,7 @@ def _write_settings(folder: Path) -> Entries:
 
 
 def settings_table() -> pd.DataFrame:
-    """Return the two bases of every study: a row for each field, its value in either, whether they differ."""
+    """Return the two bases of studies: one row per field, with its value in each and whether they differ."""
     bases = [as_fields(make_run(settings)) for settings in BASES.values()]
     rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
     table = pd.DataFrame(rows, columns=["setting", *BASES])
@@ -131,7 +131,7 @@ def settings_table() -> pd.DataFrame:
 
 
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tuple[str, str]) -> Entries:
-    """Draw everything of a study and write its tables; return what the index tells of each file.
+    """Draw all figures of a study and write its tables; return their index entries.
 
     Figures have the name that is theirs among all that are drawn. They are made small, as they are committed.
     """
@@ -151,11 +151,11 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tup
 
 
 Drawn = tuple[StudyData, list[Path], dict[str, Any]]
-"""What a figure shows, its files, and how it is drawn."""
+"""What a figure shows, its files, and how it was drawn."""
 
 
 def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
-    """Draw curves, what the runs came to, and where they are known collapses and maps.
+    """Draw curves and a summary, and if there are any, collapses and maps.
 
     Curves are of the conditions of the thesis's figure, also as it drew them; of all, where the study has
     more; and of imported logs beside the study's own.
@@ -192,7 +192,7 @@ def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[
 
 
 def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:
-    """Draw all and say so.
+    """Draw everything and print what was written.
 
     Raises:
         UserError: where there is no results folder: what was drawn of another would be removed.

@@ -1,4 +1,4 @@
-"""The report: one page that holds all of it, verdicts first, and asks for nothing from outside.
+"""The report: one HTML page with everything, verdicts first, without external requests.
 
 `report.html.j2` is the page and `report.css` its style. Every text goes through the template's escaping. The
 page needs no script, its own policy forbids every request, and it tells no date and no place: the same
@@ -35,18 +35,18 @@ from pneuma.figures.summary import draw_summary
 from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
-"""Statistics, or one of an outcome, that stand in the first table of a study's numbers."""
+"""Statistics in the first table of a study's numbers."""
 LARGE_BYTES = 120_000
-"""An SVG of more than this, which many points make, gives way to a PNG where that is smaller."""
+"""Bytes beyond which a figure is a PNG, if that is smaller than the SVG."""
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
-"""Caption, columns, rows; and how many of the columns, the first, are words and not numbers."""
+"""Caption, columns, rows; and how many columns, from the first on, are words."""
 
 
 @dataclass
 class Part:
-    """What is shown of a study in one world, under the name that its runs are recorded under.
+    """A study in one world, as the report shows it.
 
     Attributes:
         where: its heading: in which world its runs are played.
@@ -78,7 +78,7 @@ def report_page(
     unjudged: str = "",
     title: str = "",
 ) -> bytes:
-    """Return the page as it goes into a file.
+    """Return the page's bytes.
 
     Args:
         claims: the verdicts on each, in the order of the table.
@@ -115,12 +115,12 @@ def report_page(
 
 
 def _anchor(kind: str, name: str) -> str:
-    """Return the name of a place in the page: another for any other name, and without spaces."""
+    """Return an anchor in the page, unique for each name and without spaces."""
     return f"{kind}-{quote_link(name, safe='', errors='surrogatepass')}"
 
 
 def _visible(value: Any) -> Any:
-    """Write characters that cannot be seen as their codes: two names that look the same must not be two."""
+    """Return text with invisible characters as their codes, so that different names look different."""
     return clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
@@ -128,7 +128,7 @@ def _visible(value: Any) -> Any:
 
 
 def numbers_table(study: str, summary: pd.DataFrame) -> Table:
-    """Return the outcomes of a summary that matter most: a row for each condition."""
+    """Return the most important outcomes of a summary: one row per condition."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for row in summary.to_dict("records"):
         pair = str(row["outcome"]), str(row["statistic"])
@@ -148,7 +148,7 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
 
 
 def study_pictures(data: StudyData) -> list[dict[str, str]]:
-    """Draw what the report shows of a study: its curves, its collapses if there are any, and its maps.
+    """Draw a study's figures for the report: curves, collapses if there are any, and maps.
 
     Each is a data URI (an SVG is shown as an image: nothing in it runs), words for those who cannot see it,
     and a caption with the command that draws it. Of more conditions than a page has room for the curves of,
@@ -179,7 +179,7 @@ def study_pictures(data: StudyData) -> list[dict[str, str]]:
 
 
 def _source(paths: Sequence[Path]) -> str:
-    """Return a figure's SVG, sharp at any size; its PNG where that saves much."""
+    """Return a figure's SVG, which is sharp at any size, or its PNG if that is much smaller."""
     for path in paths:
         shrink(path)
     files = {path.suffix: path.read_bytes() for path in paths}

@@ -1,4 +1,4 @@
-"""Figures of a search: Optuna's own plots in Pneuma's style."""
+"""Figures of a search: Optuna's plots in Pneuma's style."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ NEEDS = {
     "parallel": "a complete trial",
     "front": "two objectives",
 }
-"""The figures that there are, and what each needs; all but the front are of the first objective."""
+"""All figures, and what each needs. All but the Pareto front show the first objective."""
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
-"""Of importances: they tell the best trials, a tenth but never fewer than five, from the others."""
+"""Share of the trials that importances treat as the best, though never fewer than five trials."""
 
 
 def draw_search(searched: Searched, folder: Path, formats: tuple[str, ...]) -> list[Path]:
-    """Draw each figure of a search that its trials are enough for; return the files written."""
+    """Draw all figures for which a search has enough trials; return the files written."""
     if not any(trial.state == "complete" for trial in searched.trials):
         return []
     paths = []
@@ -57,7 +57,7 @@ def draw_search(searched: Searched, folder: Path, formats: tuple[str, ...]) -> l
 
 @contextmanager
 def _plotting() -> Iterator[None]:
-    """Have Optuna plot in Pneuma's style: it would set the style sheet 'ggplot' before every plot."""
+    """Let Optuna plot in Pneuma's style, as it sets 'ggplot' before each plot."""
     theirs = style.library["ggplot"]
     style.library["ggplot"] = RcParams()
     try:
@@ -70,7 +70,7 @@ def _plotting() -> Iterator[None]:
 
 
 def _plot(name: str, searched: Searched) -> Any:
-    """Return the axes of one of Optuna's plots; None where the trials are not enough for it."""
+    """Return the axes of one of Optuna's plots; None if there are too few trials."""
     search, trials = searched.task.search, searched.trials
     if name == "front":
         return plots.plot_pareto_front(ended_study(trials, search)) if len(search.objectives) == 2 else None
@@ -92,7 +92,7 @@ def _plot(name: str, searched: Searched) -> Any:
 
 
 def _lay_out(figure: Figure, name: str, parameters: int) -> None:
-    """Give a figure its size: wider than a page where every parameter has a place of its own."""
+    """Set a figure's size, wider than a page if each parameter has a panel."""
     wide = {"slices": 1.5, "parallel": 1.0}.get(name, 0.0) * parameters
     height = 1.2 + 0.28 * parameters if name == "importances" else 3.4
     if name == "history":
@@ -111,7 +111,7 @@ def _lay_out(figure: Figure, name: str, parameters: int) -> None:
 
 
 def _caption(searched: Searched) -> str:
-    """Return what was searched, in a line."""
+    """Return a line on what was searched."""
     search, budget = searched.task.search, searched.task.budget
     states = [trial.state for trial in searched.trials]
     told = ", ".join(

@@ -1,4 +1,4 @@
-"""One look for all figures: sizes, fonts, colours that also read in grey, and files of fixed bytes."""
+"""The look of all figures: sizes, fonts, colours that can be told apart in grey, and reproducible files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from PIL import Image
 from pneuma.errors import plain
 
 WIDTH = 7.0
-"""Of a figure that spans a page, in inches; it is as high as its panels and texts need."""
+"""Width in inches of a figure that spans a page."""
 COLUMNS, PANEL_INCHES = 3, 2.3
-"""Most panels side by side, and the height of one with its axis."""
+"""Most panels in a row, and their height with the axis."""
 TYPE_POINTS = 8.0
-"""Size of the text; titles are larger, ticks and captions smaller."""
+"""Size of the text in points; titles are larger, ticks and captions smaller."""
 CAPTION = 0.78
-"""Size of small print, in that of the text."""
+"""Size of small print, relative to the text."""
 LINE_INCHES = TYPE_POINTS * 1.5 / 72
-"""Height of a line of text."""
+"""Height of a line of text in inches."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230")
-"""After Okabe and Ito: told apart by colour-blind readers, and from the greys that all are held against."""
+"""After Okabe and Ito, for colour-blind readers; distinct from the greys of references."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""One to a colour, so that lines can be told apart in grey."""
+"""One marker per colour, so that lines can be told apart in grey."""
 
 INK, GREY = "#222222", "#777777"
 
@@ -64,7 +64,7 @@ _RELATIVE_TYPE: Any = {
     "lines.linewidth": 0.2,
     "lines.markersize": 0.5,
 }
-"""In units of the text's size; so that lines grow with it."""
+"""Relative to the text's size."""
 
 _NO_DATES = {
     "png": {"Software": None},
@@ -74,13 +74,13 @@ _NO_DATES = {
 
 
 def characters(points: float = TYPE_POINTS, width: float = WIDTH) -> int:
-    """Return how many characters of a size fit a width; DejaVu's are 0.54 as wide as high."""
+    """Return how many characters of a size fit a width, for DejaVu's mean width of 0.54."""
     return int((width - 0.15) * 72 / (0.54 * points))
 
 
 @contextmanager
 def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
-    """Draw in Pneuma's look, whatever the user's own settings are, with text of a size in points."""
+    """Draw in Pneuma's style, whatever the user's settings; `text` is the size in points."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.use("agg")
@@ -92,7 +92,7 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
 # --- Conditions --------------------------------------------------------------------------------------
 
 MOST_IN_A_PANEL = len(COLOURS)
-"""Conditions that share a panel at most; of more, each has a panel of its own."""
+"""Most conditions in one panel; with more, each has a panel of its own."""
 
 _OWN_PLACES = {
     **dict.fromkeys(
@@ -106,11 +106,11 @@ _OWN_PLACES = {
     "momentum": 5,
     "upgd": 6,
 }
-"""Looks that a name has wherever it stands: what Table 6.2 is called, what it is set against, and methods."""
+"""Fixed looks of some names: settings of Table 6.2, what they are compared with, and methods."""
 
 
 def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return colour and marker of each of a study's conditions, the same in all its figures.
+    """Return the colour and marker of each condition, the same in all figures of a study.
 
     Of more conditions than share a panel, those that differ in crossed factors alone look alike: each has
     a panel or row of its own there, and `tanh` is to be seen as such under every limit.
@@ -131,7 +131,7 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def split_name(condition: str) -> tuple[dict[str, str], str]:
-    """Return the factors and levels in a crossed condition's name, and what else it is called.
+    """Return the factors and levels in a crossed condition's name, and the rest of the name.
 
     'reward=thesis, scale=raw, relu' is relu at two levels. A level may be a list: betas=[0.9, 0.999].
     """
@@ -141,7 +141,7 @@ def split_name(condition: str) -> tuple[dict[str, str], str]:
 
 
 def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return what conditions are called in a figure, and what the names consist of if that is not said.
+    """Return the names of conditions in a figure, and what the names consist of if it is not said.
 
     Conditions that all have the same factors go by their levels alone, if these tell them apart.
     """
@@ -160,7 +160,7 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 
 
 def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str]) -> list[Path]:
-    """Write a figure in every format; the same figure gives the same bytes."""
+    """Write a figure in each format; the same figure gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
@@ -174,12 +174,12 @@ def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str])
 
 
 def clean(text: str) -> str:
-    """Return lines of text with control characters as their codes: names may be untrusted, an SVG is XML."""
+    """Return text with control characters as codes, as names may be untrusted and an SVG is XML."""
     return "\n".join(map(plain, text.split("\n")))
 
 
 def _fix_places(figure: Figure) -> None:
-    """Lay a figure out once, for all formats, and round where its panels came to lie.
+    """Lay out a figure once for all formats, and round the positions of its panels.
 
     What the layout's solver gives differs in its last bits from call to call, and names of clip paths in
     an SVG are hashes of these places.
@@ -197,7 +197,7 @@ _LONG_NUMBER = re.compile(rb"-?\d+\.\d{3,}")
 
 
 def shrink(path: Path) -> None:
-    """Write a picture anew, smaller without a difference that is seen; other files stay as they are.
+    """Compress a picture without a visible difference; other files stay unchanged.
 
     A PNG gets a palette that covers all colours, however few dots have them: one made by their number would
     spend itself on the greys of letters. Paths of an SVG lie on hundredths of a point.

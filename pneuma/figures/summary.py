@@ -1,4 +1,4 @@
-"""The figure of what a study's runs came to: every run, means with intervals, profiles, improvement.
+"""The summary figure: final outcomes of all runs, means with intervals, profiles, improvement.
 
 It shows the share of monsters killed at the end, or the return where nobody could be killed or no
 evaluations are held.
@@ -34,14 +34,14 @@ from pneuma.figures.style import GREY, INK
 
 WITHOUT_EVALUATIONS = "final-return"
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
-"""Heights of a condition's row, usual and least, and of all rows, with which a figure fits a page."""
+"""Heights in inches: of a condition's row, usual and least, and of all rows that fit a page."""
 DOT_SHARE = 0.012
-"""How wide a run's dot is, in parts of all values: those that are nearer lie side by side."""
+"""Width of a dot as a share of the axis; runs closer than this lie side by side."""
 ABOVE = 0.2
-"""How far above its condition's row a mean lies, and below it an interquartile mean, in rows."""
+"""Distance of the mean above, and the interquartile mean below, a condition's row, in rows."""
 
 Values = Mapping[str, np.ndarray]
-"""What the runs of each condition came to, (runs,)."""
+"""The outcomes of each condition's runs, (runs,)."""
 Colours = Mapping[str, str]
 
 
@@ -53,7 +53,7 @@ def shown_outcome(data: StudyData) -> str:
 
 
 def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg")) -> list[Path]:
-    """Draw what the runs of every condition came to; return the files written."""
+    """Draw the outcomes of each condition's runs; return the files written."""
     outcome = shown_outcome(data)
     table = summary_table(data, [outcome])
     table = table[table["outcome"] == outcome]
@@ -97,7 +97,7 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
 def draw_comparison(
     data: StudyData, table: pd.DataFrame, folder: Path, stem: str, formats: tuple[str, ...]
 ) -> list[Path]:
-    """Draw differences of means with their intervals: a panel for each outcome, a row for each comparison.
+    """Draw differences of means with intervals: a panel per outcome, a row per comparison.
 
     The table is `compare_conditions` of several pairs, one below another.
     """
@@ -123,7 +123,7 @@ def draw_comparison(
 
 
 def _set_outcome(axes: Axes, outcome: str) -> None:
-    """Set a horizontal axis of what is drawn."""
+    """Format a horizontal axis for the outcome."""
     axes.set_xlabel("Share killed" if outcome == PRIMARY else "Return of an episode")
     axes.xaxis.set_major_locator(panels.round_ticks(4))
     if outcome == PRIMARY:
@@ -131,7 +131,7 @@ def _set_outcome(axes: Axes, outcome: str) -> None:
 
 
 def _draw_rows(axes: Axes, values: Values, table: pd.DataFrame, colours: Colours, mark: float) -> None:
-    """Draw every run of a condition as a dot in its row, and its means with their intervals."""
+    """Draw each run of a condition as a dot, and its means with intervals."""
     reach = float(np.ptp(np.concatenate([*values.values(), [0.0]])))
     for place, (condition, runs) in enumerate(values.items()):
         (dots,) = axes.plot(
@@ -151,7 +151,7 @@ def _draw_rows(axes: Axes, values: Values, table: pd.DataFrame, colours: Colours
 def _draw_interval(
     axes: Axes, row: Mapping[Any, Any], place: float, marker: str, face: str, mark: float, enough: bool = True
 ) -> None:
-    """Draw a row of the summary's table: its value, in its interval where runs are enough for one."""
+    """Draw a row of the summary's table: its value, and its interval if there is one."""
     if enough:
         axes.plot([row["low"], row["high"]], [place, place], color=INK, linewidth=0.25 * mark)
     look: Any = {"color": INK, "markerfacecolor": face, "markeredgewidth": 0.8, "markersize": mark}
@@ -160,7 +160,7 @@ def _draw_interval(
 
 
 def _beside(values: np.ndarray, reach: float) -> np.ndarray:
-    """Return how far from their row's middle the dots of (runs,) lie: those that are alike, apart."""
+    """Return the vertical offsets of (runs,) dots, so that similar ones do not overlap."""
     beside = np.zeros(len(values))
     near = np.round(values / (DOT_SHARE * reach or 1.0))
     for place in np.unique(near):
@@ -173,7 +173,7 @@ def _beside(values: np.ndarray, reach: float) -> np.ndarray:
 def _draw_improvement(
     axes: Axes, shown: list[str], table: pd.DataFrame, colours: Colours, mark: float
 ) -> None:
-    """Draw how probably a run of each condition is better than one of the baseline."""
+    """Draw the probability that a run of each condition is better than one of the baseline."""
     for row in table.to_dict("records"):
         name = row["condition"]
         _draw_interval(axes, row, shown.index(name), "o", colours[name], mark)
@@ -183,7 +183,7 @@ def _draw_improvement(
 
 
 def _draw_profiles(axes: Axes, values: Values, colours: Colours) -> None:
-    """Draw the share of runs above every level: whoever's line is higher is better at that level."""
+    """Draw the share of runs above each level; a higher line is better."""
     pooled = np.concatenate(list(values.values()))
     levels = np.linspace(min(0, *pooled) if len(pooled) else 0, max(pooled, default=1), 201)
     for condition, runs in values.items():
@@ -194,7 +194,7 @@ def _draw_profiles(axes: Axes, values: Values, colours: Colours) -> None:
 
 
 def _marks(intervals: bool) -> dict[str, Any]:
-    """Return what the legend says of a row's marks."""
+    """Return the legend's words for the marks in a row."""
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
     iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}
     entries = {"a run": Line2D([], [], **run)}
@@ -205,7 +205,7 @@ def _marks(intervals: bool) -> dict[str, Any]:
 
 
 def _caption(data: StudyData, outcome: str, values: Values, improved: bool) -> list[str]:
-    """Return what to mind in this summary: sentences, the gravest first."""
+    """Return the notes in the caption, the most important first."""
     words = find_outcome(outcome).words
     told = [*panels.notes_of(data, is_return(outcome)), f"{words[:1].upper()}{words[1:]}."]
     if step := common_step(data):

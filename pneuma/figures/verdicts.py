@@ -1,4 +1,4 @@
-"""All verdicts in words, as tables and as a picture: a row for each claim, a column for each world.
+"""All verdicts, as tables and as a picture: one row per claim, one column per world.
 
 In a cell stand the effect and its simultaneous interval in units of the margin, turned so that right is what
 the thesis says; its marker is filled by the verdict. An empty cell says why in a word.
@@ -51,18 +51,18 @@ MEANINGS = {
     "inconclusive": "It finds neither.",
     "untestable": "Nothing can be concluded from these runs, for the reason given.",
 }
-"""Every verdict, and what it says."""
+"""All verdicts, and their meaning."""
 
 PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
-"""Where a claim is judged, each for itself."""
+"""Where claims are judged, each place separately."""
 _CLAIMED = {"greater": "greater than", "less": "less than", "different": "unlike", "equal": "the same as"}
 
 STEM = "verdicts"
 MOST = 40.0
-"""Margins beyond which an effect or an end of its interval is drawn at the edge, as an arrow."""
+"""Effects and ends of intervals beyond this many margins are drawn at the edge, as an arrow."""
 ROW_INCHES = 0.165
 LONGEST_REASON = 28
-"""Letters that a cell has room for."""
+"""Most letters in a cell."""
 GREY = "#777777"
 LOOKS: dict[str, dict[str, Any]] = {
     SUPPORTED: {"marker": "o", "color": COLOURS[0]},
@@ -72,16 +72,16 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 """Verdicts differ in shape too, so that they can be told apart in grey."""
 HALF = {"fillstyle": "left", "markerfacecoloralt": "white"}
-"""Of what is decided by the letter alone."""
+"""The marker of what is decided by the letter only."""
 
 Verdicts = dict[str, dict[str, Verdict]]
-"""The verdicts on each claim by its name, and by the place where it is judged."""
+"""The verdicts on each claim, by its name and place."""
 
 
 def judged_claims(
     store: Store, studies: Collection[str] | None = None, stored: bool = True
 ) -> tuple[Verdicts, str]:
-    """Return the verdicts on claims that bear on some studies or all, and words on the list they are from.
+    """Return the verdicts on claims about some studies, or all, with a sentence on the list.
 
     The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
 
@@ -100,19 +100,19 @@ def judged_claims(
 
 
 def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
-    """Return the claim that some verdicts are on."""
+    """Return the claim of some verdicts."""
     return next(iter(verdicts.values())).claim
 
 
 def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
-    """Write the verdicts on all claims as a picture, and as a page of tables; return both files."""
+    """Write all verdicts as a picture and as a page of tables; return both files."""
     page = folder / f"{STEM}.md"
     write_whole(page, _tables(claims).encode())
     return [*draw_verdicts(claims, folder), page]
 
 
 def places_of(claims: Verdicts) -> dict[str, str]:
-    """Return the places where any of the claims is judged, with their titles."""
+    """Return the places where claims are judged, with their titles."""
     judged = {place for verdicts in claims.values() for place in verdicts}
     return {place: title for place, title in PLACES.items() if place in judged}
 
@@ -121,14 +121,14 @@ def places_of(claims: Verdicts) -> dict[str, str]:
 
 
 def compared(claim: Claim) -> str:
-    """Say what is compared, as 'monsters killed, last evaluation'."""
+    """Describe what is compared, as 'monsters killed, last evaluation'."""
     told = (", less ".join(find_outcome(part).words for part in own.split(MINUS)) for own in claim.outcome)
     words = " and ".join(told)
     return f"share of runs, {words} {claim.event}" if claim.event else words
 
 
 def tested(claim: Claim) -> str:
-    """Say what is claimed of which arms, as 'tanh greater than relu'."""
+    """Describe the claimed relation, as 'tanh greater than relu'."""
     joined = " and " if claim.need == "all" else " or "
     a, b = joined.join(claim.a), joined.join(claim.b) if claim.value is None else f"{claim.value:g}"
     if claim.c:
@@ -137,13 +137,13 @@ def tested(claim: Claim) -> str:
 
 
 def decisive(verdict: Verdict) -> Comparison | None:
-    """Return the contrast that decides, where it has a number."""
+    """Return the deciding contrast, if it has a number."""
     own = verdict.decisive
     return own if own and math.isfinite(own.contrast.effect) else None
 
 
 def effect(own: Comparison) -> str:
-    """Return the number with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
+    """Return the effect with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
     value, interval = own.contrast.effect, own.contrast.simultaneous
     if not math.isfinite(value):
         return "no number"
@@ -158,7 +158,7 @@ def effect(own: Comparison) -> str:
 
 
 def arms(own: Comparison) -> str:
-    """Return which arms are compared, how many runs each has, and the p-value."""
+    """Return the compared arms, their numbers of runs, and the p-value."""
     seeds = " and ".join(f"{count:,}" for count in own.contrast.seeds if count)
     p = "" if own.contrast.reason else "p < 0.001" if own.p < 0.001 else f"p = {own.p:.3f}"
     return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
@@ -168,7 +168,7 @@ def arms(own: Comparison) -> str:
 
 
 def _tables(claims: Verdicts) -> str:
-    """Return a page: what the verdicts come to place by place, and a row for each claim, place by place."""
+    """Return a page with the counts of verdicts and one row per claim, place by place."""
     places = places_of(claims)
     counts = pd.DataFrame(
         {
@@ -199,7 +199,7 @@ def _told(verdict: Verdict | None) -> str:
 
 
 def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("png",)) -> list[Path]:
-    """Draw the verdicts on all claims; return the files written."""
+    """Draw all verdicts; return the files written."""
     rows: list[tuple[str, Mapping[str, Verdict]]] = []
     by_section = sorted(claims.values(), key=lambda own: claim_of(own).section)
     for section, group in groupby(by_section, key=lambda own: claim_of(own).section):
@@ -241,7 +241,7 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
 
 
 def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
-    """Draw the contrast that decides on each outcome, or say why there is none."""
+    """Draw the deciding contrast of each outcome, or say why there is none."""
     decided = [own for own in decisive_of(verdict) if not own.contrast.reason]
     placed = [(own, where) for own in decided if (where := in_margins(verdict.claim, own))]
     if not placed:
@@ -260,7 +260,7 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
 
 
 def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
-    """Return effect and ends of its simultaneous interval in margins, right being as claimed.
+    """Return the effect and its simultaneous interval in units of the margin, positive as claimed.
 
     None without a margin, or without a number.
     """
@@ -274,6 +274,6 @@ def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | No
 
 
 def empty_word(verdict: Verdict) -> str:
-    """Return why a cell has no effect, in a few words: how the reason begins."""
+    """Return why a cell has no effect, in a few words from the beginning of the reason."""
     told = "not run" if verdict.standing == NOT_RUN else verdict.reason.partition(":")[0]
     return told if len(told) <= LONGEST_REASON else "untestable"
