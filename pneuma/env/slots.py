@@ -18,9 +18,7 @@ from pneuma.env.worlds import Snapshot, Worlds
 
 
 class Slots:
-    """Tracks the slots of `Worlds`; slot i is player i % P of world i
-
-    P.
+    """Tracks the slots of `Worlds`; slot i is player i % P of world i // P.
 
     Attributes:
         begun: whether all worlds were ever reset.
