@@ -256,7 +256,7 @@ def _foot(body: Any, stats: Any) -> float:
 
 
 def ground_kinds(level: Level) -> np.ndarray:
-    """Return the ground of each tile of a level, (rows, columns) of `sprites.WATER`, `SNOW` …
+    """Return the ground of each tile of a level, (rows, columns) of `sprites.WATER` and so on.
 
     Any other code is grass, and where the land ends there is always water.
     """
