@@ -93,10 +93,12 @@ class ClaimRuns:
     def _machines(self, names: Sequence[str]) -> str:
         """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
         records = [run.records for name in names for run in self.found(name)]
-        told = [own.provenance() for own in records]
-        if len({(on, str(own.get("threads"))) for own in told for on in processors(own)}) > 1:
+        origins = [record.provenance() for record in records]
+        if len({(on, str(origin.get("threads"))) for origin in origins for on in processors(origin)}) > 1:
             return "timed on different machines"
-        least = min((own.processor_share for own in records if own.processor_share is not None), default=1.0)
+        least = min(
+            (record.processor_share for record in records if record.processor_share is not None), default=1.0
+        )
         return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
 
     def arm(self, name: str, condition: str) -> Arm:
@@ -108,9 +110,9 @@ class ClaimRuns:
         learned, reasons = _learned(data, runs, at_step), []
         if claim.only:
             counts = _values(data, runs, claim.only, at_step)
-            unknown = [run.seed for run, own in zip(runs, counts, strict=True) if np.isnan(own)]
+            unknown = [run.seed for run, count in zip(runs, counts, strict=True) if np.isnan(count)]
             reasons += [f"{condition} seed {seed}: its {claim.only} is not known" for seed in unknown]
-            runs = [run for run, own in zip(runs, counts, strict=True) if own == 1]
+            runs = [run for run, count in zip(runs, counts, strict=True) if count == 1]
             if not runs:
                 reasons.append(f"no run of {condition} counts: {claim.only} is 0 in all")
         values = _values(data, runs, name, at_step)
@@ -141,17 +143,18 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
         for world in claim.worlds:
             study = read_study(path, world)
             cells = {
-                own: plan(path, world, own, claim.seeds[own], claim.steps[own]) for own in claim.conditions
+                condition: plan(path, world, condition, claim.seeds[condition], claim.steps[condition])
+                for condition in claim.conditions
             }
             runs = [
-                {"condition": own, "seed": cell.seed, "run_id": cell.run_id, "run": as_fields(cell.run)}
-                for own, each in cells.items()
+                {"condition": condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_fields(cell.run)}
+                for condition, each in cells.items()
                 for cell in each
             ]
             told = {"title": study.title, "figure": study.figure, "baseline": study.baseline, "same": []}
             record = {"study": study.name, "path": study.own_path, **told, "runs": runs}
             found = index.of_record(record)
-            finished = any(own.status.finished for own in found.values())
+            finished = any(record.status.finished for record in found.values())
             data = StudyData(found, record, str(store.root)) if finished else None
             command = training_command(study, claims.path)
             mend = f"{TRAIN_WITH} {command}{rest}" if command else ""
@@ -173,7 +176,7 @@ def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None
     score would be above 0 by chance alone. None where a run has no score.
     """
     every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
-    scores = np.array([own.mean() if len(own) else np.nan for own in every])
+    scores = np.array([scores.mean() if len(scores) else np.nan for scores in every])
     if not np.isfinite(scores).all() or scores.size < 2:
         return None
     error = scores.std(ddof=1) / np.sqrt(scores.size)

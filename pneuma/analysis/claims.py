@@ -135,7 +135,9 @@ class Claim(ClaimedRuns, Table):
     def event(self) -> str:
         """The event that is counted, as 'below 0.05'; empty if means are compared."""
         thresholds = {"above": self.above, "below": self.below}
-        return next((f"{way} {own:g}" for way, own in thresholds.items() if own is not None), "")
+        return next(
+            (f"{way} {threshold:g}" for way, threshold in thresholds.items() if threshold is not None), ""
+        )
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
         """Return, for each value of an outcome, whether it is the event that is counted."""
@@ -157,7 +159,10 @@ class Claim(ClaimedRuns, Table):
         def here(value: Any) -> Any:
             if not isinstance(value, dict):
                 return value
-            numbers = {name: own.get(world) if isinstance(own, dict) else own for name, own in value.items()}
+            numbers = {
+                name: number.get(world) if isinstance(number, dict) else number
+                for name, number in value.items()
+            }
             return {name: number for name, number in numbers.items() if number is not None}
 
         return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
@@ -213,9 +218,9 @@ class ClaimList:
         of alpha, and its contrasts share that part equally (weighted Bonferroni: Rosenthal and Rubin 1983).
         """
         counts: Counter[tuple[str, str]] = Counter()
-        for own in self.claims.values():
+        for each in self.claims.values():
             for where in WORLDS:
-                counts[self._cell(own, where)] += own.contrasts_in(where)
+                counts[self._cell(each, where)] += each.contrasts_in(where)
         parts = {cell: self._weight(cell) for cell, count in counts.items() if count}
         cell = self._cell(claim, world)
         return counts[cell] * sum(parts.values()) / parts.get(cell, 1.0)
@@ -244,9 +249,9 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
 def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
     where = ("claims", name)
     claim = read_model(Claim, file, where, file.table(("defaults",)), {"name": name})
-    own = str(file.path.parent / claim.study) if claim.study.endswith(".toml") else claim.study
+    path = str(file.path.parent / claim.study) if claim.study.endswith(".toml") else claim.study
     try:
-        study = load_study(own)
+        study = load_study(path)
     except UserError as error:
         raise file.mistake(where, f"study: {error}", "study") from None
     claim = fix_runs(claim, file, where, study)
@@ -258,22 +263,22 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
     return claim
 
 
-def _filled(claim: Claim, own: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOutcome:
+def _filled(claim: Claim, given: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOutcome:
     """Return a claim's margins or plausible effects, with the list's for outcomes that the claim omits."""
-    if own is not None and not isinstance(own, dict):
-        return own
+    if given is not None and not isinstance(given, dict):
+        return given
     names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcome}
-    return {**{name: usual[of] for name, of in names.items() if of in usual}, **(own or {})} or None
+    return {**{name: usual[of] for name, of in names.items() if of in usual}, **(given or {})} or None
 
 
 def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
     """Return the key and the mistake of a claim whose keys are valid one by one but not together."""
     if bool(claim.b) == (claim.value is not None):
         return "", "a claim holds a against either b, conditions, or value"
-    if sum(own is not None for own in (claim.above, claim.below)) != (claim.kind == "incidence"):
+    if sum(threshold is not None for threshold in (claim.above, claim.below)) != (claim.kind == "incidence"):
         return "", "an incidence, and nothing else, counts runs by above or below, a number"
     four = [claim.a, claim.b, claim.c, claim.d]
-    effects = claim.kind == "mean" and all(len(own) == 1 for own in four) and len({*four}) == 4
+    effects = claim.kind == "mean" and all(len(names) == 1 for names in four) and len({*four}) == 4
     if (claim.c or claim.d) and not effects:
         return "c", "a difference of two effects is of means, with another condition in each of a, b, c, d"
     for world, outcome in product(claim.worlds, claim.outcome):
@@ -285,5 +290,5 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
     group = claim.group or claim.section
     if head.weights and group not in head.weights:
         return "group", f"group: {unknown_name('group of weights', group, head.weights)}"
-    early = [seed for own in claim.seeds.values() for seed in own if seed < head.seeds_from]
+    early = [seed for seeds in claim.seeds.values() for seed in seeds if seed < head.seeds_from]
     return ("seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}") if early else None

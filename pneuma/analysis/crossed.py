@@ -109,10 +109,10 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
     for condition, cell in levels.items():  # a run that two conditions share counts once
         ids = [run.run_id for run in data.of_condition(condition)]
         found.setdefault(cell, {}).update(zip(ids, _values(data, condition, name), strict=True))
-    every = [(cell, value) for cell, own in found.items() for value in own.values()]
+    every = [(cell, value) for cell, outcomes in found.items() for value in outcomes.values()]
     known = [(cell, value) for cell, value in every if not np.isnan(value)]
-    means_of = {cell: [value for own, value in known if own == cell] for cell in found}
-    if empty := next((cell for cell, own in means_of.items() if not own), None):
+    means_of = {cell: [value for of, value in known if of == cell] for cell in found}
+    if empty := next((cell for cell, outcomes in means_of.items() if not outcomes), None):
         raise UserError(f"outcome {name}: no finished run of {', '.join(empty)} has it; every cell needs one")
     columns = {factor: [cell[i] for cell, _ in known] for i, factor in enumerate(factors)}
     generator = np.random.default_rng(stream_seed("effects", name))
@@ -122,10 +122,12 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
             f"study {data.study}: {len(known)} runs in {len(found)} cells leave nothing to tell an effect "
             "from chance; run it with more --seeds"
         )
-    cells = {cell: float(np.mean(own)) for cell, own in means_of.items()}
+    cells = {cell: float(np.mean(outcomes)) for cell, outcomes in means_of.items()}
     means = {
-        factor: {level: float(np.mean([cells[cell] for cell in cells if cell[i] == level])) for level in own}
-        for i, (factor, own) in enumerate(factors.items())
+        factor: {
+            level: float(np.mean([cells[cell] for cell in cells if cell[i] == level])) for level in levels
+        }
+        for i, (factor, levels) in enumerate(factors.items())
     }
     return Effects(name, means, len(cells), len(known), len(every) - len(known), effects)
 
@@ -140,11 +142,11 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     """
     settings = _settings(data)
 
-    def level(own: Mapping[str, Any], keys: Sequence[str]) -> str:
-        return " + ".join(shown_value(own[key]) if key in own else "none" for key in keys)
+    def level(fields: Mapping[str, Any], keys: Sequence[str]) -> str:
+        return " + ".join(shown_value(fields[key]) if key in fields else "none" for key in keys)
 
     def seen(*keys: str) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(level(own, keys) for own in settings.values()))
+        return tuple(dict.fromkeys(level(fields, keys) for fields in settings.values()))
 
     groups: list[tuple[str, ...]] = [(key,) for key in _differing([*settings.values()])]
     while pair := next(
@@ -154,7 +156,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
         groups[groups.index(pair[0])] = pair[0] + pair[1]
         groups.remove(pair[1])
     factors = {" + ".join(group): seen(*group) for group in groups}
-    cells = {name: tuple(level(own, group) for group in groups) for name, own in settings.items()}
+    cells = {name: tuple(level(fields, group) for group in groups) for name, fields in settings.items()}
     if len(factors) < 2 or {*product(*factors.values())} - {*cells.values()}:
         raise UserError(
             f"study {data.study} is not crossed: its conditions differ in {', '.join(factors) or 'nothing'}; "
@@ -189,9 +191,9 @@ def factorial(
     shuffles = np.argsort(generator.random((DRAWS, runs.size)), axis=1)
     constant = np.ones((runs.size, 1))
     found = []
-    for names, own in coded.items():
+    for names, columns in coded.items():
         others = np.hstack([constant, *(each for term, each in coded.items() if term != names)])
-        found.append(Effect(names, *_test(runs, others, own, shuffles)))
+        found.append(Effect(names, *_test(runs, others, columns, shuffles)))
     return found
 
 
@@ -202,13 +204,13 @@ def _deviations(levels: Sequence[str]) -> np.ndarray:
 
 
 def _test(
-    runs: np.ndarray, others: np.ndarray, own: np.ndarray, shuffles: np.ndarray
+    runs: np.ndarray, others: np.ndarray, columns: np.ndarray, shuffles: np.ndarray
 ) -> tuple[tuple[int, int], float, float, float]:
     """Return degrees of freedom, F, p-value and partial R² of an effect's columns, given the others."""
-    reduced, full = (linalg.orth(each, rcond=1e-9) for each in (others, np.hstack([others, own])))
+    reduced, full = (linalg.orth(each, rcond=1e-9) for each in (others, np.hstack([others, columns])))
     gained, left = full.shape[1] - reduced.shape[1], runs.size - full.shape[1]
-    degrees = own.shape[1], left
-    if gained < own.shape[1] or left < 1:
+    degrees = columns.shape[1], left
+    if gained < columns.shape[1] or left < 1:
         return degrees, np.nan, np.nan, np.nan
     residuals = runs - reduced @ (reduced.T @ runs)
     if np.abs(residuals).max() <= 1e-12 * max(1.0, np.abs(runs).max()):
@@ -332,7 +334,9 @@ def robustness_map(
     ]
     if not pairs:
         differing = _differing([*settings.values()])
-        known = ", ".join(f"{key} ({', '.join(map(shown_level, own))})" for key, own in differing.items())
+        known = ", ".join(
+            f"{key} ({', '.join(map(shown_level, levels))})" for key, levels in differing.items()
+        )
         raise UserError(
             f"study {data.study}: no two conditions differ in {setting} alone, {shown_value(values[0])} in "
             f"one and {shown_value(values[1])} in the other{f'; they differ in {known}' if known else ''}"
@@ -366,15 +370,17 @@ def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
         if run["condition"] not in found:
-            own = {key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")}
-            found[run["condition"]] = own
+            fields = {
+                key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")
+            }
+            found[run["condition"]] = fields
     return found
 
 
 def _differing(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
     """Return the fields in which conditions differ, with their values in the study's order."""
-    keys = dict.fromkeys(key for own in settings for key in own)
-    levels = {key: tuple(dict.fromkeys(own.get(key) for own in settings)) for key in keys}
+    keys = dict.fromkeys(key for fields in settings for key in fields)
+    levels = {key: tuple(dict.fromkeys(fields.get(key) for fields in settings)) for key in keys}
     return {key: values for key, values in levels.items() if len(values) > 1}
 
 

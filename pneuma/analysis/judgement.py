@@ -89,7 +89,7 @@ class Verdict:
     @property
     def run_ids(self) -> list[str]:
         """The ids of all runs that were read."""
-        return list(dict.fromkeys(run_id for own in self.comparisons for run_id in own.run_ids))
+        return list(dict.fromkeys(run_id for comparison in self.comparisons for run_id in comparison.run_ids))
 
     @property
     def standing(self) -> str:
@@ -104,10 +104,10 @@ class Verdict:
             return OPEN
         if self.reason == AS_CLAIMED_BUT_SMALL:
             return BY_LETTER
-        own = self.decisive
-        margin = self.claim.of("margin", own.outcome) if own else None
-        if own and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
-            return BY_LETTER if abs(own.contrast.effect) < margin else WITH_CONTENT
+        decisive = self.decisive
+        margin = self.claim.of("margin", decisive.outcome) if decisive else None
+        if decisive and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
+            return BY_LETTER if abs(decisive.contrast.effect) < margin else WITH_CONTENT
         return WITH_CONTENT
 
 
@@ -133,17 +133,22 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
         for outcome in claim.outcome
         for pair in claim.pairs
     )
-    each = [[own.verdict for own in made if own.outcome == outcome] for outcome in claim.outcome]
-    untestable = any(own.verdict == UNTESTABLE for own in made)
-    verdict = of_outcomes([together(own, claim.need) for own in each])
+    each = [
+        [comparison.verdict for comparison in made if comparison.outcome == outcome]
+        for outcome in claim.outcome
+    ]
+    untestable = any(comparison.verdict == UNTESTABLE for comparison in made)
+    verdict = of_outcomes([together(verdicts, claim.need) for verdicts in each])
     verdict = verdict or (UNTESTABLE if untestable else INCONCLUSIVE)
     reason = ""
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that mends them last
-        parts = dict.fromkeys(part for own in made for part in own.contrast.reason.split("; ") if part)
+        parts = dict.fromkeys(
+            part for comparison in made for part in comparison.contrast.reason.split("; ") if part
+        )
         reason = "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
     elif verdict == REFUTED:
-        refuted = [own.contrast for own in made if own.verdict == REFUTED]
-        small = all(_is_as_claimed_but_small(own, claim.direction) for own in refuted)
+        refuted = [comparison.contrast for comparison in made if comparison.verdict == REFUTED]
+        small = all(_is_as_claimed_but_small(contrast, claim.direction) for contrast in refuted)
         reason = AS_CLAIMED_BUT_SMALL if small else ""
     return Verdict(claim, runs.world, verdict, reason, made)
 
@@ -151,17 +156,17 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
 def decisive_of(verdict: Verdict) -> list[Comparison]:
     """Return, for each outcome of a claim, the contrast that decides."""
     found: list[Comparison] = []
-    for outcome in dict.fromkeys(own.outcome for own in verdict.comparisons):
-        each = [own for own in verdict.comparisons if own.outcome == outcome]
-        word = together([own.verdict for own in each], verdict.claim.need)
+    for outcome in dict.fromkeys(comparison.outcome for comparison in verdict.comparisons):
+        each = [comparison for comparison in verdict.comparisons if comparison.outcome == outcome]
+        word = together([comparison.verdict for comparison in each], verdict.claim.need)
         found += filter(None, [_decisive(each, word or INCONCLUSIVE, verdict.claim.need)])
     return found
 
 
 def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Comparison | None:
-    deciding = [own for own in comparisons if own.verdict == verdict] or [*comparisons]
+    deciding = [comparison for comparison in comparisons if comparison.verdict == verdict] or [*comparisons]
     one_is_enough = verdict == (REFUTED if need == "all" else SUPPORTED)
-    return (min if one_is_enough else max)(deciding, key=lambda own: own.p, default=None)
+    return (min if one_is_enough else max)(deciding, key=lambda comparison: comparison.p, default=None)
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
@@ -186,13 +191,13 @@ def _judge_contrast(
     other = f"{claim.value:g}" if b is None else b
     reason = runs.hindrance(outcome, names)
     arms = {} if reason else {name: arm(outcome, name) for name in names}
-    reason = reason or next((own.reason for own in arms.values() if own.reason), "")
+    reason = reason or next((arm.reason for arm in arms.values() if arm.reason), "")
     reason = reason or _at_floor(claim, outcome, arms) or _at_an_end(claim, outcome, [*arms.values()])
-    values, margin = [own.values for own in arms.values()], claim.of("margin", outcome)
+    values, margin = [arm.values for arm in arms.values()], claim.of("margin", outcome)
     generator = np.random.default_rng(stream_seed(f"{claim.name}/{runs.world}", f"{a}/{other}"))
     level = 1 - alpha / factor  # of intervals that hold all at once
     if reason:
-        sizes = [own.size for own in values] + [0, 0]
+        sizes = [counted.size for counted in values] + [0, 0]
         contrast = undecided(claim.kind, reason, (sizes[0], sizes[1]))
     elif claim.c:
         contrast = compare_effects(values, margin, level)
@@ -209,7 +214,7 @@ def _judge_contrast(
         verdict = UNTESTABLE if contrast.reason else INCONCLUSIVE
     if claim.c:
         a, other = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
-    counted_ids = tuple(run_id for own in arms.values() for run_id in own.run_ids)
+    counted_ids = tuple(run_id for arm in arms.values() for run_id in arm.run_ids)
     known_ids = tuple(run.run_id for name in names for run in runs.found(name))
     run_ids = counted_ids if arms else known_ids
     return Comparison(a, other, outcome, contrast, run_ids, verdict, p)
@@ -239,11 +244,11 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """
     if len(arms) < 2 or claim.event or MINUS in outcome:
         return ""
-    own = find_outcome(outcome)
-    near = claim.of("margin", outcome) or own.alike
+    measured = find_outcome(outcome)
+    near = claim.of("margin", outcome) or measured.alike
     known = _is_of_play(outcome) and all(arm.learned is not None for arm in arms)
     values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), own.bounds, strict=True):
+    for end, bound in zip(("floor", "ceiling"), measured.bounds, strict=True):
         if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
             return f"both arms are at the {end}: every run has a {outcome} within {near:.2g} of {bound:g}"
     return ""
@@ -252,7 +257,7 @@ def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
 def _is_of_play(outcome: str) -> bool:
     """Return whether a greater outcome means better play."""
     parts = [find_outcome(part) for part in outcome.split(MINUS)]
-    return all(own.better == "higher" and own.source not in ("times", "signs") for own in parts)
+    return all(part.better == "higher" and part.source not in ("times", "signs") for part in parts)
 
 
 # --- Decisions -----------------------------------------------------------------------------------
@@ -295,7 +300,7 @@ def together(verdicts: Sequence[str], need: str) -> str:
     by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
     if by_one in verdicts:
         return by_one
-    return by_all if all(own == by_all for own in verdicts) else ""
+    return by_all if all(verdict == by_all for verdict in verdicts) else ""
 
 
 def of_outcomes(verdicts: Sequence[str]) -> str:
@@ -304,7 +309,7 @@ def of_outcomes(verdicts: Sequence[str]) -> str:
     Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
     contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
     """
-    decided = {own for own in verdicts if own in (SUPPORTED, REFUTED)}
+    decided = {verdict for verdict in verdicts if verdict in (SUPPORTED, REFUTED)}
     return MIXED if len(decided) == 2 else "".join(decided)
 
 

@@ -58,10 +58,10 @@ def encode_study(
     else:
         _refuse_losses(data, before, curves)
         types = {
-            own.name: kind
-            for own in before.rows.schema
-            for kind in published.column_types(own.name)
-            if kind == own.type
+            column.name: kind
+            for column in before.rows.schema
+            for kind in published.column_types(column.name)
+            if kind == column.type
         }
     lists = [name for name, kind in types.items() if kind in (published.SINGLE, published.WIDE)]
     if published.EVALUATIONS in data.tables:
@@ -71,10 +71,10 @@ def encode_study(
         types[published.EVALUATIONS] = pa.list_(pa.struct(rows))
     finished = {(run.condition, run.run_id): run for run in data.runs}
     cells = []
-    for told in data.record["runs"]:
-        run = finished.get((told["condition"], told["run_id"]))
-        naming = {name: told[name] for name in ("condition", "seed", "run_id")}
-        naming |= {"status": data.index[told["run_id"]].status.name, "settings": json.dumps(told["run"])}
+    for entry in data.record["runs"]:
+        run = finished.get((entry["condition"], entry["run_id"]))
+        naming = {name: entry[name] for name in ("condition", "seed", "run_id")}
+        naming |= {"status": data.index[entry["run_id"]].status.name, "settings": json.dumps(entry["run"])}
         cells.append((dict(_cells(data, run, types)) if run else {}) | naming)
     here = next(run.records for run in data.runs if not run.records.published)
     head = {
@@ -128,32 +128,38 @@ def _new_columns(data: StudyData, curves: Collection[str]) -> Iterator[str]:
             yield from dict.fromkeys(published.curve_column(quantity, window) for window in kept)
             if quantity in EXTREMES:
                 yield f"{quantity} {published.PEAKS}"
-    yield from (f"{published.OUTCOME} {name}" for name, own in OUTCOMES.items() if own.source in quantities)
+    yield from (
+        f"{published.OUTCOME} {name}"
+        for name, outcome_kind in OUTCOMES.items()
+        if outcome_kind.source in quantities
+    )
     yield published.SIGNS
 
 
 def _cells(data: StudyData, run: FinishedRun, columns: Collection[str]) -> Iterator[tuple[str, Any]]:
     """Yield a finished run's cell in each column, apart from those of its record."""
-    own = run.records
+    records = run.records
     for name in columns:
         first, _, second = name.partition(" ")
-        if isinstance(own, published.PublishedRecords):
-            yield name, own.cell(name)
+        if isinstance(records, published.PublishedRecords):
+            yield name, records.cell(name)
         elif name == "end":
             yield name, run.end
         elif name == "provenance":
-            found = own.provenance()
+            found = records.provenance()
             about = {key: found[key] for key in KEPT_PROVENANCE if key in found} | other_processors(found)
             yield name, json.dumps(about)
         elif name == published.SIGNS:
-            yield name, published.pack_signs(own.signs())
+            yield name, published.pack_signs(records.signs())
         elif name == published.EVALUATIONS:
-            yield name, own.table(published.EVALUATIONS).to_dict("records")
+            yield name, records.table(published.EVALUATIONS).to_dict("records")
         elif first == published.OUTCOME:
             yield name, outcome(data, run, second)
-        elif first in own.quantities:
+        elif first in records.quantities:
             curve = (
-                own.peaks(first, data.grid) if second == published.PEAKS else _curve(data, run, first, second)
+                records.peaks(first, data.grid)
+                if second == published.PEAKS
+                else _curve(data, run, first, second)
             )
             yield name, rounded(curve).tolist()
         elif first in TRAINING_QUANTITIES:
@@ -167,14 +173,17 @@ def _curve(data: StudyData, run: FinishedRun, quantity: str, window: str) -> np.
 def encode_times(data: StudyData) -> bytes:
     """Encode the file of times: seconds and machine of each finished run that has them."""
     runs: dict[str, Mapping[str, Any]] = {}
-    for own in (run.records for run in data.runs if run.records.wall_seconds is not None):
-        if own.published:
-            runs[own.run_id] = own.times
+    for records in (run.records for run in data.runs if run.records.wall_seconds is not None):
+        if records.published:
+            runs[records.run_id] = records.times
             continue
-        about = own.provenance()
-        told = {"wall_seconds": round(own.wall_seconds or 0.0, 3), "processor_share": own.processor_share}
+        about = records.provenance()
+        times = {
+            "wall_seconds": round(records.wall_seconds or 0.0, 3),
+            "processor_share": records.processor_share,
+        }
         machine = {key: about[key] for key in MACHINE if key in about} | other_processors(about)
-        runs[own.run_id] = {key: value for key, value in told.items() if value is not None} | machine
+        runs[records.run_id] = {key: value for key, value in times.items() if value is not None} | machine
     return to_json({"schema": 1, "study": data.study, "runs": runs})
 
 

@@ -57,7 +57,7 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     for place, study in enumerate(studies, 1):
         tell(f"{place}/{len(studies)} {study}")
         shown.append(_section(store, study))
-    title = "" if asked & shipped else "; ".join(own["title"] for own in shown)
+    title = "" if asked & shipped else "; ".join(section["title"] for section in shown)
     return {"claims": claims, "studies": shown, "note": note, "unjudged": unjudged, "title": title}
 
 
@@ -71,11 +71,11 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
     worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
-    told = {key: getattr(shipped, key, "") for key in ("section", "about")}
-    own = (store.selection(in_world(study, name)) or {} for name in worlds)
-    title = shipped.title if shipped else next((record["title"] for record in own if record), study)
+    about = {key: getattr(shipped, key, "") for key in ("section", "about")}
+    records = (store.selection(in_world(study, name)) or {} for name in worlds)
+    title = shipped.title if shipped else next((record["title"] for record in records if record), study)
     title += f", variant {study.partition(spec.VARIANT)[2]}" if spec.VARIANT in study else ""
-    return {"study": study, "title": title, **told, "parts": [_part(store, study, name) for name in worlds]}
+    return {"study": study, "title": title, **about, "parts": [_part(store, study, name) for name in worlds]}
 
 
 # --- One study in one world ------------------------------------------------------------------------
@@ -111,13 +111,13 @@ def _part(store: Store, study: str, world: str) -> Part:
     part.extent = f"{conditions}, {runs} of up to {steps:,} agent steps"
     part.conditions = _conditions(study, name, record)
     part.runs = [
-        (*(own.run[key] for key in ("run_id", "condition", "seed")), own.status.name,
-         str(own.run["run"].get("engine") or "unknown"))
-        for own in states
+        (*(state.run[key] for key in ("run_id", "condition", "seed")), state.status.name,
+         str(state.run["run"].get("engine") or "unknown"))
+        for state in states
     ]  # fmt: skip
-    statuses = [own.status for own in states]
+    statuses = [state.status for state in states]
     missing, diverged = (
-        sum(not own.finished for own in statuses), sum(own.name == "diverged" for own in statuses)
+        sum(not status.finished for status in statuses), sum(status.name == "diverged" for status in statuses)
     )  # fmt: skip
     if missing:
         lacking = "are not here, not finished or damaged, and left out below"
@@ -173,15 +173,17 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, A
     else:
         base, usual = "the defaults", default_settings(some)
     keys = [key for key in dict.fromkeys([*some, *usual]) if key not in ("seed", "steps")]
-    told = {key: [_value(own.get(key, "unknown")) for own in (usual, *resolved.values())] for key in keys}
-    unlike = [key for key in keys if len(set(told[key][1:])) > 1]
-    rows = [[label, *(told[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
+    shown = {
+        key: [_value(fields.get(key, "unknown")) for fields in (usual, *resolved.values())] for key in keys
+    }
+    unlike = [key for key in keys if len(set(shown[key][1:])) > 1]
+    rows = [[label, *(shown[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
     caption, columns = f"What the conditions of {name} differ in", ("Condition", *unlike)
-    alike = {key: told[key][:2] for key in keys if key not in unlike}  # in the base, and here
+    alike = {key: shown[key][:2] for key in keys if key not in unlike}  # in the base, and here
     return {
         "base": base,
         "differing": (caption, columns, rows, len(columns)) if unlike else None,
-        "alike": {key: own + f" ({base}: {of})" * (own != of) for key, (of, own) in alike.items()},
+        "alike": {key: value + f" ({base}: {of})" * (value != of) for key, (of, value) in alike.items()},
     }
 
 

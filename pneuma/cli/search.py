@@ -35,7 +35,7 @@ from pneuma.worlds import TEXT, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.search.promote import Gain, Winner
-    from pneuma.search.trials import Task, Told
+    from pneuma.search.trials import EndedTrial, Task
 
 app = typer.Typer(
     help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
@@ -72,10 +72,10 @@ def show(
     for line in search.about.splitlines():
         say(line)
     print("\nSpace:")
-    print_table(("", ""), [(f"  {own.name}", str(own)) for own in search.space.parameters])
+    print_table(("", ""), [(f"  {parameter.name}", str(parameter)) for parameter in search.space.parameters])
     print("\nObjectives:")
-    for own in search.objectives:
-        say(f"  {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
+    for objective in search.objectives:
+        say(f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
     for preset, budget in search.presets.items():
         seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
@@ -96,8 +96,8 @@ def status(
         amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
         return print_json({**_document(searched.task, searched.trials), **amount})
     print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
-    for own in search.objectives:
-        say(f"Value: {own.direction} the {own.over_seeds} over seeds of {own.outcome}")
+    for objective in search.objectives:
+        say(f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
     among, rows = best if isinstance(best, list) else [best], []
     for trial in searched.trials:
         params = ", ".join(
@@ -173,18 +173,22 @@ def run(
     how = replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
-    told: list[Told] = []
+    ended_trials: list[EndedTrial] = []
     train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
     code = 0
     try:
         for ended in storage.run_search(task, store, train_trials):
-            for trial in ended[len(told) :]:
+            for trial in ended[len(ended_trials) :]:
                 note = f" ({trial.note})" if trial.note else ""
                 say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
-            told = [*ended]
-            best = best_number(told, task.search)
-            found = f"best {_value(told[best])}, trial {best}" if isinstance(best, int) else f"front: {best}"
-            say(f"{len(told)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
+            ended_trials = [*ended]
+            best = best_number(ended_trials, task.search)
+            found = (
+                f"best {_value(ended_trials[best])}, trial {best}"
+                if isinstance(best, int)
+                else f"front: {best}"
+            )
+            say(f"{len(ended_trials)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
         code = 1
@@ -193,7 +197,7 @@ def run(
         say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
         code = 130
     if json:
-        print_json(_document(task, told))
+        print_json(_document(task, ended_trials))
     elif not code:
         at = (task.search.name, "--results", store.root)
         say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
@@ -251,7 +255,7 @@ def train(
             raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
 
 
-def _document(task: Task, trials: Sequence[Told]) -> dict[str, Any]:
+def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:
     """Return the result of a search as JSON."""
     from pneuma.search.storage import trial_document
     from pneuma.search.trials import best_number
@@ -263,7 +267,7 @@ def _document(task: Task, trials: Sequence[Told]) -> dict[str, Any]:
     }
 
 
-def _value(trial: Told) -> str:
+def _value(trial: EndedTrial) -> str:
     """Return a trial's value or values as text."""
     return "no value" if trial.state == "failed" else ", ".join(f"{value:.4g}" for value in trial.values)
 
@@ -306,8 +310,12 @@ def promote(
     steps = steps or searches[0].task.budget.steps
     text = winners_study(winners, seeds, steps).encode()
     chosen: list[dict[str, Any]] = [
-        {"search": own.searched.task.search.name, "trial": own.trial.number, "params": own.trial.params}
-        for own in winners
+        {
+            "search": winner.searched.task.search.name,
+            "trial": winner.trial.number,
+            "params": winner.trial.params,
+        }
+        for winner in winners
     ]
     if out is not None:
         check_file(out, (".toml",))
@@ -319,7 +327,9 @@ def promote(
         if json:
             print_json({"study": out, "winners": chosen})
         return 0
-    split = [split_world(own.task.search.name) for own in searches]  # the end of a name tells a study's world
+    split = [
+        split_world(searched.task.search.name) for searched in searches
+    ]  # the end of a name tells a study's world
     there = [] if split[0][1] == TEXT else [split[0][1]]
     path = store.root / "searches" / f"{'-'.join(['promoted', *there, *(name for name, _ in split)])}.toml"
     store.check_writable()
@@ -335,7 +345,7 @@ def promote(
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
     if json:
-        rows = [{**own, "objectives": gained} for own, gained in zip(chosen, found, strict=True)]
+        rows = [{**row, "objectives": gained} for row, gained in zip(chosen, found, strict=True)]
         document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
         print_json({**document, "winners": rows})
         return 0
@@ -353,10 +363,10 @@ def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
     heads = ("", "in the search", "on fresh seeds", "base", "difference of means", "95 % interval", "luck")
     rows = []
     for objective in search.objectives:
-        own = gains[objective.name]
-        values = (f"{value:.4f}" for value in (own.seen, own.fresh, own.fresh_baseline))
-        interval = " to ".join(f"{end:+.4f}" for end in own.interval)
-        gained = f"{own.difference:+.4f}", interval, f"{own.luck:+.4f}"
+        gain = gains[objective.name]
+        values = (f"{value:.4f}" for value in (gain.seen, gain.fresh, gain.fresh_baseline))
+        interval = " to ".join(f"{end:+.4f}" for end in gain.interval)
+        gained = f"{gain.difference:+.4f}", interval, f"{gain.luck:+.4f}"
         rows.append((f"{objective.over_seeds} of {objective.outcome}", *values, *gained))
     print_table(heads, rows)
     print("Luck: by how much the search's seeds had flattered it.")

@@ -86,8 +86,8 @@ def show(
     if json:
         about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
         presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
-        told = {key: record[key] for key in ("study", "title", "baseline")}
-        return print_json({**told, **about, "conditions": fields, "presets": presets})
+        head = {key: record[key] for key in ("study", "title", "baseline")}
+        return print_json({**head, **about, "conditions": fields, "presets": presets})
     say(record["title"] + (f" (thesis section {study.section})" if study and study.section else ""))
     if study:
         say(study.about)
@@ -109,12 +109,12 @@ def show(
     from pneuma.study.claimed import fixed_amounts
 
     print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
-    amounts = [(name, {"": own, **own.conditions}) for name, own in study.presets.items()]
-    amounts += [(spec.CLAIMS, dict(own)) for own in fixed_amounts(study).values()]
+    amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
+    amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
     rows = [
-        (f"  {preset}", condition, f"{len(own.seeds)} seeds x {own.steps:,} steps")
+        (f"  {preset}", condition, f"{len(amount.seeds)} seeds x {amount.steps:,} steps")
         for preset, of_conditions in amounts
-        for condition, own in of_conditions.items()
+        for condition, amount in of_conditions.items()
     ]
     return print_table([""] * 3, rows)
 
@@ -141,24 +141,24 @@ def status(
         states = run_states(store, record)
         runs = [
             {
-                **{key: own.run[key] for key in ("run_id", "condition", "seed")},
-                **{"status": own.status.name, "step": own.status.step, "published": own.published},
+                **{key: state.run[key] for key in ("run_id", "condition", "seed")},
+                **{"status": state.status.name, "step": state.status.step, "published": state.published},
             }
-            for own in states
+            for state in states
         ]
         queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
         if not json:
-            counts = ", ".join(f"{n} {told}" for told, n in Counter(own.told for own in states).items())
+            counts = ", ".join(f"{n} {label}" for label, n in Counter(state.told for state in states).items())
             changed = shown_settings(record.get("selection", {}).get("settings") or {})
             say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []
-            for own in states:
-                run_id, told = own.run["run_id"], own.told
-                if own.status.step and not own.status.finished:
-                    told += f" at step {own.status.step:,}"
+            for state in states:
+                run_id, label = state.run["run_id"], state.told
+                if state.status.step and not state.status.finished:
+                    label += f" at step {state.status.step:,}"
                 if job := queued.get(run_id):
-                    told += f" job {job['job']} {job['state'].lower()}"
-                rows.append((f"  {own.run['condition']}", f"seed {own.run['seed']}", run_id, told))
+                    label += f" job {job['job']} {job['state'].lower()}"
+                rows.append((f"  {state.run['condition']}", f"seed {state.run['seed']}", run_id, label))
             print_table([""] * 4, rows)
         return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
 

@@ -81,32 +81,36 @@ def summary(
         for row in table.to_dict("records")
     }
     measured = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))
-    if told := measured if all_ else outcome:
-        statistics = list(dict.fromkeys(own for _, name, own in cells if name in told))
+    if outcomes_shown := measured if all_ else outcome:
+        statistics = list(dict.fromkeys(condition for _, name, condition in cells if name in outcomes_shown))
         heads = ["outcome", "condition", "n", *statistics]
         runs = table.groupby(["outcome", "condition"])["runs"].first()
         rows = [
             (
                 _with_unit(name),
-                own,
-                runs[name, own],
-                *(cells.get((own, name, each), "–") for each in statistics),
+                condition,
+                runs[name, condition],
+                *(cells.get((condition, name, each), "–") for each in statistics),
             )
-            for name in told
-            for own in data.conditions
-            if (name, own) in runs
+            for name in outcomes_shown
+            for condition in data.conditions
+            if (name, condition) in runs
         ]
         print_table(heads, rows)
-        for name, own in ((name, own) for name in outcome or () for own in data.conditions):
-            if (name, own) not in runs:
-                say(f"{name}, {own}: {_lack(data, own, name)}")
+        for name, condition in ((name, condition) for name in outcome or () for condition in data.conditions):
+            if (name, condition) not in runs:
+                say(f"{name}, {condition}: {_lack(data, condition, name)}")
         return None
     names = measured[:COLUMNS]
     shares = ("collapsed", "diverged")
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
     rows = [
-        (own, len(data.of_condition(own)), *(cells.get((own, *pair), "–") for pair in pairs))
-        for own in data.conditions
+        (
+            condition,
+            len(data.of_condition(condition)),
+            *(cells.get((condition, *pair), "–") for pair in pairs),
+        )
+        for condition in data.conditions
     ]
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
     return print("\nMeans, and shares of runs, with 95 % intervals. More: --outcome NAME, or --all.")
@@ -152,17 +156,23 @@ def compare(
 
         other = open_data(picked, a)
         heads = [data.study, other.study]
-        shared = [own for own in data.conditions if data.of_condition(own) and other.of_condition(own)]
+        shared = [
+            condition
+            for condition in data.conditions
+            if data.of_condition(condition) and other.of_condition(condition)
+        ]
         if data.study == other.study or not shared:
             raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
-        pairs = {own: (f"{own}, {data.study}", f"{own}, {other.study}") for own in shared}
+        pairs = {
+            condition: (f"{condition}, {data.study}", f"{condition}, {other.study}") for condition in shared
+        }
         data = join_studies(data, other)
     import pandas as pd
 
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
-    tables = {own: compare_conditions(data, *pair, outcome or ()) for own, pair in pairs.items()}
+    tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
@@ -187,13 +197,15 @@ def compare(
     _tell_step(data)
     print()
     rows = []
-    for own, row in ((own, row) for own, each in tables.items() for row in each.to_dict("records")):
+    for condition, row in (
+        (condition, row) for condition, each in tables.items() for row in each.to_dict("records")
+    ):
         difference = row["difference"], row["low"], row["high"]
         means = (shown(row[key], decimals(*difference)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
         rows.append(
-            (own, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
+            (condition, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
         )
     print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
     print("\nMeans, and their difference with a 95 % interval (Welch). P(better): how likely a run of the")
@@ -298,8 +310,8 @@ def effects(
     print_table(("effect", "levels", "df", "F", "partial R²", "p", "p (Holm)"), rows)
     print("\nMeans, each cell counted alike:")
     for factor, means in found.means.items():
-        told = ";  ".join(f"{level} {shown(value, decimals(value))}" for level, value in means.items())
-        say(f"  {factor}: {told}")
+        listed = ";  ".join(f"{level} {shown(value, decimals(value))}" for level, value in means.items())
+        say(f"  {factor}: {listed}")
     print("\nPartial R²: share of the variance that the other effects leave. Holm: over this table.")
     return _tell_step(data)
 
@@ -311,7 +323,7 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
     """Read KEY=A:B. Either value may contain colons, as many as the other."""
     key, _, values = (part.strip() for part in text.partition("="))
     parts = values.split(":")
-    pair = [":".join(own).strip() for own in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
+    pair = [":".join(part).strip() for part in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
     if not (key and all(pair)) or len(parts) % 2:
         raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
     return key, opt.read_value(pair[0]), opt.read_value(pair[1])

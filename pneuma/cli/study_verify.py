@@ -77,20 +77,20 @@ def _document(one: Verdict) -> dict[str, Any]:
         "outcome": claim.outcome[0],
         "outcomes": list(claim.outcome),
         "margin": claim.of("margin", claim.outcome[0]),
-        "contrasts": [_contrast(own) for own in one.comparisons],
+        "contrasts": [_contrast(comparison) for comparison in one.comparisons],
     }
 
 
-def _contrast(own: Comparison) -> dict[str, Any]:
+def _contrast(comparison: Comparison) -> dict[str, Any]:
     def ends(interval: Interval) -> list[float] | None:
         return [interval.low, interval.high] if interval.exists else None
 
     return {
-        **{key: getattr(own, key) for key in ("a", "b", "outcome", "verdict", "p")},
-        **{key: getattr(own.contrast, key) for key in ("effect", "reason")},
-        "seeds": list(own.contrast.seeds),
-        "interval": ends(own.contrast.interval),
-        "simultaneous": ends(own.contrast.simultaneous),
+        **{key: getattr(comparison, key) for key in ("a", "b", "outcome", "verdict", "p")},
+        **{key: getattr(comparison.contrast, key) for key in ("effect", "reason")},
+        "seeds": list(comparison.contrast.seeds),
+        "interval": ends(comparison.contrast.interval),
+        "simultaneous": ends(comparison.contrast.simultaneous),
     }
 
 
@@ -105,28 +105,28 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
     keys = ("world", "outcome", "a", "b", "seeds", "alpha", "spread", "detectable", "provable", "reason")
     plans = [
         {
-            "claim": own.claim.name,
-            **{key: getattr(own, key) for key in keys},
-            **{key: own.claim.of(key, own.outcome) for key in ("margin", "plausible")},
-            "admitted": (own.claim.name, own.world) not in refused,
+            "claim": plan.claim.name,
+            **{key: getattr(plan, key) for key in keys},
+            **{key: plan.claim.of(key, plan.outcome) for key in ("margin", "plausible")},
+            "admitted": (plan.claim.name, plan.world) not in refused,
         }
-        for own in check_design(known)
-        if (not claims or own.claim.name in claims) and world in (None, own.world)
+        for plan in check_design(known)
+        if (not claims or plan.claim.name in claims) and world in (None, plan.world)
     ]
     if json:
         head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
         return print_json({**head, "design": plans})
     rows = []
-    for own in plans:
-        numbers = (own[key] for key in ("detectable", "plausible", "provable", "margin"))
+    for plan in plans:
+        numbers = (plan[key] for key in ("detectable", "plausible", "provable", "margin"))
         cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
-        about = own["claim"], own["world"], own["outcome"], "/".join(map(str, own["seeds"]))
-        rows.append((*about, *cells, own["reason"] or "decidable"))
+        about = plan["claim"], plan["world"], plan["outcome"], "/".join(map(str, plan["seeds"]))
+        rows.append((*about, *cells, plan["reason"] or "decidable"))
     print_table(("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", ""), rows)
     if known.pilot is None:
         print("\nThe list has no pilot: every claim is admitted.")
         return None
-    print(f"\nNot admitted, of {len({(own['claim'], own['world']) for own in plans})} claims in worlds:")
+    print(f"\nNot admitted, of {len({(plan['claim'], plan['world']) for plan in plans})} claims in worlds:")
     for (name, where), reason in refused.items():
         print(f"  {plain(name)}, {where}: {plain(reason)}")
     print("found: the least difference found with 80 % power; shown: the least margin shown for arms alike.")
@@ -147,7 +147,9 @@ def _print_table(shown: Sequence[Verdict]) -> None:
         counts.setdefault(one.place, Counter())[one.standing] += 1
     print_table(_HEAD, [_row(places) for places in by_claim.values()])
     print()
-    print_table(("", *STANDINGS), [(at, *(own[word] for word in STANDINGS)) for at, own in counts.items()])
+    print_table(
+        ("", *STANDINGS), [(at, *(count[word] for word in STANDINGS)) for at, count in counts.items()]
+    )
 
 
 def _row(places: dict[str, Verdict]) -> tuple[str, ...]:

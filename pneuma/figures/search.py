@@ -21,7 +21,7 @@ from optuna.visualization import matplotlib as plots
 from pneuma.errors import counted
 from pneuma.figures.style import CAPTION, TYPE_POINTS, house_style, save_figure
 from pneuma.search.optuna_study import ended_study
-from pneuma.search.storage import Searched
+from pneuma.search.storage import RecordedSearch
 
 PAGE_INCHES = 7.0
 NEEDS = {
@@ -36,7 +36,7 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
 
 
-def draw_search(searched: Searched, folder: Path, formats: tuple[str, ...]) -> list[Path]:
+def draw_search(searched: RecordedSearch, folder: Path, formats: tuple[str, ...]) -> list[Path]:
     """Draw all figures for which a search has enough trials; return the files written."""
     if not any(trial.state == "complete" for trial in searched.trials):
         return []
@@ -69,7 +69,7 @@ def _plotting() -> Iterator[None]:
         style.library["ggplot"] = theirs
 
 
-def _plot(name: str, searched: Searched) -> Any:
+def _plot(name: str, searched: RecordedSearch) -> Any:
     """Return the axes of one of Optuna's plots; None if there are too few trials."""
     search, trials = searched.task.search, searched.trials
     if name == "front":
@@ -110,7 +110,7 @@ def _lay_out(figure: Figure, name: str, parameters: int) -> None:
                 axis.set_minor_formatter(NullFormatter())
 
 
-def _caption(searched: Searched) -> str:
+def _caption(searched: RecordedSearch) -> str:
     """Return a line on what was searched."""
     search, budget = searched.task.search, searched.task.budget
     states = [trial.state for trial in searched.trials]

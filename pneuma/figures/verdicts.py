@@ -122,7 +122,9 @@ def places_of(claims: Verdicts) -> dict[str, str]:
 
 def compared(claim: Claim) -> str:
     """Describe what is compared, as 'monsters killed, last evaluation'."""
-    told = (", less ".join(find_outcome(part).words for part in own.split(MINUS)) for own in claim.outcome)
+    told = (
+        ", less ".join(find_outcome(part).words for part in outcome.split(MINUS)) for outcome in claim.outcome
+    )
     words = " and ".join(told)
     return f"share of runs, {words} {claim.event}" if claim.event else words
 
@@ -138,13 +140,13 @@ def tested(claim: Claim) -> str:
 
 def decisive(verdict: Verdict) -> Comparison | None:
     """Return the deciding contrast, if it has a number."""
-    own = verdict.decisive
-    return own if own and math.isfinite(own.contrast.effect) else None
+    comparison = verdict.decisive
+    return comparison if comparison and math.isfinite(comparison.contrast.effect) else None
 
 
-def effect(own: Comparison) -> str:
+def effect(comparison: Comparison) -> str:
     """Return the effect with its simultaneous interval, as '+0.020 [+0.002, +0.039]'."""
-    value, interval = own.contrast.effect, own.contrast.simultaneous
+    value, interval = comparison.contrast.effect, comparison.contrast.simultaneous
     if not math.isfinite(value):
         return "no number"
     places = decimals(value, interval.low, interval.high)
@@ -157,11 +159,19 @@ def effect(own: Comparison) -> str:
     return signed(value) + (f" [{signed(interval.low)}, {signed(interval.high)}]" if interval.exists else "")
 
 
-def arms(own: Comparison) -> str:
+def arms(comparison: Comparison) -> str:
     """Return the compared arms, their numbers of runs, and the p-value."""
-    seeds = " and ".join(f"{count:,}" for count in own.contrast.seeds if count)
-    p = "" if own.contrast.reason else "p < 0.001" if own.p < 0.001 else f"p = {own.p:.3f}"
-    return ", ".join(filter(None, [f"{own.a} against {own.b}", f"n = {seeds}" if seeds else "", p]))
+    seeds = " and ".join(f"{count:,}" for count in comparison.contrast.seeds if count)
+    p = (
+        ""
+        if comparison.contrast.reason
+        else "p < 0.001"
+        if comparison.p < 0.001
+        else f"p = {comparison.p:.3f}"
+    )
+    return ", ".join(
+        filter(None, [f"{comparison.a} against {comparison.b}", f"n = {seeds}" if seeds else "", p])
+    )
 
 
 # --- Tables ---------------------------------------------------------------------------------------
@@ -174,16 +184,16 @@ def _tables(claims: Verdicts) -> str:
         {
             "Judged in": title,
             **dict.fromkeys(STANDINGS, 0),
-            **Counter(own[place].standing for own in claims.values() if place in own),
+            **Counter(verdicts[place].standing for verdicts in claims.values() if place in verdicts),
         }
         for place, title in places.items()
     )
     rows = []
-    for own in claims.values():
-        claim = claim_of(own)
+    for verdicts in claims.values():
+        claim = claim_of(verdicts)
         said = {"Claim": f"{tested(claim)}: {compared(claim)}"}
         said["Thesis"] = f"{claim.section}: “{claim.quote}”"
-        rows.append(said | {title: _told(own.get(place)) for place, title in places.items()})
+        rows.append(said | {title: _told(verdicts.get(place)) for place, title in places.items()})
     tables = (encode_frame(frame, "markdown").decode() for frame in (counts, pd.DataFrame(rows)))
     return "\n".join(["# Verdicts\n", *tables])
 
@@ -191,8 +201,8 @@ def _tables(claims: Verdicts) -> str:
 def _told(verdict: Verdict | None) -> str:
     if verdict is None or verdict.standing == NOT_RUN:
         return NOT_RUN if verdict else "–"
-    own = None if verdict.verdict == UNTESTABLE else decisive(verdict)
-    return f"{verdict.verdict} {effect(own) if own else ''}".strip()
+    comparison = None if verdict.verdict == UNTESTABLE else decisive(verdict)
+    return f"{verdict.verdict} {effect(comparison) if comparison else ''}".strip()
 
 
 # --- The picture ----------------------------------------------------------------------------------
@@ -201,9 +211,9 @@ def _told(verdict: Verdict | None) -> str:
 def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("png",)) -> list[Path]:
     """Draw all verdicts; return the files written."""
     rows: list[tuple[str, Mapping[str, Verdict]]] = []
-    by_section = sorted(claims.values(), key=lambda own: claim_of(own).section)
-    for section, group in groupby(by_section, key=lambda own: claim_of(own).section):
-        rows += [(f"Section {section}", {}), *((claim_of(own).name, own) for own in group)]
+    by_section = sorted(claims.values(), key=lambda verdicts: claim_of(verdicts).section)
+    for section, group in groupby(by_section, key=lambda verdicts: claim_of(verdicts).section):
+        rows += [(f"Section {section}", {}), *((claim_of(verdicts).name, verdicts) for verdicts in group)]
     places = places_of(claims)
     with house_style(6.5):
         figure, panels = plt.subplots(
@@ -242,16 +252,18 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
 
 def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
     """Draw the deciding contrast of each outcome, or say why there is none."""
-    decided = [own for own in decisive_of(verdict) if not own.contrast.reason]
-    placed = [(own, where) for own in decided if (where := in_margins(verdict.claim, own))]
+    decided = [comparison for comparison in decisive_of(verdict) if not comparison.contrast.reason]
+    placed = [
+        (comparison, where) for comparison in decided if (where := in_margins(verdict.claim, comparison))
+    ]
     if not placed:
         word = "no margin" if decided else empty_word(verdict)
         colour = LOOKS[decided[0].verdict]["color"] if decided else GREY
         axes.text(0, row, word, color=colour, ha="center", va="center", fontsize=5.2)
-    for i, (own, where) in enumerate(placed):
+    for i, (comparison, where) in enumerate(placed):
         at = row + (0.36 * (i / (len(placed) - 1) - 0.5) if len(placed) > 1 else 0.0)
-        half = verdict.standing == BY_LETTER and own.verdict != INCONCLUSIVE
-        look = LOOKS[own.verdict] | (HALF if half else {})
+        half = verdict.standing == BY_LETTER and comparison.verdict != INCONCLUSIVE
+        look = LOOKS[comparison.verdict] | (HALF if half else {})
         if abs(where[0]) > MOST:
             look["marker"] = ">" if where[0] > 0 else "<"
         effect, low, high = np.clip(where, -MOST, MOST)  # what is NaN is not drawn
@@ -259,12 +271,12 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
         axes.plot([effect], [at], markersize=3.6, markeredgewidth=0.7, zorder=3, **look)
 
 
-def in_margins(claim: Claim, own: Comparison) -> tuple[float, float, float] | None:
+def in_margins(claim: Claim, comparison: Comparison) -> tuple[float, float, float] | None:
     """Return the effect and its simultaneous interval in units of the margin, positive as claimed.
 
     None without a margin, or without a number.
     """
-    margin, contrast = claim.of("margin", own.outcome), own.contrast
+    margin, contrast = claim.of("margin", comparison.outcome), comparison.contrast
     if margin is None or not math.isfinite(contrast.effect):
         return None
     interval = contrast.simultaneous

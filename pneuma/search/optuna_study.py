@@ -24,7 +24,7 @@ from pneuma.search.space import Parameter
 from pneuma.search.spec import Median, Nsga, Sampler, Search, Tpe
 
 if TYPE_CHECKING:
-    from pneuma.search.trials import Told
+    from pneuma.search.trials import EndedTrial
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -95,7 +95,7 @@ def _sampler(own: Sampler, seed: int) -> BaseSampler:
 # --- What has ended -------------------------------------------------------------------------------
 
 
-def ended_study(told: Iterable[Told], search: Search, objectives: int | None = None) -> optuna.Study:
+def ended_study(told: Iterable[EndedTrial], search: Search, objectives: int | None = None) -> optuna.Study:
     """Return a study in memory of trials that have ended, with the values of the first so many objectives.
 
     Raises:

@@ -21,8 +21,8 @@ from pneuma.config import as_fields, env_config, make_run
 from pneuma.errors import UserError
 from pneuma.search.space import Space
 from pneuma.search.spec import Budget
-from pneuma.search.storage import Searched
-from pneuma.search.trials import Outcomes, Task, Told, objective_value
+from pneuma.search.storage import RecordedSearch
+from pneuma.search.trials import EndedTrial, Outcomes, Task, objective_value
 from pneuma.study.plan import Plan
 from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store
@@ -33,8 +33,8 @@ from pneuma.worlds import split_world
 class Winner:
     """A trial to promote. Its conditions are `name`, the search's base, and `tuned`, the trial."""
 
-    searched: Searched
-    trial: Told
+    searched: RecordedSearch
+    trial: EndedTrial
     name: str
 
     @property
@@ -63,7 +63,9 @@ class Gain:
     luck: float
 
 
-def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequence[int]) -> list[Winner]:
+def find_winners(
+    searches: Sequence[RecordedSearch], number: int | None, seeds: Sequence[int]
+) -> list[Winner]:
     """Return the trials to promote: the best of each search, or a given one of a single search.
 
     Raises:
@@ -76,14 +78,16 @@ def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequen
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
     first = _conditions(searches[0])
     for name, searched in zip(names, searches, strict=True):
-        own = _conditions(searched)
-        if unlike := [key for key in {**first, **own} if first.get(key, ...) != own.get(key, ...)]:
-            told = f"{names[0]} and {name} are not tuned alike: {', '.join(unlike)} differ"
-            raise UserError(f"searches {told}; run both the same")
+        conditions = _conditions(searched)
+        if unlike := [
+            key for key in {**first, **conditions} if first.get(key, ...) != conditions.get(key, ...)
+        ]:
+            unlike_searches = f"{names[0]} and {name} are not tuned alike: {', '.join(unlike)} differ"
+            raise UserError(f"searches {unlike_searches}; run both the same")
         if seen := sorted({*seeds} & {*searched.task.budget.seeds}):
-            told = ", ".join(map(str, seen))
+            seeds_seen = ", ".join(map(str, seen))
             raise UserError(
-                f"--seeds: the search was run on {told}; give seeds that it never saw, as --seeds 10"
+                f"--seeds: the search was run on {seeds_seen}; give seeds that it never saw, as --seeds 10"
             )
     return [
         Winner(searched, _trial(searched, number), name[len(start) + 1 :] if start else name)
@@ -91,7 +95,7 @@ def find_winners(searches: Sequence[Searched], number: int | None, seeds: Sequen
     ]
 
 
-def _trial(searched: Searched, number: int | None) -> Told:
+def _trial(searched: RecordedSearch, number: int | None) -> EndedTrial:
     search, best = searched.task.search, searched.best
     if number is None and best and isinstance(best, list):
         front = ", ".join(map(str, best))
@@ -106,7 +110,7 @@ def _trial(searched: Searched, number: int | None) -> Told:
     raise UserError(f"{asked}no complete trial of search {search.name}; `pneuma search status` lists them")
 
 
-def _conditions(searched: Searched) -> dict[str, Any]:
+def _conditions(searched: RecordedSearch) -> dict[str, Any]:
     """Return what must be equal in searches whose winners are compared."""
     search, budget = searched.task.search, searched.task.budget
     run = search.space.make_run({})
@@ -118,7 +122,9 @@ def _conditions(searched: Searched) -> dict[str, Any]:
         "trials": len(searched.trials),
         "seeds": budget.seeds,
         "steps": budget.steps,
-        "objectives": [(own.outcome, own.over_seeds, own.direction) for own in search.objectives],
+        "objectives": [
+            (objective.outcome, objective.over_seeds, objective.direction) for objective in search.objectives
+        ],
     }
 
 
@@ -128,9 +134,9 @@ def _conditions(searched: Searched) -> dict[str, Any]:
 def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -> str:
     """Return the text of a study file with the winners and their bases, and their origin as comments."""
     tables = {}
-    for own in winners:
-        tables[own.name] = _read_fields(own.searched.task.search.space, {})
-        tables[own.tuned] = _read_fields(own.searched.task.search.space, own.trial.params)
+    for winner in winners:
+        tables[winner.name] = _read_fields(winner.searched.task.search.space, {})
+        tables[winner.tuned] = _read_fields(winner.searched.task.search.space, winner.trial.params)
     shared = {
         key: value
         for key, value in tables[winners[0].name].items()
@@ -142,7 +148,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
         "#",
         *map(_lineage, winners),
         "",
-        f"title = {_toml('Winners of ' + ', '.join(own.searched.task.search.name for own in winners))}",
+        f"title = {_toml('Winners of ' + ', '.join(winner.searched.task.search.name for winner in winners))}",
         f"section = {_toml(search.section)}",
         f"base = {_toml(search.space.base)}",
         f"baseline = {_toml(winners[0].name)}",
@@ -158,14 +164,14 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     return "\n".join(lines) + "\n"
 
 
-def _lineage(own: Winner) -> str:
+def _lineage(winner: Winner) -> str:
     """Return a comment of one line; the record may be untrusted."""
-    task, trial = own.searched.task, own.trial
-    told = (
-        f"{own.tuned}: trial {trial.number} of {len(own.searched.trials)} of search {task.search.name} "
+    task, trial = winner.searched.task, winner.trial
+    origin = (
+        f"{winner.tuned}: trial {trial.number} of {len(winner.searched.trials)} of search {task.search.name} "
         f"({task.digest}); runs {', '.join(trial.run_ids)}"
     )
-    return "# " + " ".join(told.split())
+    return "# " + " ".join(origin.split())
 
 
 def _lines(settings: Mapping[str, Any]) -> list[str]:

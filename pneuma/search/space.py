@@ -61,7 +61,11 @@ class Parameter(Table):
         values = data.get("choices", ())
         if not isinstance(values, tuple) or len(values) == 1:
             raise wrong("choices: a list of two values or more", "choices")
-        return {**data, **ends, "choices": {_name(own): own for own in (read("choices", v) for v in values)}}
+        return {
+            **data,
+            **ends,
+            "choices": {_name(value): value for value in (read("choices", v) for v in values)},
+        }
 
     @model_validator(mode="after")
     def _check_range(self) -> Parameter:
@@ -70,8 +74,8 @@ class Parameter(Table):
         if self.low is None or self.high is None:
             raise wrong(f"{self.name} needs low and high, two numbers, or choices")
         if not self.low < self.high:
-            told = f"low = {shown(self.low)} is not below high = {shown(self.high)}: an empty range"
-            raise wrong(told, "low")
+            message = f"low = {shown(self.low)} is not below high = {shown(self.high)}: an empty range"
+            raise wrong(message, "low")
         if self.log and self.low <= 0:
             raise wrong(f"low = {shown(self.low)} is not allowed with log: above 0", "low")
         return self
@@ -79,9 +83,11 @@ class Parameter(Table):
     def __str__(self) -> str:
         """Describe its values, and when it applies."""
         ends = f"{self.low} to {self.high}" + (", logarithmic" if self.log else "")
-        told = "one of " + ", ".join(self.choices) if self.choices else ends
-        when = " and ".join(f"{name} is {' or '.join(map(str, own))}" for name, own in self.when.items())
-        return f"{told}, where {when}" if when else told
+        values = "one of " + ", ".join(self.choices) if self.choices else ends
+        when = " and ".join(
+            f"{name} is {' or '.join(map(str, allowed))}" for name, allowed in self.when.items()
+        )
+        return f"{values}, where {when}" if when else values
 
     @property
     def whole(self) -> bool:
@@ -104,7 +110,7 @@ class Parameter(Table):
     def param_of(self, value: Any) -> Any:
         """Return the name of a field's value in trials; None if it is not in the space."""
         if self.low is None or self.high is None:
-            return next((name for name, own in self.choices.items() if own == as_tuple(value)), None)
+            return next((name for name, choice in self.choices.items() if choice == as_tuple(value)), None)
         return value if value is not None and self.low <= value <= self.high else None
 
     def counts(self, known: Mapping[str, Any]) -> bool:
@@ -126,7 +132,10 @@ def named(tables: Any) -> Any:
     """Give each table its name as a field."""
     if not isinstance(tables, Mapping):
         return tables
-    return {name: {**own, "name": name} if isinstance(own, Mapping) else own for name, own in tables.items()}
+    return {
+        name: {**table, "name": name} if isinstance(table, Mapping) else table
+        for name, table in tables.items()
+    }
 
 
 def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
@@ -142,17 +151,17 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
             raise unknown_name(f"choice of {name}", _name(value), choices)
         return _name(value)
 
-    for name, own in space.items():
+    for name, parameter in space.items():
         try:
             when = {
                 key: tuple(
                     value_of(key, value) for value in (given if isinstance(given, tuple) else (given,))
                 )
-                for key, given in own.when.items()
+                for key, given in parameter.when.items()
             }
         except UserError as error:
             raise wrong(f"{name}.when: {error}", name) from None
-        read[name] = own.model_copy(update={"when": when})
+        read[name] = parameter.model_copy(update={"when": when})
     return read
 
 
@@ -192,7 +201,7 @@ class Space:
         """Return all values that each field may take, except those in ranges."""
         return {
             **{key: [value] for key, value in self.fixed.items()},
-            **{own.name: list(own.choices.values()) for own in self.parameters},
+            **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
         }
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
@@ -250,11 +259,11 @@ class Space:
             try:
                 yield params, self.make_run(params)
             except UserError as error:
-                told = ", ".join(f"{name} = {value}" for name, value in params.items())
-                raise UserError(f"{error}, with {told}") from None
+                trial = ", ".join(f"{name} = {value}" for name, value in params.items())
+                raise UserError(f"{error}, with {trial}") from None
 
     def _usual_fields(self, base: str) -> dict[str, Any]:
         """Return all fields that the base and the fixed fields set, not yet checked as a run."""
-        own = join_fields(base, self.fixed)
-        brought = ENVIRONMENT_FIELDS.get(own.get("env", ENVIRONMENTS[0]), {})
-        return {**as_fields(Run()), **brought, **read_fields(Run, own)}
+        fields = join_fields(base, self.fixed)
+        brought = ENVIRONMENT_FIELDS.get(fields.get("env", ENVIRONMENTS[0]), {})
+        return {**as_fields(Run()), **brought, **read_fields(Run, fields)}

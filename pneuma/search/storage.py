@@ -19,7 +19,7 @@ from pneuma.env_fields import read_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
-from pneuma.search.trials import Outcomes, Task, Told, Train, best_number, conduct
+from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
 from pneuma.study.execute import broken_environments
 from pneuma.study.files import names_in, read_sealed, seal, to_json
 from pneuma.study.identity import own_things
@@ -33,11 +33,11 @@ VERSIONS = ("optuna", "rules", "engines")
 
 
 @dataclass(frozen=True)
-class Searched:
+class RecordedSearch:
     """A recorded search: its file, its budget, and the trials that have ended."""
 
     task: Task
-    trials: tuple[Told, ...]
+    trials: tuple[EndedTrial, ...]
 
     @property
     def best(self) -> int | list[int] | None:
@@ -45,7 +45,7 @@ class Searched:
         return best_number(self.trials, self.task.search)
 
 
-def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
+def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTrial]]:
     """Search, training only runs that are not stored; yield all trials after each generation.
 
     Args:
@@ -66,12 +66,12 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[Told]]:
     with run_lock(store.root / "searches" / f".{search.name}") as mine:
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
-        told: list[Told] = []
-        save_record(store, task, told)
+        trials: list[EndedTrial] = []
+        save_record(store, task, trials)
         for generation in conduct(task, train, Outcomes(task, store)):
-            told += generation
-            save_record(store, task, told)
-            yield told
+            trials += generation
+            save_record(store, task, trials)
+            yield trials
 
 
 # --- The record ------------------------------------------------------------------------------------
@@ -82,15 +82,15 @@ def record_path(store: Store, name: str) -> Path:
     return store.root / "searches" / f"{name}.json"
 
 
-def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
+def save_record(store: Store, task: Task, trials: Sequence[EndedTrial]) -> None:
     """Write a search's record. While a stopped search is replayed, later trials of the record are kept."""
     path = record_path(store, task.search.name)
-    trials, asked = [trial_document(trial, task.search) for trial in told], task.budget.trials
+    documents, asked = [trial_document(trial, task.search) for trial in trials], task.budget.trials
     held = read_sealed(path)
     if held and held.get("digest") == task.digest:
         before = held["trials"]
-        if len(before) >= len(trials) and to_json(before[: len(trials)]) == to_json(trials):
-            trials, asked = before, max(asked, len(before))
+        if len(before) >= len(documents) and to_json(before[: len(documents)]) == to_json(documents):
+            documents, asked = before, max(asked, len(before))
     document = {
         "search": task.search.name,
         "file": task.search.file,
@@ -98,7 +98,7 @@ def save_record(store: Store, task: Task, told: Sequence[Told]) -> None:
         "digest": task.digest,
         "identity": task.identity,
         "trials_asked": asked,
-        "trials": trials,
+        "trials": documents,
     }
     store.write(path, seal(document))
 
@@ -124,7 +124,7 @@ def refuse_own_code(name: str, fields: Mapping[str, Sequence[Any]]) -> None:
             raise UserError(f"search {name} would {deed}: name its file, which must say so, if you trust it")
 
 
-def read_record(store: Store, name: str, world: str | None = None) -> Searched:
+def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
     """Return a recorded search.
 
     Args:
@@ -159,7 +159,7 @@ def _recorded_file(store: Store, name: str) -> str:
         file = (read_sealed(record_path(store, in_world(name, world))) or {}).get("file")
         if file and isinstance(file, str):
             return file
-    recorded = (Path(own).stem for own in names_in(store.root / "searches") if own.endswith(".json"))
+    recorded = (Path(file).stem for file in names_in(store.root / "searches") if file.endswith(".json"))
     raise unknown_name("search", name, [*list_searches(), *recorded, *files_called(name)])
 
 
@@ -173,18 +173,18 @@ def replaced_note(store: Store, task: Task) -> str:
     return f"the {trials} so far had other {changed}, and leave the record; their runs stay"
 
 
-def trial_document(told: Told, search: Search) -> dict[str, Any]:
+def trial_document(trial: EndedTrial, search: Search) -> dict[str, Any]:
     """Return a trial as JSON: `value` with one objective, `values` with several."""
-    values = list(told.values) if told.state != "failed" else None
+    values = list(trial.values) if trial.state != "failed" else None
     one = {"value": values[0] if values else None}
     return {
-        "number": told.number,
-        "params": dict(told.params),
+        "number": trial.number,
+        "params": dict(trial.params),
         **(one if len(search.objectives) == 1 else {"values": values}),
-        "state": told.state,
-        "run_ids": list(told.run_ids),
-        "rungs": {str(step): value if math.isfinite(value) else None for step, value in told.rungs.items()},
-        "note": told.note,
+        "state": trial.state,
+        "run_ids": list(trial.run_ids),
+        "rungs": {str(step): value if math.isfinite(value) else None for step, value in trial.rungs.items()},
+        "note": trial.note,
     }
 
 
@@ -194,7 +194,7 @@ def _changed(identity: object, task: Task) -> list[str]:
     return [key for key, value in json.loads(to_json(task.identity)).items() if held.get(key) != value]
 
 
-def _read(path: Path, name: str, file: str) -> Searched:
+def _read(path: Path, name: str, file: str) -> RecordedSearch:
     """Return a search from its record, which may be untrusted, and its file."""
     document = read_sealed(path) or {}
     try:
@@ -207,7 +207,9 @@ def _read(path: Path, name: str, file: str) -> Searched:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
-        searched = Searched(task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"])))
+        searched = RecordedSearch(
+            task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"]))
+        )
         ended_study(searched.trials, own)  # refuses parameters and values that the search cannot have had
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError(
@@ -216,14 +218,14 @@ def _read(path: Path, name: str, file: str) -> Searched:
     return searched
 
 
-def _read_trial(number: int, own: Mapping[str, Any]) -> Told:
-    values = own["values"] if "values" in own else [own["value"]]
-    return Told(
+def _read_trial(number: int, entry: Mapping[str, Any]) -> EndedTrial:
+    values = entry["values"] if "values" in entry else [entry["value"]]
+    return EndedTrial(
         number=number,
-        params=own["params"],
-        state=str(own["state"]),
+        params=entry["params"],
+        state=str(entry["state"]),
         values=tuple(float(value) for value in values or () if value is not None),
-        run_ids=tuple(map(str, own["run_ids"])),
-        rungs={int(k): math.nan if value is None else float(value) for k, value in own["rungs"].items()},
-        note=str(own["note"]),
+        run_ids=tuple(map(str, entry["run_ids"])),
+        rungs={int(k): math.nan if value is None else float(value) for k, value in entry["rungs"].items()},
+        note=str(entry["note"]),
     )

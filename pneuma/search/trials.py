@@ -81,7 +81,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Told:
+class EndedTrial:
     """A trial that has ended.
 
     Attributes:
@@ -104,7 +104,7 @@ class Told:
 
 
 @dataclass
-class _Asked:
+class _PendingTrial:
     """A trial that has not ended."""
 
     trial: optuna.Trial
@@ -157,7 +157,7 @@ class Outcomes:
         return outcome(data, data.runs[0], name)
 
 
-def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]]:
+def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
     Args:
@@ -174,7 +174,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Told]
     trained: list[Cell] = []
 
     for first in range(0, budget.trials, search.generation):
-        asked = [_Asked(*ask(study, search, first_trials)) for _ in range(search.generation)]
+        asked = [_PendingTrial(*ask(study, search, first_trials)) for _ in range(search.generation)]
         asked = asked[: budget.trials - first]
         for each in asked:
             try:
@@ -214,7 +214,9 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
 
 
-def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell], train: Train) -> None:
+def _train_rung(
+    task: Task, steps: int, asked: list[_PendingTrial], trained: list[Cell], train: Train
+) -> None:
     """Train all remaining trials for so many steps; `trained` receives their cells."""
     for each in asked:
         if each.run is None or each.pruned:
@@ -231,7 +233,9 @@ def _train_rung(task: Task, steps: int, asked: list[_Asked], trained: list[Cell]
         train(make_trial_plan(task, trained))
 
 
-def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outcomes: Outcomes) -> None:
+def _compare(
+    sought: Objective, rung: int, last: bool, asked: list[_PendingTrial], outcomes: Outcomes
+) -> None:
     """Report each trial's value at a rung, then stop those that the pruner names."""
     racing = [each for each in asked if each.run is not None and not each.pruned]
     for each in racing:
@@ -244,7 +248,9 @@ def _compare(sought: Objective, rung: int, last: bool, asked: list[_Asked], outc
             each.pruned = each.trial.should_prune()
 
 
-def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, outcomes: Outcomes) -> Told:
+def _tell(
+    study: optuna.Study, objectives: Sequence[Objective], asked: _PendingTrial, outcomes: Outcomes
+) -> EndedTrial:
     values = tuple(objective_value(own, asked.longest, outcomes) for own in objectives if asked.cells)
     sound = bool(values) and np.isfinite(values).all()
     state = "failed" if not sound else "pruned" if asked.pruned else "complete"
@@ -255,10 +261,10 @@ def _tell(study: optuna.Study, objectives: Sequence[Objective], asked: _Asked, o
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     run_ids = tuple(cell.run_id for cell in asked.cells)
     note = "; ".join(filter(None, notes))
-    return Told(asked.trial.number, asked.params, state, values, run_ids, asked.rungs, note)
+    return EndedTrial(asked.trial.number, asked.params, state, values, run_ids, asked.rungs, note)
 
 
-def best_number(told: Sequence[Told], search: Search) -> int | list[int] | None:
+def best_number(told: Sequence[EndedTrial], search: Search) -> int | list[int] | None:
     """Return the number of the best trial, the first of equals; with several objectives, the Pareto front.
 
     Raises:

@@ -116,7 +116,7 @@ class Study:
             raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
         if world == self.world:
             return self
-        set_by_itself = {*self.shared, *(key for own in self.conditions.values() for key in own)}
+        set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
         there = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
         if world == self.worlds[0]:
             return there
@@ -136,11 +136,11 @@ class Study:
         return str(self.path.resolve())
 
 
-def join_fields(base: str, own: Mapping[str, Any]) -> dict[str, Any]:
+def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Combine fields with a base and with the defaults of the environment that they choose."""
-    env = own.get("env")
+    env = fields.get("env")
     slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
-    return {**BASES[base], **slots, **own}
+    return {**BASES[base], **slots, **fields}
 
 
 def read_seeds(value: object) -> tuple[int, ...]:
@@ -157,7 +157,7 @@ def read_seeds(value: object) -> tuple[int, ...]:
     raise ValueError
 
 
-def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
+def modules_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields in which modules beside the study's file are replaced by their paths."""
 
     def found(name: str) -> str:
@@ -166,11 +166,11 @@ def modules_beside(path: Path, own: Mapping[str, Any]) -> dict[str, Any]:
         return f"{beside}{colon}{rest}" if beside.is_file() else name
 
     over: dict[str, Any] = {}
-    if own.get("env_module"):
-        over["env_module"] = found(own["env_module"])
-    if own.get("wrappers"):
-        over["wrappers"] = tuple(map(found, own["wrappers"]))
-    return {**own, **over}
+    if fields.get("env_module"):
+        over["env_module"] = found(fields["env_module"])
+    if fields.get("wrappers"):
+        over["wrappers"] = tuple(map(found, fields["wrappers"]))
+    return {**fields, **over}
 
 
 # --- Fields that do nothing ------------------------------------------------------------------------

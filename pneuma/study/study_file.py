@@ -63,15 +63,15 @@ def _named_values(factors: Any) -> Any:
         return factors
     named = {}
     for factor, values in factors.items():
-        told = f"{factor} = {shown(values)} is not allowed: "
+        refused = f"{factor} = {shown(values)} is not allowed: "
         if factor == CONDITION:
             raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
         if not isinstance(values, tuple | Mapping) or len(values) < 2:
-            raise wrong(f"{told}a list of two values or more, or a table of named ones", factor)
-        if isinstance(values, tuple) and any(own in values[:place] for place, own in enumerate(values)):
-            raise wrong(f"{told}a list of different values", factor)
+            raise wrong(f"{refused}a list of two values or more, or a table of named ones", factor)
+        if isinstance(values, tuple) and any(value in values[:place] for place, value in enumerate(values)):
+            raise wrong(f"{refused}a list of different values", factor)
         table = isinstance(values, Mapping)
-        named[factor] = values if table else {f"{factor}={short(own)}": {factor: own} for own in values}
+        named[factor] = values if table else {f"{factor}={short(value)}": {factor: value} for value in values}
     return named
 
 
@@ -131,12 +131,12 @@ def read_study(path: Path) -> Study:
     conditions, levels = _cross(file, factors) if said.factors else (said.conditions, {})
     if not conditions:
         raise file.mistake((), "a study needs at least one condition", "conditions")
-    first_with_it = (name for name, own in levels.items() if said.baseline in own.values())
+    first_with_it = (name for name, level_of in levels.items() if said.baseline in level_of.values())
     baseline = next(first_with_it, said.baseline) or next(iter(conditions))
     if baseline not in conditions:
         unknown = unknown_name("condition", baseline, conditions)
         raise file.mistake((), f"baseline: {unknown}", "baseline")
-    fixed = any("env" in own for own in conditions.values()) or is_gymnasium_id(said.run.get("env"))
+    fixed = any("env" in fields for fields in conditions.values()) or is_gymnasium_id(said.run.get("env"))
     usual = (TEXT,) if fixed else tuple(WORLDS)
     study = Study(
         name=path.stem,
@@ -148,8 +148,8 @@ def read_study(path: Path) -> Study:
         baseline=baseline,
         base=said.base,
         shared=modules_beside(path, said.run),
-        conditions={name: modules_beside(path, own) for name, own in conditions.items()},
-        presets={name: _preset(file, name, own, conditions) for name, own in said.presets.items()},
+        conditions={name: modules_beside(path, fields) for name, fields in conditions.items()},
+        presets={name: _preset(file, name, preset, conditions) for name, preset in said.presets.items()},
         keep_checkpoints=said.keep_checkpoints,
         levels=levels,
         worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
@@ -159,49 +159,49 @@ def read_study(path: Path) -> Study:
     return study
 
 
-def _preset(file: TomlFile, name: str, own: PresetTable, conditions: Collection[str]) -> Preset:
+def _preset(file: TomlFile, name: str, preset: PresetTable, conditions: Collection[str]) -> Preset:
     """Return the seeds and steps of every condition."""
-    for condition in own.conditions:
+    for condition in preset.conditions:
         if condition not in conditions:
             unknown = unknown_name("condition", condition, conditions)
             raise file.mistake(("presets", name, "conditions"), str(unknown), condition)
     amounts = {
-        condition: Preset(amount.seeds or own.seeds, amount.steps or own.steps)
-        for condition, amount in own.conditions.items()
+        condition: Preset(amount.seeds or preset.seeds, amount.steps or preset.steps)
+        for condition, amount in preset.conditions.items()
     }
-    return Preset(own.seeds, own.steps, amounts)
+    return Preset(preset.seeds, preset.steps, amounts)
 
 
 def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
     """Return the fields of each crossed condition, and its value of each factor."""
     count = math.prod(map(len, factors.values()))
     if count > MOST_CONDITIONS:
-        told = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
-        raise file.mistake((), told, "factors")
+        message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise file.mistake((), message, "factors")
     crossed: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, str]] = {}
     for names in product(*factors.values()):
-        own: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         for factor, name in zip(factors, names, strict=True):
-            if twice := own.keys() & factors[factor][name].keys():
-                told = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
-                raise file.mistake(("factors",), told, factor)
-            own |= factors[factor][name]
+            if twice := fields.keys() & factors[factor][name].keys():
+                message = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
+                raise file.mistake(("factors",), message, factor)
+            fields |= factors[factor][name]
         joined = ", ".join(names)
         if joined in crossed:
-            told = f"two combinations are both called {joined}; name their values otherwise"
-            raise file.mistake(("factors",), told)
-        crossed[joined], levels[joined] = own, dict(zip(factors, names, strict=True))
+            message = f"two combinations are both called {joined}; name their values otherwise"
+            raise file.mistake(("factors",), message)
+        crossed[joined], levels[joined] = fields, dict(zip(factors, names, strict=True))
     return crossed, levels
 
 
 def _check_runs(file: TomlFile, study: Study, shared: Mapping[str, Any]) -> None:
     """Refuse conditions that make no valid run, and fields that do nothing."""
     runs: list[Run] = []
-    for name, own in study.conditions.items():
+    for name, fields in study.conditions.items():
         try:
             runs.append(make_run(study.fields(name)))
-            for key in unread_fields(runs[-1:], own):
+            for key in unread_fields(runs[-1:], fields):
                 raise UserError(does_nothing(key, runs[-1:]))
         except UserError as error:
             raise _mistake_in(file, study, name, str(error)) from None

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.trials import Outcomes, Task, Told, conduct
+from pneuma.search.trials import EndedTrial, Outcomes, Task, conduct
 from pneuma.study.plan import Cell, Plan
 
 SPACE = """
@@ -66,7 +66,7 @@ class Formula(Outcomes):
         return self._diverged
 
 
-def solve(task: Task, plans: list[Plan] | None = None, outcomes: Formula | None = None) -> list[Told]:
+def solve(task: Task, plans: list[Plan] | None = None, outcomes: Formula | None = None) -> list[EndedTrial]:
     """Conduct a task on the formula and return its trials; `plans` gets what would be trained."""
     train = (lambda plan: None) if plans is None else plans.append
     return [told for generation in conduct(task, train, outcomes or Formula()) for told in generation]

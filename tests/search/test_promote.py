@@ -11,7 +11,7 @@ from pneuma.errors import UserError
 from pneuma.search import promote
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.spec import Budget, list_searches, load_search
-from pneuma.search.storage import Searched
+from pneuma.search.storage import RecordedSearch
 from pneuma.search.trials import Task
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
@@ -37,8 +37,8 @@ TUNED_ALIKE = {
 }
 
 
-def searched(task: Task) -> Searched:
-    return Searched(task, tuple(solve(task)))
+def searched(task: Task) -> RecordedSearch:
+    return RecordedSearch(task, tuple(solve(task)))
 
 
 def plan(winners: list[Winner], folder: Path, seeds: tuple[int, ...] = (1000, 1001)) -> Plan:
@@ -52,7 +52,7 @@ def ids(planned: Plan, condition: str) -> tuple[str, ...]:
 
 
 @pytest.fixture
-def alike(make_task: MakeTask) -> list[Searched]:
+def alike(make_task: MakeTask) -> list[RecordedSearch]:
     """Return two searches that were tuned alike: of Adam, and of SGD with another horizon."""
     tasks = {name: make_task(8, more=fixed) for name, fixed in TUNED_ALIKE.items()}
     return [searched(replace(own, search=replace(own.search, name=name))) for name, own in tasks.items()]
@@ -77,7 +77,7 @@ def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, world: str, 
 
 
 def test_winners_stand_beside_what_each_was_tuned_from(
-    alike: list[Searched], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    alike: list[RecordedSearch], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     winners = find_winners(alike, None, (0, 1))
     planned = plan(winners, tmp_path)
@@ -93,7 +93,9 @@ def test_winners_stand_beside_what_each_was_tuned_from(
         assert found.luck == pytest.approx(own.trial.values[0] - 0.5)
 
 
-def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(alike: list[Searched]) -> None:
+def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(
+    alike: list[RecordedSearch],
+) -> None:
     (best,) = find_winners(alike[:1], None, (0,))
     assert best.trial.values[0] == max(trial.values[0] for trial in alike[0].trials)
     assert find_winners(alike[:1], 3, (0,))[0].trial.number == 3

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.figures.search import NEEDS, draw_search
-from pneuma.search.storage import Searched
+from pneuma.search.storage import RecordedSearch
 
 from .conftest import MakeTask, solve
 
@@ -23,7 +23,7 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
 ) -> None:
     """Of two objectives, a choice, and a parameter that some trials lack."""
     task = make_task(12, more=MORE, second=SECOND)
-    searched = Searched(task, tuple(solve(task)))
+    searched = RecordedSearch(task, tuple(solve(task)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         drawn = [draw_search(searched, tmp_path / name, (ending,)) for name in ("one", "two")]

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search.storage import Searched, read_record, save_record
-from pneuma.search.trials import Task, Told
+from pneuma.search.storage import RecordedSearch, read_record, save_record
+from pneuma.search.trials import EndedTrial, Task
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, solve
@@ -22,7 +22,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def save(store: Store, task: Task, told: list[Told]) -> Searched:
+def save(store: Store, task: Task, told: list[EndedTrial]) -> RecordedSearch:
     save_record(store, task, told)
     return read_record(store, "formula")
 
@@ -32,7 +32,7 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
     task = make_task(8, more='[pruner]\nname = "median"\n' + when, start='start = ["table-6-1"]')
     over = {"betas": (0.9, 0.95)}
     task = replace(task, search=task.search.with_settings(over), over=over)
-    assert save(store, task, solve(task)) == Searched(task, tuple(solve(task)))
+    assert save(store, task, solve(task)) == RecordedSearch(task, tuple(solve(task)))
     make_task(8)  # writes the file anew
     with pytest.raises(UserError, match="the search had other .*space.* than its file has now"):
         read_record(store, "formula")

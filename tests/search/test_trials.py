@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pneuma.search.spec import Budget
-from pneuma.search.trials import Told, best_number, over_seeds, rung_steps
+from pneuma.search.trials import EndedTrial, best_number, over_seeds, rung_steps
 from pneuma.study.plan import Cell, Plan
 
 from .conftest import Formula, MakeTask, height, solve
@@ -93,12 +93,12 @@ def test_median_gives_up_what_is_below_the_median_at_its_rung(make_task: MakeTas
 def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
     search = make_task().search
     states = [("complete", 0.2), ("pruned", 0.9), ("complete", 0.4), ("complete", 0.4)]
-    told = [Told(n, {}, state, (own,), (), {}) for n, (state, own) in enumerate(states)]
+    told = [EndedTrial(n, {}, state, (own,), (), {}) for n, (state, own) in enumerate(states)]
     assert best_number(told, search) == 2  # the first of equals
     assert best_number([], search) is None
     front = make_task(second='[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"').search
     values = [(0.5, 0.2), (0.6, 0.3), (0.4, 0.3), (0.6, 0.1), (0.1, 0.05)]
-    told = [Told(n, {}, "complete", own, (), {}) for n, own in enumerate(values)]
+    told = [EndedTrial(n, {}, "complete", own, (), {}) for n, own in enumerate(values)]
     assert best_number(told, front) == [3, 4]
 
 
