@@ -41,12 +41,12 @@ WORLDS = {
 }
 
 
-def world_fields(world: str, own: Collection[str]) -> dict[str, Any]:
+def world_fields(world: str, set_by_study: Collection[str]) -> dict[str, Any]:
     """Return the fields that a world sets, except those that the study or search sets itself."""
     if world == TEXT:
         return {}
     row = WORLDS[world]
-    return {"env": row.env, **{key: value for key, value in row.overrides.items() if key not in own}}
+    return {"env": row.env, **{key: value for key, value in row.overrides.items() if key not in set_by_study}}
 
 
 def check_world(world: str | None) -> None:
@@ -78,10 +78,10 @@ def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
     Raises:
         UserError: where they stand for two worlds.
     """
-    own, told = split_world(name)
-    if told != TEXT and world not in (None, told):
-        raise UserError(f"--world {world}: the name {name} stands for the world {told}")
-    return own, world or (None if told == TEXT else told)
+    study, named = split_world(name)
+    if named != TEXT and world not in (None, named):
+        raise UserError(f"--world {world}: the name {name} stands for the world {named}")
+    return study, world or (None if named == TEXT else named)
 
 
 def world_option(world: str) -> list[str]:

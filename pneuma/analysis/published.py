@@ -158,8 +158,8 @@ class PublishedTable:
         runs = [
             {"condition": c, "seed": s, "run_id": i, "run": parse_json(run or "")} for c, s, i, run in cells
         ]
-        told = {key: own for key, own in self.head.items() if key in OF_RECORD}
-        return {**told, "source": "published", "path": None, "runs": runs}
+        head = {key: value for key, value in self.head.items() if key in OF_RECORD}
+        return {**head, "source": "published", "path": None, "runs": runs}
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ class PublishedTable:
     @cached_property
     def finished(self) -> frozenset[str]:
         """The ids of finished runs."""
-        return frozenset(run_id for run_id, own in self.runs.items() if own.status.finished)
+        return frozenset(run_id for run_id, records in self.runs.items() if records.status.finished)
 
 
 class PublishedRecords(Records):
@@ -220,9 +220,9 @@ class PublishedRecords(Records):
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return a curve, (points,); on another grid than the table's, the last value before each point."""
-        kept, own = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
-        held = np.concatenate([[np.nan], kept])[np.searchsorted(own, grid, side="right")]
-        return np.where(grid <= own[-1], held, np.nan)
+        kept, steps = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
+        held = np.concatenate([[np.nan], kept])[np.searchsorted(steps, grid, side="right")]
+        return np.where(grid <= steps[-1], held, np.nan)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each previous point, (points,)."""
@@ -245,8 +245,8 @@ class PublishedRecords(Records):
     @property
     def times(self) -> Mapping[str, Any]:
         """The run's entry in the file of times; empty if it is not valid."""
-        own = self._table.times.get(self.run_id)
-        return own if isinstance(own, dict) and told_seconds(own) is not None else {}
+        entry = self._table.times.get(self.run_id)
+        return entry if isinstance(entry, dict) and told_seconds(entry) is not None else {}
 
 
 def _check(table: PublishedTable) -> None:
@@ -275,8 +275,8 @@ def _check(table: PublishedTable) -> None:
             sound = {*pc.list_value_length(rows[name]).to_pylist()} <= {GRID_POINTS}
         if not sound:
             raise ValueError(f"column {name} makes no sense")
-    for told, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
-        parse_json(told)
+    for provenance, signs in zip(rows["provenance"].to_pylist(), rows[SIGNS].to_pylist(), strict=True):
+        parse_json(provenance)
         unpack_signs(signs)
 
 
@@ -286,8 +286,8 @@ def _check(table: PublishedTable) -> None:
 def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
     """Return where signs hold as JSON: a unit of steps, and for each sign gaps and lengths in turn."""
     ends = {sign: [int(end) for stretch in parts for end in stretch] for sign, parts in signs.items()}
-    unit = math.gcd(*(end for own in ends.values() for end in own)) or 1
-    packed = {sign: np.diff(np.array([0, *own]) // unit).tolist() for sign, own in ends.items()}
+    unit = math.gcd(*(end for sign_ends in ends.values() for end in sign_ends)) or 1
+    packed = {sign: np.diff(np.array([0, *sign_ends]) // unit).tolist() for sign, sign_ends in ends.items()}
     return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 
 

@@ -142,7 +142,9 @@ class Records:
         if "action_0" in columns and np.isnan(columns["action_0"][1]).all():
             columns.pop("entropy", None)  # of actions that are numbers it may be of any size
         steps = [step for step, _ in columns.values()]
-        return update_signs(steps[0], {name: own for name, (_, own) in columns.items()}) if steps else {}
+        return (
+            update_signs(steps[0], {name: series for name, (_, series) in columns.items()}) if steps else {}
+        )
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was stored; None if it must be measured from the records."""
@@ -199,16 +201,18 @@ class LoggedRecords(Records):
         scalars = self._scalars.drop_duplicates(["step", "name"], keep="last")
         scalars = scalars[~scalars["name"].str.startswith(WALL_CLOCK)]
         frame = scalars.pivot(index="step", columns="name", values="value")
-        known = [own for own in _TAGS if own in frame]
-        frame = frame[[*known, *sorted(str(own) for own in frame if own not in known)]]
+        known = [name for name in _TAGS if name in frame]
+        frame = frame[[*known, *sorted(str(name) for name in frame if name not in known)]]
         frame.columns.name = None
-        return frame.rename(columns={own: own + AVERAGED for own in EPISODE_QUANTITIES}).reset_index()
+        return frame.rename(
+            columns={column: column + AVERAGED for column in EPISODE_QUANTITIES}
+        ).reset_index()
 
     def series(self, quantity: str) -> Series:
         """Return all points of a quantity in the order of writing."""
         scalars = self._scalars
-        own = scalars[scalars["name"] == quantity]
-        return own["step"].to_numpy(float), own["value"].to_numpy(float)
+        points = scalars[scalars["name"] == quantity]
+        return points["step"].to_numpy(float), points["value"].to_numpy(float)
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return the last logged value at each point of the grid, (points,), in single precision.
@@ -227,8 +231,8 @@ class LoggedRecords(Records):
         scalars = scalars[~scalars["superseded"].astype(bool)]
         values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
         for tag in ONE_EPISODE:
-            own = scalars["tag"] == tag
-            values[own] = values[own].rolling(TRAILING_EPISODES, 1).mean()
+            rows = scalars["tag"] == tag
+            values[rows] = values[rows].rolling(TRAILING_EPISODES, 1).mean()
         plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
         names = {tag: name for name, tags in _TAGS.items() for tag in tags}
         return scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)

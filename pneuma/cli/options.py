@@ -28,25 +28,25 @@ from pneuma.worlds import TEXT, WORLDS
 def option(
     name: str,
     metavar: str,
-    told: str,
+    help_text: str,
     read: Callable[[str], Any] | None = None,
     offer: complete.Complete | None = None,
 ) -> Any:
     """Return an option; `read` converts its text, and `offer` completes it."""
-    return typer.Option(name, metavar=metavar, help=told, parser=read, autocompletion=offer)
+    return typer.Option(name, metavar=metavar, help=help_text, parser=read, autocompletion=offer)
 
 
-def argument(metavar: str, told: str, offer: complete.Complete | None = None) -> Any:
+def argument(metavar: str, help_text: str, offer: complete.Complete | None = None) -> Any:
     """Return an argument; `offer` completes it."""
-    return typer.Argument(metavar=metavar, help=told, autocompletion=offer, show_default=False)
+    return typer.Argument(metavar=metavar, help=help_text, autocompletion=offer, show_default=False)
 
 
-def flag(name: str, told: str) -> Any:
+def flag(name: str, help_text: str) -> Any:
     """Return a flag."""
-    return typer.Option(name, help=told)
+    return typer.Option(name, help=help_text)
 
 
-def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> Any:
+def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "") -> Any:
     """Return an option with a fixed set of values."""
     names = tuple(allowed)
 
@@ -55,10 +55,10 @@ def choice(name: str, allowed: Iterable[str], told: str, metavar: str = "") -> A
             raise UserError(f"{name} {text}: {unknown_name('value', text, names)}")
         return text
 
-    return option(name, metavar or "|".join(names), told, read, complete.offering(lambda typed: names))
+    return option(name, metavar or "|".join(names), help_text, read, complete.offering(lambda typed: names))
 
 
-def count(name: str, told: str) -> Any:
+def count(name: str, help_text: str) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
     def read(text: str) -> int:
@@ -70,10 +70,10 @@ def count(name: str, told: str) -> Any:
             raise UserError(f"{name} {text}: must be a whole number of at least 1, as in 1e5")
         return int(number)
 
-    return option(name, "N", told, read)
+    return option(name, "N", help_text, read)
 
 
-def seeds(name: str, told: str, first: int = 0) -> Any:
+def seeds(name: str, help_text: str, first: int = 0) -> Any:
     """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
 
     def read(text: str) -> tuple[int, ...]:
@@ -85,7 +85,7 @@ def seeds(name: str, told: str, first: int = 0) -> Any:
         except (ValueError, IndexError):
             raise UserError(f"{name} {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
 
-    return option(name, "N|LIST", told, read)
+    return option(name, "N|LIST", help_text, read)
 
 
 def _span(text: str) -> range:
@@ -261,9 +261,13 @@ def _place(
     detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False,
 ) -> Supervision:
     """Read the options that say where runs train."""
-    for name, given, own in (("address", address, RAY), ("slurm", slurm, SLURM), ("detach", detach, SLURM)):
-        if given and executor != own:
-            raise UserError(f"--{name}: goes with --executor {own}")
+    for name, given, executor_of_option in (
+        ("address", address, RAY),
+        ("slurm", slurm, SLURM),
+        ("detach", detach, SLURM),
+    ):
+        if given and executor != executor_of_option:
+            raise UserError(f"--{name}: goes with --executor {executor_of_option}")
     asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
     return Supervision(executor=executor, address=address, slurm=asked, detach=detach)
 
@@ -287,12 +291,16 @@ def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
     @functools.wraps(command)
     def run(**given: Any) -> Answer:
         for name, options in added.items():
-            given[name] = _GROUPS[name](**{own.name: given.pop(own.name) for own in options})
+            given[name] = _GROUPS[name](
+                **{parameter.name: given.pop(parameter.name) for parameter in options}
+            )
         return command(**given)
 
-    parameters = [own for one in signature.parameters.values() for own in added.get(one.name, [one])]
+    parameters = [
+        parameter for one in signature.parameters.values() for parameter in added.get(one.name, [one])
+    ]
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {own.name: own.annotation for own in parameters}
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
 
 

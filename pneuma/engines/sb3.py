@@ -104,10 +104,10 @@ class Sb3Trainer:
         """Let the learner collect and train."""
         model, run = self._model, self.run
         if self._visited:
-            told = learn_by_values(model, run, self._visited)
+            metrics = learn_by_values(model, run, self._visited)
         else:
-            told = learn(model, run, self._policy, self._callback)
-        records.metrics.append({"step": after, **told, **self._norms.take()})
+            metrics = learn(model, run, self._policy, self._callback)
+        records.metrics.append({"step": after, **metrics, **self._norms.take()})
         records.episodes.extend(finished_episodes(model.env))
         if not is_finite(records.metrics[-1], model):
             return False
@@ -205,7 +205,11 @@ class GradientNorms:
     """
 
     def __init__(self, model: Learner, run: Run) -> None:
-        named = [(name, own) for name, own in model.policy.named_parameters() if "q_net_target" not in name]
+        named = [
+            (name, parameter)
+            for name, parameter in model.policy.named_parameters()
+            if "q_net_target" not in name
+        ]
         self._parameters = [parameter for _, parameter in named]
         self._is_actor = torch.tensor(["policy_net" in name or "action_net" in name for name, _ in named])
         self._in_parts = run.algorithm not in VALUE_BASED
@@ -236,7 +240,9 @@ class GradientNorms:
         if self._limit is None:
             return
         for actor in (True, False):
-            part = [p for p, own in zip(self._parameters, self._is_actor, strict=True) if own == actor]
+            part = [
+                p for p, is_actor in zip(self._parameters, self._is_actor, strict=True) if is_actor == actor
+            ]
             nn.utils.clip_grad_norm_(part, self._limit)
 
     def take(self) -> dict[str, float]:
@@ -250,8 +256,8 @@ class GradientNorms:
         self._norms.clear()
         actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
         parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
-        told = {name: float(square.sqrt().mean()) for name, square in parts.items()}
-        return told if self._in_parts else {**dict.fromkeys(NORMS, NAN), "grad_norm": told["grad_norm"]}
+        norms = {name: float(square.sqrt().mean()) for name, square in parts.items()}
+        return norms if self._in_parts else {**dict.fromkeys(NORMS, NAN), "grad_norm": norms["grad_norm"]}
 
 
 # --- Rollouts --------------------------------------------------------------------------------------
@@ -278,10 +284,10 @@ class Visited(BaseCallback):
 def logged_losses(model: Learner, run: Run) -> dict[str, float]:
     """Return what a learner logged in its last training; NaN for what it does not log."""
     log = model.logger.name_to_value
-    told = LOGGED[run.algorithm].items()
+    logged = LOGGED[run.algorithm].items()
     return {
         **dict.fromkeys(LOSSES, NAN),
-        **{name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in told},
+        **{name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in logged},
     }
 
 
@@ -300,8 +306,8 @@ def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     """
     buffer = model.rollout_buffer
     observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
-    told = visited_metrics(run, policy, observations, buffer.actions)
-    return {**told, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else told
+    metrics = visited_metrics(run, policy, observations, buffer.actions)
+    return {**metrics, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else metrics
 
 
 def finished_episodes(env: VecEnv | None) -> list[dict[str, Any]]:

@@ -55,8 +55,9 @@ class _Body(Table):
     @model_validator(mode="after")
     def _position_inside(self) -> _Body:
         if any(abs(at) >= side / 2 for at, side in zip(self.body_at, self.body, strict=True)):
-            told = f"body_at = {list(self.body_at)} with body = {list(self.body)} is not allowed"
-            raise wrong(f"{told}: the position must lie inside the body")  # which may be at the grid's edge
+            message = f"body_at = {list(self.body_at)} with body = {list(self.body)} is not allowed"
+            # The body may be at the grid's edge, where the position must not be outside.
+            raise wrong(f"{message}: the position must lie inside the body")
         return self
 
 
@@ -81,10 +82,10 @@ class Reach(Table):
     def places(self) -> list[tuple[float, ...]]:
         """Return x and y relative to the player, by facing."""
         ways = ((0, 1), (-1, 0), (0, -1), (1, 0))
-        own = [getattr(self, facing) for facing in FACINGS]
+        reaches = [getattr(self, facing) for facing in FACINGS]
         return [
             each if isinstance(each, tuple) else (each * x, each * y)
-            for each, (x, y) in zip(own, ways, strict=True)
+            for each, (x, y) in zip(reaches, ways, strict=True)
         ]
 
 
@@ -161,8 +162,8 @@ class Characters(Table):
         codes = {START_CODE: "a start place"}
         for name, monster in self.monsters.items():
             if monster.code in codes:
-                told = f"code = {monster.code} already stands for {codes[monster.code]}"
-                raise wrong(f"[monsters.{name}] {told}")
+                message = f"code = {monster.code} already stands for {codes[monster.code]}"
+                raise wrong(f"[monsters.{name}] {message}")
             codes[monster.code] = name
         return self
 
@@ -178,16 +179,16 @@ def load_characters(name: str = "") -> Characters:
     """
     file = read_toml(DATA / "characters.toml")
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
-        own = read_toml(path)
-        file = TomlFile(path, own.text, _laid_over(file.data, own.data))
+        users = read_toml(path)
+        file = TomlFile(path, users.text, _laid_over(file.data, users.data))
     return read_model(Characters, file)
 
 
-def _laid_over(data: Any, own: Any, depth: int = 2) -> Any:
+def _laid_over(data: Any, over: Any, depth: int = 2) -> Any:
     """Return tables in which a file's keys replace those of the shipped ones, key by key."""
-    if depth < 0 or not isinstance(own, dict) or not isinstance(data, dict):
-        return own
-    return {**data, **{key: _laid_over(data.get(key, {}), value, depth - 1) for key, value in own.items()}}
+    if depth < 0 or not isinstance(over, dict) or not isinstance(data, dict):
+        return over
+    return {**data, **{key: _laid_over(data.get(key, {}), value, depth - 1) for key, value in over.items()}}
 
 
 def character_files(name: str) -> list[Path]:
@@ -243,7 +244,7 @@ def margin(players: np.ndarray, monsters: np.ndarray) -> float:
     walks = np.maximum(players["speed"], players["dash_speed"])
     flies = np.maximum(monsters["knock_speed"], players["knock_speed"].max())
     both = (players, walks), (monsters, np.maximum(monsters["speed"], flies))
-    reach = (np.maximum(own["half_width"], own["half_height"]) + speed for own, speed in both)
+    reach = (np.maximum(stats["half_width"], stats["half_height"]) + speed for stats, speed in both)
     return float(max(each.max(initial=0.0) for each in reach))
 
 

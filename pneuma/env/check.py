@@ -123,11 +123,11 @@ def _play(env: Any) -> list[bytes]:
     """Return everything that a random player observes in some steps from a seed."""
     seen: list[bytes] = [np.asarray(env.reset(seed=1)[0]).tobytes()]
     for action in np.random.default_rng(1).integers(env.action_space.n, size=STEPS):
-        *told, _ = env.step(action)
-        if isinstance(env, PneumaMOEnv) and not env.reward_space.contains(told[1]):
-            raise UserError(f"the vector reward {told[1]} is outside {env.reward_space}")
-        seen += [np.asarray(each).tobytes() for each in told]
-        if told[2] or told[3]:
+        *results, _ = env.step(action)
+        if isinstance(env, PneumaMOEnv) and not env.reward_space.contains(results[1]):
+            raise UserError(f"the vector reward {results[1]} is outside {env.reward_space}")
+        seen += [np.asarray(each).tobytes() for each in results]
+        if results[2] or results[3]:
             seen.append(np.asarray(env.reset()[0]).tobytes())
     env.close()
     return seen

@@ -98,8 +98,8 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                     raise UserError(f"port {port}: what listens there sent no message: a trainer?") from None
                 return steps
             except (KeyError, TypeError, ValueError) as error:
-                told = f"{type(error).__name__}: {error}"
-                raise UserError(f"port {port}: the trainer sent what is no message: {told}") from None
+                reason = f"{type(error).__name__}: {error}"
+                raise UserError(f"port {port}: the trainer sent what is no message: {reason}") from None
             kind = message.get("type")
             connection.settimeout(None)  # it may learn for long
             if kind == "close":
@@ -114,7 +114,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                 seeds = [None] * agents
                 send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first], "seed": asked})
             elif kind == "action":
-                rows = [_step(env, own) for env, own in zip(envs, actions, strict=True)]
+                rows = [_step(env, action) for env, action in zip(envs, actions, strict=True)]
                 send(connection, {"type": "step", **{key: [row[key] for row in rows] for key in rows[0]}})
                 steps += agents
             elif kind != "handshake":
@@ -167,9 +167,13 @@ def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) ->
         KeyError, TypeError, ValueError: for what is none.
     """
     space = envs[0].action_space
-    told = [np.array(own["action"], space.dtype) for _, own in zip(envs, message["action"], strict=True)]
-    actions = [own.reshape(space.shape) if isinstance(space, spaces.Box) else own.item() for own in told]
-    if isinstance(space, spaces.Discrete) and not all(space.contains(own) for own in actions):
+    sent = [
+        np.array(action["action"], space.dtype) for _, action in zip(envs, message["action"], strict=True)
+    ]
+    actions = [
+        action.reshape(space.shape) if isinstance(space, spaces.Box) else action.item() for action in sent
+    ]
+    if isinstance(space, spaces.Discrete) and not all(space.contains(action) for action in actions):
         raise ValueError(f"{actions} for actions in {space}")
     return actions
 
@@ -177,13 +181,13 @@ def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) ->
 def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
     """Step one copy, and reset it if its episode ends."""
     obs, reward, terminated, truncated, info = env.step(action)
-    told: dict[str, Any] = {
+    sent: dict[str, Any] = {
         key: value for key, value in info.items() if isinstance(value, bool | int | float)
     }
     if done := bool(terminated or truncated):
-        told |= {"truncated": bool(truncated and not terminated), "final_observation": _observed(obs)["obs"]}
+        sent |= {"truncated": bool(truncated and not terminated), "final_observation": _observed(obs)["obs"]}
         obs, _ = env.reset()
-    return {"obs": _observed(obs), "reward": float(reward), "done": done, "info": told}
+    return {"obs": _observed(obs), "reward": float(reward), "done": done, "info": sent}
 
 
 def _observed(obs: Any) -> dict[str, list[float]]:
@@ -270,8 +274,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 raise UserError(f"port {self._port or PORT}: {error.strerror}; name another") from None
             listening.listen(1)
             if self._path:
-                own = {"port": listening.getsockname()[1], "env_seed": seed}
-                words = [f"--{key}={value}" for key, value in (own | self._arguments).items()]
+                arguments = {"port": listening.getsockname()[1], "env_seed": seed, **self._arguments}
+                words = [f"--{key}={value}" for key, value in arguments.items()]
                 command = [str(Path(self._path).resolve()), *words, "--disable-render-loop", "--headless"]
                 try:
                     self._process = subprocess.Popen(
@@ -289,8 +293,10 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         listening.settimeout(0.1)
         for tenths in range(START_SECONDS * 10):
             if tenths == SILENT_SECONDS * 10:
-                told = f"has not connected to port {listening.getsockname()[1]} yet: is its Sync node there?"
-                print(f"{self._name}: {told} Waiting for {START_SECONDS} s.", file=sys.stderr)
+                message = (
+                    f"has not connected to port {listening.getsockname()[1]} yet: is its Sync node there?"
+                )
+                print(f"{self._name}: {message} Waiting for {START_SECONDS} s.", file=sys.stderr)
             try:
                 return listening.accept()[0]
             except TimeoutError:
@@ -334,11 +340,11 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._stop()
         raise UserError(f"{self._name}: {problem}")
 
-    def _set_spaces(self, told: Mapping[str, Any]) -> None:
+    def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
         try:
-            agents = int(told["n_agents"])
-            ((action, acts),) = _first(told["action_space"]).items()
-            ((key, seen),) = _first(told["observation_space"]).items()
+            agents = int(env_info["n_agents"])
+            ((action, acts),) = _first(env_info["action_space"]).items()
+            ((key, seen),) = _first(env_info["observation_space"]).items()
             size, shape = int(acts["size"]), tuple(map(int, seen["size"]))
         except (KeyError, TypeError, ValueError, AttributeError):
             agents, acts, seen, shape, key = 0, {}, {}, (), ""
@@ -347,7 +353,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             self._stop()
             raise UserError(
                 f"{self._name}: must have one agent with one action and flat observations named 'obs'; "
-                f"it has {json.dumps({name: told.get(name) for name in _SPACES})}"
+                f"it has {json.dumps({name: env_info.get(name) for name in _SPACES})}"
             )
         self._action = action
         self.observation_space = spaces.Box(-np.inf, np.inf, shape, np.float32)
@@ -364,6 +370,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
 _SPACES = ("n_agents", "action_space", "observation_space")
 
 
-def _first(told: Any) -> Any:
+def _first(sent: Any) -> Any:
     """Return the first agent's space; games with an older plugin send one for all agents."""
-    return told[0] if isinstance(told, list) else told
+    return sent[0] if isinstance(sent, list) else sent

@@ -131,25 +131,25 @@ def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) 
 
 def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
     """Return the notes in the caption, the most important first."""
-    told = panels.notes_of(data)
+    notes = panels.notes_of(data)
     if blind := shares["unknown"].sum():
-        told.append(f"Left out: {blind} runs without records that a collapse shows in.")
+        notes.append(f"Left out: {blind} runs without records that a collapse shows in.")
     unseen = {run.condition for run in data.runs if NO_ENTROPY not in run.records.signs()}
     if unseen:
         named = ", ".join(name for name in data.conditions if name in unseen)
-        told.append(f"Of {named} no entropy is recorded, and only a fall is seen.")
+        notes.append(f"Of {named} no entropy is recorded, and only a fall is seen.")
     if any(run.begun for run in data.runs):
-        told.append("Of a fork its parent's best is not known: a fall from that is not seen.")
+        notes.append("Of a fork its parent's best is not known: a fall from that is not seen.")
     if common_step(data):
-        told.append("Budgets are unlike: each run is looked at over its own.")
+        notes.append("Budgets are unlike: each run is looked at over its own.")
     endless = any(run.fields.get("xp_scope") != "episode" for run in data.runs)
     sunk = " or at a return below zero after one above," if endless else ""
-    told.append(
+    notes.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
         f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {100 * FALLEN_TO:g} % of "
         f"its best at most and {100 * DEPTH:g} points below it."
     )
-    told.append("Bars: 95 % intervals (Clopper and Pearson); hollow: recovered by the end.")
+    notes.append("Bars: 95 % intervals (Clopper and Pearson); hollow: recovered by the end.")
     if left_out:
-        told.append(f"In {left_out} other conditions no run collapsed.")
-    return told
+        notes.append(f"In {left_out} other conditions no run collapsed.")
+    return notes

@@ -185,7 +185,10 @@ def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str)
     names, parts = style.short_names([curve.condition for curve in group])
     width = style.characters(0.83 * style.TYPE_POINTS, 0.9 * style.WIDTH / columns)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    looks = {own: {**look, "marker": ""} for own, look in style.condition_looks(data.conditions).items()}
+    looks = {
+        condition: {**look, "marker": ""}
+        for condition, look in style.condition_looks(data.conditions).items()
+    }
     behind: Any = {"color": OTHERS_COLOUR, "linewidth": 0.08 * style.TYPE_POINTS, "zorder": 1.1}
     title_lines = 1
     for place, (axes, curve) in enumerate(zip(grid, group, strict=False)):
@@ -325,26 +328,26 @@ def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]
 
 def _meaning(drawn: Sequence[Curve], band: str) -> str:
     """Return the legend's words for lines and bands."""
-    told = ["Mean over n runs"]
+    meanings = ["Mean over n runs"]
     if any(_shows_band(curve, band) for curve in drawn):
-        told.append(f"band: {BANDS[band].label}")
+        meanings.append(f"band: {BANDS[band].label}")
     if any(_shows_runs(curve, band) for curve in drawn):
-        told.append("thin lines: runs")
-    return "; ".join(told)
+        meanings.append("thin lines: runs")
+    return "; ".join(meanings)
 
 
 def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
     """Return the notes in the caption, the most important first."""
-    told = []
+    notes = []
     for name, group in curves.items():
         for curve in group:
             if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
                 of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
-                told.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
+                notes.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
     if any(curve.stops for group in curves.values() for curve in group):
-        told.append("×: a run diverged, and its curve ends there.")
+        notes.append("×: a run diverged, and its curve ends there.")
     if step := common_step(data):
-        told.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
+        notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
     averaged, of_budget = [], "of the last 5 % of the budget"
     if data.averaged_over and {*curves} & {*EPISODE_QUANTITIES}:
         averaged.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
@@ -354,7 +357,7 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
     if {*curves} & {*UPDATE_QUANTITIES}:
         averaged.append(f"the updates {of_budget}")
     if averaged:
-        told.append(f"Training curves average {', or '.join(averaged)}.")
+        notes.append(f"Training curves average {', or '.join(averaged)}.")
     if any(QUANTITIES[name].log for name in curves):
-        told.append("On logarithmic axes means and bands are of logarithms.")
-    return told
+        notes.append("On logarithmic axes means and bands are of logarithms.")
+    return notes

@@ -45,12 +45,12 @@ def stem_of(data: StudyData, *parts: str) -> str:
 
 def title_of(data: StudyData) -> str:
     """Return a study's title, with a variant's changed fields and the world."""
-    own, changed = data.record["title"], data.title.removeprefix(data.record["title"])
-    told = own.removesuffix(f" ({data.world})") + changed
+    title, changed = data.record["title"], data.title.removeprefix(data.record["title"])
+    whole = title.removesuffix(f" ({data.world})") + changed
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
     read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
     titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]
-    return f"{told} in {titles[0]}" if titles and read <= shipped else told
+    return f"{whole} in {titles[0]}" if titles and read <= shipped else whole
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
@@ -63,24 +63,24 @@ def headline_of(data: StudyData, shown: str = "") -> str:
     counterpart = re.match(r"fig-(\d)-(\d)(?!\d|-all)", data.figure)
     shown = shown or (f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else "")
     same = "; ".join(" = ".join(names) for names in data.same)
-    told = ": ".join(filter(None, [title_of(data), shown]))
-    return told + (f"   (A/A: {same} are one configuration)" if same else "")
+    headline = ": ".join(filter(None, [title_of(data), shown]))
+    return headline + (f"   (A/A: {same} are one configuration)" if same else "")
 
 
 def notes_of(data: StudyData, returns: bool = False) -> list[str]:
     """Return notes for any figure of a study, or one of returns, the most important first."""
-    told = []
+    notes = []
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     if len(engines) > 1:
-        told.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
+        notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
     if returns and not have_one_return(data):
-        told.append("Returns of unlike rewards, or of more players, cannot be compared.")
+        notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
-        told.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
+        notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
     if absent := [name for name in data.conditions if not data.of_condition(name)]:
-        told.append(f"Without a finished run: {', '.join(absent)}.")
-    return told
+        notes.append(f"Without a finished run: {', '.join(absent)}.")
+    return notes
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:

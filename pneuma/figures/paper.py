@@ -90,10 +90,10 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     names = [
         (data.study, data.figure + (f"-{data.study}" if stems[data.figure] > 1 else "")) for data in studies
     ]
-    logs = {study: own for study, own in (beside or {}).items() if own in dict(names)}
+    logs = {study: log for study, log in (beside or {}).items() if log in dict(names)}
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
-        for own in pool.map(partial(_draw_one, folder, results, logs), names):
-            entries += own
+        for entries_of_study in pool.map(partial(_draw_one, folder, results, logs), names):
+            entries += entries_of_study
     written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
     write_whole(folder / CONTENTS, encode_contents(entries))
@@ -140,10 +140,10 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tup
     data.figure = figure
     logs = open_published(results, [beside[study]])[0] if study in beside else None
     entries = []
-    for shown, paths, told in _figures(data, folder, logs):
+    for shown, paths, look in _figures(data, folder, logs):
         for path in paths:
             shrink(path)
-        entries += index_entries(paths, COMMAND, shown, told)
+        entries += index_entries(paths, COMMAND, shown, look)
     path = folder / TABLES / f"{data.study}.md"
     path.write_bytes(encode_frame(summary_table(data), "markdown"))
     (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": "markdown"})
@@ -161,11 +161,11 @@ def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[
     more; and of imported logs beside the study's own.
     """
 
-    def drawn(own: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
-        drawing = settle(own, **how)
-        told = {"figure": "curves", "conditions": own.conditions, **asdict(drawing)}
-        told |= {"beside": beside.study} if beside else {}
-        return own, draw_study(own, folder, drawing, shown=shown, beside=beside), told
+    def drawn(shown_data: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
+        drawing = settle(shown_data, **how)
+        look = {"figure": "curves", "conditions": shown_data.conditions, **asdict(drawing)}
+        look |= {"beside": beside.study} if beside else {}
+        return shown_data, draw_study(shown_data, folder, drawing, shown=shown, beside=beside), look
 
     if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
         names = [name for name in CONTRASTED.get(data.own_name, ()) if name in data.conditions]
@@ -187,8 +187,8 @@ def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[
     if len(collapsed_shares(data)):
         yield data, draw_collapse(data, folder, stem_of(data, "collapses")), {"figure": "collapses"}
     if maps := study_maps(data):
-        told = {"figure": "map", "contrasts": [each.setting for each in maps]}
-        yield data, draw_robustness(data, maps, folder, stem_of(data, "map")), told
+        look = {"figure": "map", "contrasts": [each.setting for each in maps]}
+        yield data, draw_robustness(data, maps, folder, stem_of(data, "map")), look
 
 
 def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:

@@ -207,17 +207,17 @@ def _marks(intervals: bool) -> dict[str, Any]:
 def _caption(data: StudyData, outcome: str, values: Values, improved: bool) -> list[str]:
     """Return the notes in the caption, the most important first."""
     words = find_outcome(outcome).words
-    told = [*panels.notes_of(data, is_return(outcome)), f"{words[:1].upper()}{words[1:]}."]
+    notes = [*panels.notes_of(data, is_return(outcome)), f"{words[:1].upper()}{words[1:]}."]
     if step := common_step(data):
-        told.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
+        notes.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
     for name, known in values.items():
         total = len(data.of_condition(name))
         if len(known) < total:
-            told.append(f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere.")
+            notes.append(f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere.")
     if any(len(known) < FEW_RUNS for known in values.values()):
-        told.append(f"Of fewer than {FEW_RUNS} runs there is no interval.")
+        notes.append(f"Of fewer than {FEW_RUNS} runs there is no interval.")
     if any(len(known) >= FEW_RUNS for known in values.values()):
-        told.append("Intervals: Student's t for means, else bootstrap.")
+        notes.append("Intervals: Student's t for means, else bootstrap.")
     if improved:
-        told.append(f"The baseline is {data.record['baseline']}; a tie counts half.")
-    return told
+        notes.append(f"The baseline is {data.record['baseline']}; a tie counts half.")
+    return notes

@@ -36,16 +36,20 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
     """Return an in-memory study without trials, with the first `count` objectives."""
-    sought, own = search.objectives[:objectives], search.pruner
-    pruner = MedianPruner(own.startup_trials, n_min_trials=1) if isinstance(own, Median) else NopPruner()
+    sought, pruner_options = search.objectives[:objectives], search.pruner
+    pruner = (
+        MedianPruner(pruner_options.startup_trials, n_min_trials=1)
+        if isinstance(pruner_options, Median)
+        else NopPruner()
+    )
     study = optuna.create_study(
         sampler=RandomSampler(seed=0),
         pruner=pruner,
         study_name=search.name,
-        directions=[StudyDirection[own.direction.upper()] for own in sought],
+        directions=[StudyDirection[objective.direction.upper()] for objective in sought],
     )
     with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-        study.set_metric_names([f"{own.outcome}, {own.over_seeds}" for own in sought])
+        study.set_metric_names([f"{objective.outcome}, {objective.over_seeds}" for objective in sought])
     return study
 
 
@@ -70,22 +74,22 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     return suggest(parameter.name, low, high, log=parameter.log)
 
 
-def _sampler(own: Sampler, seed: int) -> BaseSampler:
+def _sampler(options: Sampler, seed: int) -> BaseSampler:
     """Return a sampler, with every argument that affects its suggestions set explicitly."""
-    if isinstance(own, Tpe):
+    if isinstance(options, Tpe):
         return TPESampler(
-            n_startup_trials=own.startup_trials,
-            n_ei_candidates=own.candidates,
+            n_startup_trials=options.startup_trials,
+            n_ei_candidates=options.candidates,
             seed=seed,
-            multivariate=own.multivariate,
-            group=own.multivariate,
+            multivariate=options.multivariate,
+            group=options.multivariate,
             constant_liar=True,
         )
-    if isinstance(own, Nsga):
+    if isinstance(options, Nsga):
         return NSGAIISampler(
-            population_size=own.population,
-            mutation_prob=own.mutation,
-            crossover_prob=own.crossover,
+            population_size=options.population,
+            mutation_prob=options.mutation,
+            crossover_prob=options.crossover,
             swapping_prob=0.5,
             seed=seed,
         )
@@ -95,7 +99,7 @@ def _sampler(own: Sampler, seed: int) -> BaseSampler:
 # --- What has ended -------------------------------------------------------------------------------
 
 
-def ended_study(told: Iterable[EndedTrial], search: Search, objectives: int | None = None) -> optuna.Study:
+def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | None = None) -> optuna.Study:
     """Return a study in memory of trials that have ended, with the values of the first so many objectives.
 
     Raises:
@@ -111,7 +115,7 @@ def ended_study(told: Iterable[EndedTrial], search: Search, objectives: int | No
             distributions={name: parameters[name] for name in trial.params},
             intermediate_values=dict(trial.rungs),
         )
-        for trial in told
+        for trial in trials
     )
     return study
 

@@ -147,8 +147,12 @@ class Outcomes:
 
     def _measure(self, cell: Cell, name: str) -> float:
         if self.diverged(cell):
-            sought = [own for own in self._task.search.objectives if own.over_seeds != "deviation"]
-            minimized = any((own.outcome, own.direction) == (name, "minimize") for own in sought)
+            sought = [
+                objective for objective in self._task.search.objectives if objective.over_seeds != "deviation"
+            ]
+            minimized = any(
+                (objective.outcome, objective.direction) == (name, "minimize") for objective in sought
+            )
             worst = find_outcome(name).bounds[minimized]
             if np.isfinite(worst):
                 return float(worst)
@@ -225,10 +229,10 @@ def _train_rung(
         whole = run.steps == each.run.steps
         name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
         runs = [replace(run, seed=seed) for seed in task.budget.seeds]
-        own = [Cell(name, one.seed, one, run_id(one)) for one in runs]
-        own = [cell for cell in own if cell not in each.cells]  # two rungs round up to one budget
-        each.cells += own
-        trained += own
+        cells = [Cell(name, one.seed, one, run_id(one)) for one in runs]
+        cells = [cell for cell in cells if cell not in each.cells]  # two rungs round up to one budget
+        each.cells += cells
+        trained += cells
     if trained:
         train(make_trial_plan(task, trained))
 
@@ -251,12 +255,19 @@ def _compare(
 def _tell(
     study: optuna.Study, objectives: Sequence[Objective], asked: _PendingTrial, outcomes: Outcomes
 ) -> EndedTrial:
-    values = tuple(objective_value(own, asked.longest, outcomes) for own in objectives if asked.cells)
+    values = tuple(
+        objective_value(objective, asked.longest, outcomes) for objective in objectives if asked.cells
+    )
     sound = bool(values) and np.isfinite(values).all()
     state = "failed" if not sound else "pruned" if asked.pruned else "complete"
     study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
-    lacking = [own for own, value in zip(objectives, values, strict=False) if not np.isfinite(value)]
-    notes = [asked.note, *(f"a run has no {own.outcome}, or none that is finite" for own in lacking)]
+    lacking = [
+        objective for objective, value in zip(objectives, values, strict=False) if not np.isfinite(value)
+    ]
+    notes = [
+        asked.note,
+        *(f"a run has no {objective.outcome}, or none that is finite" for objective in lacking),
+    ]
     if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     run_ids = tuple(cell.run_id for cell in asked.cells)
@@ -264,13 +275,13 @@ def _tell(
     return EndedTrial(asked.trial.number, asked.params, state, values, run_ids, asked.rungs, note)
 
 
-def best_number(told: Sequence[EndedTrial], search: Search) -> int | list[int] | None:
+def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int] | None:
     """Return the number of the best trial, the first of equals; with several objectives, the Pareto front.
 
     Raises:
         ValueError: for trials that the search cannot have had.
     """
-    front = [told[trial.number].number for trial in ended_study(told, search).best_trials]
+    front = [trials[trial.number].number for trial in ended_study(trials, search).best_trials]
     return front if len(search.objectives) > 1 else min(front, default=None)
 
 

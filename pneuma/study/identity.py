@@ -34,12 +34,12 @@ def run_id(run: Run) -> str:
     must therefore raise a version.
     """
     usual, fields = as_fields(Run()), as_fields(run)
-    own = {key: value for key, value in fields.items() if value != usual[key]}
-    own |= dict.fromkeys(own_names(fields).keys() - {REWARD, WRAPPERS}, "of the user's own")
+    hashed = {key: value for key, value in fields.items() if value != usual[key]}
+    hashed |= dict.fromkeys(own_names(fields).keys() - {REWARD, WRAPPERS}, "of the user's own")
     if fields[WRAPPERS]:
-        own[WRAPPERS] = [Path(name).name for name in fields[WRAPPERS]]
+        hashed[WRAPPERS] = [Path(name).name for name in fields[WRAPPERS]]
     identity = {
-        "run": own,
+        "run": hashed,
         "contents": _contents(run),
         "rules": RULES_VERSION,
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
@@ -64,11 +64,11 @@ def _contents(run: Run) -> str:
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that name a user's own level, characters or modules, by field."""
-    told = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
-    own = {key: fields[key] for key, is_own in told.items() if key in fields and is_own(fields[key])}
+    tests = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
+    named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
     custom = own_rewards(fields.get(REWARD, ()))
-    own |= {key: fields[key] for key in (MODULE, WRAPPERS) if fields.get(key)}
-    return {**own, **({REWARD: custom} if custom else {})}
+    named |= {key: fields[key] for key in (MODULE, WRAPPERS) if fields.get(key)}
+    return {**named, **({REWARD: custom} if custom else {})}
 
 
 def own_things(fields: Mapping[str, object]) -> dict[str, str]:
@@ -80,9 +80,9 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
         UserError: for a value that is not allowed.
     """
     keys = (key for key in _FILES if fields.get(key) is not None)
-    own = own_names({key: read_field(Run, key, fields[key]) for key in keys})
-    told = {key: value if isinstance(value, str) else ", ".join(value) for key, value in own.items()}
-    deeds = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in told.items()}
+    named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
+    texts = {key: value if isinstance(value, str) else ", ".join(value) for key, value in named.items()}
+    deeds = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
     if fields.get("env") == GODOT and fields.get("env_kwargs"):
         deeds["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
     return deeds

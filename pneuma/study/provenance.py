@@ -87,11 +87,14 @@ def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
 
 def machine() -> dict[str, Any]:
     """Return everything about this process and machine that may affect a run's last bits."""
-    own, _, commit = code().partition(" ")
+    version, _, commit = code().partition(" ")
     return {
         "threads": THREADS,
         "python": platform.python_version(),
-        "packages": {"pneuma": own, **{name: told for name in PACKAGES if (told := _version(name))}},
+        "packages": {
+            "pneuma": version,
+            **{name: found for name in PACKAGES if (found := _version(name))},
+        },
         "commit": commit or None,
         "system": f"{platform.system()} {platform.machine()}",
         "cpu": _cpu(),
@@ -133,21 +136,23 @@ def code() -> str:
     """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
-    own, source = _version("pneuma") or "unknown", Path(__file__).parents[2]
+    version, source = _version("pneuma") or "unknown", Path(__file__).parents[2]
     command = ["git", "-C", str(source), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     if (source / ".git").exists():
         with suppress(OSError, subprocess.CalledProcessError):
-            return f"{own} {subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()}"
-    return own
+            return (
+                f"{version} {subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()}"
+            )
+    return version
 
 
 @cache
 def _cpu() -> str:
     """Return the processor's model name, or its ARM numbers."""
     text = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if sys.platform == "linux" else ""
-    told = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", text, re.MULTILINE))
-    arm = [f"{key[4:]} {told[key]}" for key in ARM if key in told]
-    named = told.get("model name") or (f"ARM {', '.join(arm)}" if arm else "")
+    lines = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", text, re.MULTILINE))
+    arm = [f"{key[4:]} {lines[key]}" for key in ARM if key in lines]
+    named = lines.get("model name") or (f"ARM {', '.join(arm)}" if arm else "")
     return named or platform.processor() or "unknown"
 
 
@@ -160,20 +165,20 @@ def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, 
     One at a time: a run that was requeued every hour tells of hundreds of machines.
     """
     for name in run_ids:
-        if (told := store.read_document(name, "provenance.json")) and "imported" not in told:
-            yield name, told
+        if (origin := store.read_document(name, "provenance.json")) and "imported" not in origin:
+            yield name, origin
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the processors or GPUs of all attempts, each once."""
-    told = origin.get("processors")
-    if isinstance(told, list) and told:
-        return tuple(sorted({str(name) for name in told}))
-    told = origin.get("attempts")
-    attempts = [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
+    listed = origin.get("processors")
+    if isinstance(listed, list) and listed:
+        return tuple(sorted({str(name) for name in listed}))
+    listed = origin.get("attempts")
+    attempts = [each for each in listed if isinstance(each, dict)] if isinstance(listed, list) else []
     machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
-    devices = [(own, own.get("device") or "cpu") for own in machines]
-    return tuple(sorted({str(own.get("cpu") if device == "cpu" else device) for own, device in devices}))
+    devices = [(each, each.get("device") or "cpu") for each in machines]
+    return tuple(sorted({str(each.get("cpu") if device == "cpu" else device) for each, device in devices}))
 
 
 def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -148,22 +148,22 @@ class Store:
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
-        told = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
+        recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
         for name in manifest["files"] if manifest else ():
             if not ((folder / name).is_file() if quick else self.is_whole(run_id, name)):
                 return Status("damaged", 0, name)
-        if told.finished:
-            return told
+        if recorded.finished:
+            return recorded
         try:
             kept = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
         except UserError as error:
             return Status("damaged", 0, str(error))
-        step = max(told.step, *(own[0] for own in kept if own), 0)  # a crash does not know it
+        step = max(recorded.step, *(named[0] for named in kept if named), 0)  # a crash does not know it
         if is_held(folder):
             return Status("running", step)
         if manifest is None and os.path.lexists(folder / "status.json"):
             return Status("damaged", step, "status.json")
-        return Status("partial" if step and not manifest else told.name, step)
+        return Status("partial" if step and not manifest else recorded.name, step)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that lists their checksums; remove its other files.
@@ -204,11 +204,11 @@ class Store:
         Raises:
             UserError: when it is missing or not what was written.
         """
-        told, path = self._listed(run_id), self.run_folder(run_id) / name
+        sums, path = self._listed(run_id), self.run_folder(run_id) / name
         with suppress(OSError):
-            if name in told and _FILE_NAME.fullmatch(name):
+            if name in sums and _FILE_NAME.fullmatch(name):
                 data = read_whole(path)
-                if checksum(data) == told[name]:
+                if checksum(data) == sums[name]:
                     return data
         raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
 
@@ -266,8 +266,8 @@ class Store:
 
         latest = self.selection(study) or {}
         earlier = latest.pop("earlier", [])
-        others = ({**latest, **own} for own in earlier if isinstance(own, dict)) if latest else ()
-        return [*([latest] if latest else []), *(own for own in others if fits(own, Record))]
+        others = ({**latest, **record} for record in earlier if isinstance(record, dict)) if latest else ()
+        return [*([latest] if latest else []), *(record for record in others if fits(record, Record))]
 
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.
@@ -294,8 +294,10 @@ class Store:
 
     def published_path(self, study: str) -> Path:
         """Return the path of a study's published table: here, or among those that come with Pneuma."""
-        own, shipped = (folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables()))
-        return shipped if shipped.exists() and not os.path.lexists(own) else own
+        here, shipped = (
+            folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables())
+        )
+        return shipped if shipped.exists() and not os.path.lexists(here) else here
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""

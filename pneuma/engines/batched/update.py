@@ -118,10 +118,10 @@ def learn(
         Parameters, state, and `METRICS`.
     """
     decays = bool(numbers["weight_decay"] != 0)
-    parameters, state, told = _learn(
+    parameters, state, metrics = _learn(
         parameters, state, batch, orders, numbers, activation, optimizer, minibatch, decays
     )
-    return parameters, state, dict(zip(METRICS, np.asarray(told).tolist(), strict=True))
+    return parameters, state, dict(zip(METRICS, np.asarray(metrics).tolist(), strict=True))
 
 
 @partial(jax.jit, static_argnames=("activation", "optimizer", "decays"), donate_argnums=(0, 1))
@@ -137,16 +137,16 @@ def _learn(
         return _step(carry, part, numbers, activation, optimizer, decays)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
-        carry, told = jax.lax.scan(take, carry, order[: whole * size].reshape(whole, size))
+        carry, metrics = jax.lax.scan(take, carry, order[: whole * size].reshape(whole, size))
         if whole * size == order.shape[0]:
-            return carry, told
+            return carry, metrics
         carry, rest = take(carry, order[whole * size :])
-        return carry, jnp.concatenate([told, rest[None]])
+        return carry, jnp.concatenate([metrics, rest[None]])
 
-    carry, told = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
-    means = told.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
+    carry, metrics = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
+    means = metrics.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
     kl = METRICS.index("approx_kl")
-    return _parted(carry[0]), _parted(carry[1]), means.at[kl].set(told[-1, :, kl].mean())
+    return _parted(carry[0]), _parted(carry[1]), means.at[kl].set(metrics[-1, :, kl].mean())
 
 
 def joined(tree: Tree) -> Tree:
@@ -181,7 +181,7 @@ def _step(
 ) -> tuple[Tree, Any]:
     """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
     parameters, state = carry
-    gradients, told = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation)
+    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation)
     squares = {part: sum((g**2).sum() for g in jax.tree.leaves(gradients[part])) for part in gradients}
     norm = jnp.sqrt(squares["actor"] + squares["critic"])
     norms = {part: jnp.sqrt(square) for part, square in squares.items()}
@@ -193,7 +193,7 @@ def _step(
     if decays:
         clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
     carry = STEPS[optimizer](clipped, parameters, state, numbers)
-    return carry, jnp.concatenate([told, jnp.stack([norm, norms["actor"], norms["critic"]])])
+    return carry, jnp.concatenate([metrics, jnp.stack([norm, norms["actor"], norms["critic"]])])
 
 
 def _shrink(norm: Any, limit: Any) -> Any:
@@ -219,10 +219,10 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: 
         jnp.abs(ratio - 1) > clip,
         ratio - 1 - difference,
     ]
-    told = jnp.stack(terms).mean(axis=1)  # (metrics, minibatch) -> (metrics,)
-    policy_loss, value_loss, entropy = told[0], told[1], told[2]
+    metrics = jnp.stack(terms).mean(axis=1)  # (metrics, minibatch) -> (metrics,)
+    policy_loss, value_loss, entropy = metrics[0], metrics[1], metrics[2]
     loss = policy_loss - numbers["entropy_coefficient"] * entropy + numbers["value_coefficient"] * value_loss
-    return loss, told
+    return loss, metrics
 
 
 def _of_chosen(logs: Any, actions: Any) -> Any:
