@@ -46,7 +46,7 @@ FEW = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
-MANY = settings(FEW, max_examples=4000)
+MANY = settings(FEW, max_examples=2000)
 
 # --- Whatever is played ------------------------------------------------------------------------------
 
