@@ -37,14 +37,14 @@ from pneuma.env.state import (
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, DASHING = 1, 2
-"""How a busy player is armed: with a sword, or with its pace."""
+"""What a busy player does: attack with its sword, or dash."""
 OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
 
 HAIR = 2.0**-10
-"""Pixels by which bodies may overlap and still count as touching: sums of floats are not exact."""
+"""Pixels by which bodies may overlap and still count as touching, as sums of floats are not exact."""
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 
 # Only the two calls from outside can be called from outside: the code that takes Python's arguments
@@ -65,7 +65,7 @@ typed_intrinsic: Any = intrinsic
 
 @entry
 def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
-    """Begin an episode in every world whose `mask` is set.
+    """Start an episode in every world whose `mask` is set.
 
     Takes the handle of a `State`, `chosen` (N,) and `mask` (N,). Player p of a world takes start place
     `chosen + p`, wrapping around; `chosen` below zero asks for one at random. Where there are several
@@ -93,7 +93,7 @@ def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
 
 @entry
 def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
-    """Advance every running world by one agent step, observe it, and count those that ended.
+    """Advance every running world by one agent step, observe it, and return how many ended.
 
     Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended
     stays as it is, with empty events, until it is reset. With `only_observe` no time passes.
@@ -139,7 +139,7 @@ def open_state(h: Array) -> State:
 
 @typed_intrinsic
 def _pointer(context: Any, address: Any) -> Any:
-    """Read a whole number as an address."""
+    """Return an integer as an address."""
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], codegen.get_value_type(types.voidptr))
@@ -181,7 +181,7 @@ def _draw(world: Array) -> Any:
 
 @part
 def _draw_below(world: Array, bound: int) -> Any:
-    """Return a random whole number in [0, bound), for bounds far below 2**32."""
+    """Return a random integer in [0, bound), for bounds far below 2**32."""
     high = _draw(world) >> np.uint64(32)
     return np.int64((high * np.uint64(bound)) >> np.uint64(32))
 
@@ -222,7 +222,7 @@ def _place_monster(monster: Array, kind: Array, players: int) -> None:
 
 @merged
 def _step_world(s: State, w: int, actions: Array) -> bool:
-    """Advance one running world by one agent step; tell whether its episode ended."""
+    """Advance one running world by one agent step; return whether its episode ended."""
     world = s.worlds[w]
     settings = s.settings[0]
     count = _gather_active(s, w)
@@ -257,7 +257,7 @@ def _step_world(s: State, w: int, actions: Array) -> bool:
 
 @part
 def _charge(player: Array, event: Array, cost: float) -> None:
-    """Take the XP that an ending costs; the published code then sets the reward to the XP."""
+    """Subtract the XP that an ending costs; in the published code the reward is then set to the XP."""
     if cost != 0.0:
         player.xp -= cost
         event.xp_gained -= cost
@@ -266,7 +266,7 @@ def _charge(player: Array, event: Array, cost: float) -> None:
 
 @part
 def _gather_active(s: State, w: int) -> int:
-    """List in `scratch` the monsters to which anything can happen in the next step; count them.
+    """List in `scratch` the monsters to which anything can happen in the next step; return their number.
 
     The others only stand there, in the way of those who move. Leaving them out changes no bit and saves
     most of the time.
@@ -298,7 +298,7 @@ def _may_stir(s: State, w: int, m: int) -> bool:
 
 @part
 def _is_crowded(s: State, w: int, x: float, y: float) -> bool:
-    """Tell whether a body here may meet another one within the step; it is one of those counted."""
+    """Return whether a body here, itself one of those counted, may meet another within the step."""
     settings = s.settings[0]
     if not settings.bodies_block:
         return False
@@ -316,7 +316,7 @@ def _is_crowded(s: State, w: int, x: float, y: float) -> bool:
 
 @part
 def _gap(x: float, y: float, player: Array, stats: Array) -> float:
-    """Return the squared distance from a place to a player's body box."""
+    """Return the squared distance from a point to a player's body."""
     across = max(abs(player.x + stats.body_x - x) - stats.half_width, 0.0)
     down = max(abs(player.y + stats.body_y - y) - stats.half_height, 0.0)
     return across * across + down * down
@@ -327,7 +327,7 @@ def _gap(x: float, y: float, player: Array, stats: Array) -> float:
 
 @part
 def _begin_tick(s: State, w: int, p: int, action: int) -> None:
-    """Let a player act, if he lives, and note what he strikes."""
+    """Let a living player act, and record what it strikes."""
     player = s.players[w, p]
     stats = s.player_stats[p]
     settings = s.settings[0]
@@ -360,7 +360,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
 
 @part
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
-    """Let an idle player walk one tick, or begin an attack, a dash, or a spell that he can pay."""
+    """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for."""
     if action == s.settings[0].dash:
         if player.rest == 0:
             player.busy = s.settings[0].dash_ticks
@@ -395,7 +395,7 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
 
 @kernel
 def _dash(s: State, w: int, p: int) -> None:
-    """Take a player one tick of a dash further, the way it faces."""
+    """Move a player through one tick of a dash, in the direction it faces."""
     player = s.players[w, p]
     stats = s.player_stats[p]
     dx, dy = _walk(stats.dash_speed, player.facing)
@@ -412,7 +412,7 @@ def _walk(speed: float, action: int) -> tuple[float, float]:
 
 @part
 def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
-    """Note the box that the sword strikes in this tick."""
+    """Record the box that the sword strikes in this tick."""
     facing = player.facing
     tick.strikes = 1
     tick.box_x = player.x + stats.sword_x[facing]
@@ -428,7 +428,7 @@ def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
 
 @part
 def _burn(player: Array, stats: Array, tick: Array) -> None:
-    """Note the box that a flame burns, in this tick alone; it knocks nobody back."""
+    """Record the box that a flame burns, in this tick only; it knocks nobody back."""
     facing = player.facing
     player.attack += 1
     tick.strikes = 1
@@ -453,7 +453,7 @@ def _die(player: Array, event: Array) -> None:
 
 @part
 def _live(s: State, w: int, m: int, crowded: int) -> None:
-    """Let one living monster live through a tick."""
+    """Run one living monster's tick."""
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
     if monster.safe > 0:
@@ -489,14 +489,14 @@ def _live(s: State, w: int, m: int, crowded: int) -> None:
 
 @part
 def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
-    """Tell whether what strikes in this tick overlaps a monster's body."""
+    """Return whether what strikes in this tick overlaps a monster's body."""
     across = abs(monster.x + kind.body_x - tick.box_x) < tick.half_width + kind.half_width
     return across and abs(monster.y + kind.body_y - tick.box_y) < tick.half_height + kind.half_height
 
 
 @part
 def _suffer(s: State, w: int, m: int, p: int) -> None:
-    """Take a player's blow, unless this attack has hit already or the monster is safe."""
+    """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
     monster = s.monsters[w, m]
     if monster.struck_by[p] == s.players[w, p].attack or monster.safe > 0 or monster.hp <= 0.0:
         return
@@ -514,7 +514,7 @@ def _suffer(s: State, w: int, m: int, p: int) -> None:
 
 @part
 def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
-    """Fly away from the hilt; who flies already is neither turned nor flies on for longer."""
+    """Start a flight away from the hilt; a flight in progress is neither turned nor extended."""
     away_x = monster.x - tick.hilt_x
     away_y = monster.y - tick.hilt_y
     length = math.sqrt(away_x * away_x + away_y * away_y)
@@ -527,7 +527,7 @@ def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
 
 @part
 def _pay(s: State, w: int, m: int, striker: int) -> None:
-    """Credit a kill: to the one who landed the last blow, or to all within the attack circle."""
+    """Credit a kill to the player who struck, or to all players within the attack circle."""
     kind = s.monster_stats[s.worlds[w].level, m]
     s.worlds[w].monsters_left -= 1
     s.players[w, striker].kills += 1
@@ -543,7 +543,7 @@ def _pay(s: State, w: int, m: int, striker: int) -> None:
 
 @part
 def _sense(s: State, w: int, m: int, p: int) -> float:
-    """Notice a player and bite him where he is near enough; return the squared distance to him."""
+    """Notice a player, and bite it if it is near enough; return the squared distance to it."""
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
     player = s.players[w, p]
@@ -572,7 +572,7 @@ def _sense(s: State, w: int, m: int, p: int) -> float:
 
 @part
 def _approach(offset: float, stand_off: float, speed: float) -> float:
-    """Return a monster's step on one axis towards a player that is `offset` away."""
+    """Return a monster's move on one axis towards a player that is `offset` away."""
     if offset > stand_off:
         return speed
     if offset < -stand_off:
@@ -585,7 +585,7 @@ def _approach(offset: float, stand_off: float, speed: float) -> float:
 
 @part
 def _end_tick(s: State, w: int, p: int) -> None:
-    """Give a player what the tick brought: first what heals, then the bites."""
+    """Apply the tick's results to a player: first healing, then bites."""
     player = s.players[w, p]
     stats = s.player_stats[p]
     event = s.events[w, p]
@@ -614,7 +614,7 @@ def _end_tick(s: State, w: int, p: int) -> None:
 
 @part
 def _reward(player: Array, stats: Array, event: Array) -> None:
-    """Write a player's reward by its formula; `reward.py` says them in words."""
+    """Write a player's reward; `reward.py` describes the formulas."""
     if stats.reward == REWARD_THESIS:
         event.reward = player.xp - player.hp / stats.hp
     elif stats.reward == REWARD_PYGAME:
@@ -628,7 +628,7 @@ def _reward(player: Array, stats: Array, event: Array) -> None:
 
 @part
 def _closeness(distance: float) -> float:
-    """Return an algebraic sigmoid of the distance: 1 at a monster, 1/2 at the middle, 0 far off."""
+    """Return an algebraic sigmoid of the distance: 1 at a monster, 1/2 in the middle, 0 far away."""
     if distance == math.inf:
         return 0.0
     z = (SIGMOID_MIDDLE - distance) / SIGMOID_WIDTH
@@ -643,7 +643,7 @@ def _moved(
     s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int,
     crowded: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return where a body gets by moving, x first, among terrain and other bodies; slowly on slow ground.
+    """Return where a body moves, x first, among terrain and other bodies; slower on slow ground.
 
     `me` is its index, players after monsters; `shape` its stats; `stops` the tiles that stop it.
     """
@@ -664,14 +664,14 @@ def _moved(
 
 @part
 def _tile_at(s: State, level: int, x: float, y: float) -> int:
-    """Return what the tile at a place is."""
+    """Return the terrain at a point."""
     settings = s.settings[0]
     return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 
 
 @part
 def _has_room(s: State, level: int, x: float, y: float) -> bool:
-    """Tell whether a body whose centre is here is too far from all tiles to meet one within a tick."""
+    """Return whether a body with its centre here is too far from all tiles to meet one within a tick."""
     settings = s.settings[0]
     column = int((x - settings.left) * settings.cells_per_pixel)
     row = int((y - settings.top) * settings.cells_per_pixel)
@@ -683,7 +683,7 @@ def _moved_along(
     s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: Array, distance: float, stops: int,
     near_tiles: bool, crowded: int,
 ) -> float:  # fmt: skip
-    """Return x, or y, after moving along it by a distance, stopped flush at whatever is first in the way."""
+    """Return x, or y, after a move along it, stopped flush at the first obstacle."""
     start, _ = _turned(on_x, x, y)
     offset, _ = _turned(on_x, shape.body_x, shape.body_y)
     middle, aside = _turned(on_x, x + shape.body_x, y + shape.body_y)
@@ -701,7 +701,7 @@ def _moved_along(
 
 @part
 def _turned(on_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
-    """Return what lies along the axis of a move, then what lies across; and back again."""
+    """Return the coordinate along the axis of a move, then the one across it, or the reverse."""
     return (x, y) if on_x else (y, x)
 
 
@@ -710,7 +710,7 @@ def _stop_at_tiles(
     s: State, w: int, on_x: bool, way: float, end: float, half: float, aside: float, breadth: float,
     stops: int,
 ) -> float:  # fmt: skip
-    """Return where a box's centre, times `way`, is flush to the tiles that its leading edge would enter."""
+    """Return where a box's centre, times `way`, is flush with the tiles that its leading edge would enter."""
     settings = s.settings[0]
     tile = settings.tile
     corner, corner_aside = _turned(on_x, settings.left, settings.top)
@@ -734,7 +734,7 @@ def _stop_at_bodies(
     s: State, w: int, me: int, on_x: bool, way: float, middle: float, half: float, aside: float,
     breadth: float,
 ) -> float:  # fmt: skip
-    """Return where a box's centre, times `way`, touches the first body ahead; who is inside is not ahead."""
+    """Return where a box's centre, times `way`, touches the first body ahead; it may overlap others."""
     stop = math.inf
     for other in range(s.monsters.shape[1] + s.players.shape[1]):
         if other != me and _is_alive(s, w, other):
@@ -769,7 +769,7 @@ def _box(s: State, w: int, body: int) -> tuple[float, float, float, float]:
 
 @part
 def _blocked(terrain: Array, level: int, column: int, row: int, stops: int) -> bool:
-    """Tell whether a tile stops a body; what lies off the grid does."""
+    """Return whether a tile stops a body; tiles off the grid do."""
     if column < 0 or row < 0 or row >= terrain.shape[1] or column >= terrain.shape[2]:
         return True
     return (stops >> terrain[level, row, column]) & 1 != 0
@@ -798,7 +798,7 @@ def _observe(s: State, w: int, p: int, tell: bool) -> None:
 
 @part
 def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
-    """List in `scratch` the monsters that a player perceives, with distances; count them.
+    """List in `scratch` the monsters that a player perceives, with distances; return their number.
 
     The nearest come first, ties by index, and the dead are left out. In fixed order the same are
     listed by index; the dead fill up what is left, infinitely far off.
@@ -950,7 +950,7 @@ def _write_rays(s: State, w: int, p: int, out: Array, at: int) -> int:
 
 @part
 def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float, dy: float) -> float:
-    """Return how far a ray goes until it enters a body; who is only touched is passed by."""
+    """Return the distance at which a ray enters a body; a ray that only touches it passes by."""
     middle_x, middle_y, half_width, half_height = _box(s, w, body)
     enters_x, leaves_x = _between(middle_x - half_width - x, middle_x + half_width - x, dx)
     enters_y, leaves_y = _between(middle_y - half_height - y, middle_y + half_height - y, dy)
@@ -960,7 +960,7 @@ def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float
 
 @part
 def _between(low: float, high: float, way: float) -> tuple[float, float]:
-    """Return when who starts at 0 and goes `way` enters the space between two lines, and leaves it."""
+    """Return when a point, from 0 with velocity `way`, enters and leaves the space between two lines."""
     if way > 0.0:
         return low / way, high / way
     if way < 0.0:
@@ -970,7 +970,7 @@ def _between(low: float, high: float, way: float) -> tuple[float, float]:
 
 @part
 def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
-    """Return how far a ray goes, tile by tile, until it meets what stops or drowns players.
+    """Return the distance at which a ray meets a tile that stops or drowns players.
 
     Through a corner it passes only between two open tiles.
     """
@@ -1000,7 +1000,7 @@ def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: fl
 
 @part
 def _mask_actions(s: State, w: int, p: int) -> None:
-    """Write which actions would do anything in the next step.
+    """Write which actions would have an effect in the next step.
 
     Nothing does while an attack lasts through it; only attack then counts as allowed. Walking or dashing
     against a wall that one faces already does nothing, nor does a spell that cannot be paid, nor a dash too
@@ -1030,7 +1030,7 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 
 @part
 def _may_walk(s: State, w: int, p: int, action: int) -> bool:
-    """Tell whether terrain lets a player walk for a tick; bodies may be gone by then."""
+    """Return whether terrain lets a player walk for a tick; bodies are ignored, as they may move."""
     player = s.players[w, p]
     stats = s.player_stats[p]
     dx, dy = _walk(stats.speed, action)

@@ -184,7 +184,7 @@ EVENTS = _record(
     ("died", "i4"),
     ("present", "i4"),  # ticks of the step that the player lived through
 )
-"""What happened to a player during one step, for rewards computed outside."""
+"""What happened to a player in one step, for rewards computed outside."""
 
 TICK = _record(
     ("there", "i4"),  # whether the player lives through this tick
@@ -206,7 +206,7 @@ TICK = _record(
     ("contacts", "i4"),
     ("paid", "i4"),  # whether anybody killed
 )
-"""What a player does in one tick, and what the tick brings."""
+"""What a player does in one tick, and its results."""
 
 SCRATCH = _record(("order", "u8"), ("distance", "f8"), ("crowded", "i4"))
 
@@ -241,13 +241,13 @@ DTYPES = State(
 DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
-"""Of the state of worlds, as it is saved."""
+"""The parts of a `State` that are saved."""
 HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
 """A row for each array of a `State`; nobody reads the last field, see `pneuma.env.compiled`."""
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (14,) HANDLE: what the kernels are called with.
+    """Return addresses and shapes of all arrays, (14,) HANDLE, with which the kernels are called.
 
     Handing one small array to a compiled function instead of all saves most of the time of a call. The
     arrays must outlive the handle.
@@ -265,12 +265,12 @@ def make_handle(state: State) -> np.ndarray:
 
 
 def raw(array: np.ndarray) -> np.ndarray:
-    """Look at records as bytes of their size: NumPy copies those far faster than field by field."""
+    """View records as bytes of their size, which NumPy copies far faster than field by field."""
     return array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """Return an array that shows the same and cannot be written."""
+    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view

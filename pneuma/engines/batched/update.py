@@ -42,7 +42,7 @@ METRICS = (
 
 
 def run_numbers(run: Run) -> dict[str, Any]:
-    """Return what of a run is only a number, float32; an absent limit is infinite.
+    """Return the run's numeric fields, float32; an absent limit is infinite.
 
     Beside them, the key of UPGD's noise, (2,) uint32.
     """
@@ -78,7 +78,7 @@ def run_numbers(run: Run) -> dict[str, Any]:
 
 @partial(jax.jit, static_argnames="activation")
 def look_back(parameters: Tree, observations: Any, actions: Any, activation: str) -> tuple[Any, Any, Any]:
-    """Judge a rollout by the networks that played it.
+    """Evaluate a rollout by the networks that played it.
 
     Args:
         parameters: of actor and critic.
@@ -150,7 +150,7 @@ def _learn(
 
 
 def joined(tree: Tree) -> Tree:
-    """Return networks, or what has their form, with every small layer one matrix, (inputs + 1, outputs).
+    """Return networks, or a tree of that form, with each small layer as one matrix, (inputs + 1, outputs).
 
     Its last row is the bias: the weights of an input that is always one.
     """
@@ -163,7 +163,7 @@ def joined(tree: Tree) -> Tree:
 
 
 def _parted(tree: Tree) -> Tree:
-    """Return what `joined` was made of."""
+    """Undo `joined`."""
 
     def part(node: Any) -> Any:
         return node if _is_layer(node) or node.ndim != 2 else (node[:-1], node[-1])
@@ -172,7 +172,7 @@ def _parted(tree: Tree) -> Tree:
 
 
 def _is_layer(node: Any) -> bool:
-    """Tell a layer's weight and bias from a network's layers."""
+    """Return whether a tree is a layer's weight and bias, and not a network's layers."""
     return isinstance(node, tuple) and getattr(node[-1], "ndim", 0) == 1
 
 
@@ -197,12 +197,12 @@ def _step(
 
 
 def _shrink(norm: Any, limit: Any) -> Any:
-    """Return by what torch multiplies gradients of a norm to keep it within a limit."""
+    """Return the factor by which torch multiplies gradients of a norm to keep it within a limit."""
     return jnp.minimum(limit / (norm + 1e-6), 1.0)
 
 
 def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str) -> tuple[Any, Any]:
-    """Return the loss of a minibatch, and the first five `METRICS`."""
+    """Return the loss of a minibatch and the first five `METRICS`."""
     _, logits = _forward(parameters["actor"], activation, batch["observations"])
     _, values = _forward(parameters["critic"], activation, batch["observations"])
     advantages = batch["advantages"]
@@ -226,12 +226,12 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: 
 
 
 def _of_chosen(logs: Any, actions: Any) -> Any:
-    """Return the log-probabilities of the actions taken: (N, actions), (N,) -> (N,)."""
+    """Return the log-probabilities of the chosen actions: (N, actions), (N,) -> (N,)."""
     return (logs * jax.nn.one_hot(actions, logs.shape[1])).sum(axis=1)
 
 
 def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
-    """Return the outputs of the hidden layers, and those of the last: (N, units)."""
+    """Return the outputs of the hidden layers and of the last layer: (N, units)."""
     hidden = []
     for layer in layers[:-1]:
         x = _activate(activation, _linear(layer, x))
@@ -254,5 +254,5 @@ def _activate(activation: str, x: Any) -> Any:
 
 
 def _dead(units: Any, activation: str) -> Any:
-    """Tell which units are constant over a rollout; see `pneuma.engines.policy.dead_share`."""
+    """Return which units are constant over a rollout; see `pneuma.engines.policy.dead_share`."""
     return (jnp.abs(units) > 0.99 if activation == "tanh" else units <= 0).all(axis=0)
