@@ -6,6 +6,7 @@ import io
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
 from pathlib import Path
@@ -97,9 +98,7 @@ def _shown(value: object) -> str:
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
     """Print the names, titles, sections and figures of shipped files."""
-    from pneuma.schema import read_toml
-
-    tables = {path.stem: read_toml(path).data for path in sorted(folder.glob("*.toml"))}
+    tables = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.toml"))}
     keys = ("title", "section", "figure")
     rows = [
         {kind: name, **{key: own.get(key, "") for key in keys}}
