@@ -22,7 +22,7 @@ from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.records import Series
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
-from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.errors import UserError, unknown_name
 
 NAN = float("nan")
 ANYTHING = (-np.inf, np.inf)
@@ -121,8 +121,7 @@ def find_outcome(name: str) -> Outcome:
     if sought:
         measure = partial(_steps_to, least=reached[0], column=reached[1])
         return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
-    known = ", ".join((*OUTCOMES, "steps-to:X (X a share of monsters killed)", "steps-to-return:X"))
-    raise UserError(f"unknown outcome {name!r}{nearest_name(name, OUTCOMES)}; known are {known}")
+    raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
 
 
 def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:

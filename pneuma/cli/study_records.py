@@ -67,7 +67,7 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
     others += [name for name in related_studies(store, study) if split_world(name)[1] == world]
     if others:
         told = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
-        say(f"Note: shown of {study}: {told}. Stored too: {'; '.join(others)}.", aside=True)
+        say(f"Note: {study} is shown with {told}. Stored too: {'; '.join(others)}.", aside=True)
 
 
 def tell_left_out(data: StudyData) -> None:

@@ -158,14 +158,16 @@ def _draw_quantities(
     others: Curves = {}
     if beside:
         window = drawing.window if drawing.window in beside.windows else beside.windows[0]
-        named = [name for name in drawing.quantities if name in beside.quantities]
+        named = [name for name in drawing.quantities if name in curve_names(beside)]
+        if not named:
+            raise UserError(f"study {beside.study} has no {' or '.join(drawing.quantities)} to draw beside")
         others = study_curves(beside, named, window)
     for axes, (name, group) in zip(grid, curves.items(), strict=False):
         _draw_means(axes, name, group, drawing.band, looks, labels)
-        _draw_around(axes, data, name, group)
         for curve in others.get(name, ()):
             look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1))}
             axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", **look)
+        _draw_around(axes, data, name, [*group, *others.get(name, ())])
         label, title = QUANTITIES[name].label, QUANTITIES[name].title
         if name.startswith("action_") and is_foreign(data):
             title = f"Share of action {name.removeprefix('action_')}"
