@@ -36,14 +36,15 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
     assert first.name == f"fig-mine.{form}"
 
 
+@pytest.mark.parametrize("quantity", ["return", "share_killed"])
 def test_every_run_of_another_study_is_drawn_beside(
-    study: HandMade, tmp_path: Path, drawn: list[Figure]
+    study: HandMade, tmp_path: Path, drawn: list[Figure], quantity: str
 ) -> None:
     other = open_study(study.store, {**study.record, "study": "other", "title": "Another"})
-    study.draw(tmp_path, quantities=("return",))
-    (path,) = study.draw(tmp_path, quantities=("return",), beside=other)
+    study.draw(tmp_path, quantities=(quantity,))
+    (path,) = study.draw(tmp_path, quantities=(quantity,), beside=other)
     alone, beside = (figure.axes[0] for figure in drawn)
-    assert path.stem == "fig-mine-return-beside-other"
+    assert path.stem == f"fig-mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
     assert "Another" in legend(drawn[1])
 
