@@ -262,7 +262,7 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
 
 
 def shown(value: object) -> str:
-    """Return a value about as it stands in the file."""
+    """Return a value much as it is written in the file."""
     return json.dumps(value, default=str, ensure_ascii=False)
 
 

@@ -19,7 +19,7 @@ class World:
 
     Attributes:
         env: the environment of its runs.
-        title: for people, as in "In the arena".
+        title: as in "In the arena".
         overrides: fields that its runs have instead of the base's, where the study sets none itself.
     """
 

@@ -2,14 +2,14 @@
 
     stretches of signs and evaluations of a run → Diagnosis → incidence per condition
 
-A run collapses where one of three lasts (docs/outcomes.md gives the numbers): its policy has no entropy and
-one action alone; it kills far less than at its best, or where nobody is killed returns far less; or, in
-worlds that never reset XP, its return has been above zero and lies below, so that it has died more often than
-it has killed. It has recovered where that ends and does not come again, and relearned where it then plays
-nearly as well as at its best before.
+A run collapses if one of three states lasts (docs/outcomes.md gives the numbers): its policy has no entropy
+and a single action; it kills far less than at its best (or returns less, if there is nobody to kill); or, in
+worlds that never reset XP, its return is below zero after having been above, so that it has died more often
+than it has killed. A run has recovered if the state ends for good, and relearned if it then plays nearly as
+well as at its best before.
 
-Logs that hold neither actions nor evaluations are judged by their entropy and return alone; what could not be
-seen is told.
+Logs without actions and evaluations are judged by entropy and return only; signs that could not be seen are
+reported.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""A study's data: its finished runs, their tables and their curves, wherever these come from.
+"""A study's data: its finished runs, with their tables and curves, wherever they are stored.
 
     open_study → StudyData of FinishedRuns; StudyData, run and step → RunView
 
-`open_study` (`pneuma.analysis.run_index`) makes it; it is what all further steps read. What is held of a run
-tells its `Records`. A `RunView` is a run as it stood at a step; it reads only evaluations and curves on the
-study's grid, which runs and published tables hold alike, so that both give the same numbers.
+`open_study` (`pneuma.analysis.run_index`) makes the data. A run's `Records` say what is stored of it. A
+`RunView` is a run as it stood at a step. It reads only evaluations and curves on the study's grid, which
+runs and published tables both have, so that both give the same numbers.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class FinishedRun:
     """A finished run, done or diverged, which counts in every statistic.
 
     Attributes:
-        fields: its run's, as the record has them, which may be untrusted.
-        records: what is held of it.
+        fields: the run's fields as recorded, which may be untrusted.
+        records: its records.
     """
 
     condition: str
@@ -84,9 +84,9 @@ class StudyData:
     """The finished runs of a study's selection, with their records. `open_study` makes it.
 
     Args:
-        index: what is held of each run of the record, by its id; more besides is passed over.
+        index: the records of each run by its id; other runs are ignored.
         record: a selection, as `pneuma.study.execute.selection_record` makes it.
-        where: the results folder, for people.
+        where: the results folder, for messages.
 
     Raises:
         UserError: when no run of the selection has finished, or the record's names are no file names:

@@ -38,7 +38,7 @@ class Outcome:
     """One kind of outcome.
 
     Attributes:
-        words: for people.
+        words: its description.
         unit: of the number; empty for a plain one.
         better: 'higher', 'lower', or empty where neither is.
         bounds: least and greatest value that it can take, for a look at floor and ceiling.

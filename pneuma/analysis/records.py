@@ -67,11 +67,11 @@ class Records:
 
     Attributes:
         run_id: its id.
-        status: how it stands; one of which nothing is held is planned.
-        what: where this is, for people.
+        status: its status; 'planned' if nothing is stored.
+        what: where the records are, for messages.
         published: whether it is in a published table.
-        tables: those of `RECORD_TABLES` that are held.
-        windows: those of `WINDOWS` that curves can be had with, the usual one first.
+        tables: those of `RECORD_TABLES` that it has.
+        windows: those of `WINDOWS` that its curves have, the usual one first.
         averaged_over: episodes that every return was already averaged over when it was recorded; None
             where each is one episode's.
     """

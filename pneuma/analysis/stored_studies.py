@@ -26,8 +26,9 @@ def study_record(
 ) -> dict[str, Any]:
     """Return the record of a study or variant, with the runs that a selection picks.
 
-    Of several amounts that were run it is the one of `picked.steps`, or of most finished runs. A study that
-    was only run in another world, or with changed settings, is shown as it was run, which `tell` is told.
+    If the study was run with several budgets, this is the one with `picked.steps`, or else the one with the
+    most finished runs. A study that was run only in another world, or with changed fields, is returned as it
+    was run, and `tell` is called with a note.
 
     Raises:
         UserError: where nothing is stored, or nothing that is picked.
@@ -44,8 +45,8 @@ def study_record(
         records = [read_published(store, stem).record]
     otherwise = [] if records or asked else related_studies(store, stem)
     if otherwise:
-        shown = f"{otherwise[0]}, of {', '.join(otherwise)}"
-        tell(f"Note: {stem} was not run as it stands; shown is {shown}.")
+        shown = f"{otherwise[0]}, one of {', '.join(otherwise)}"
+        tell(f"Note: {stem} has no runs of its own; {shown}, is shown.")
         return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
@@ -120,7 +121,7 @@ def is_shipped(name: str) -> bool:
 def known_studies(store: Store, world: str | None = None) -> list[str]:
     """Return the names of studies that were run, imported or published here, in `world` if given.
 
-    What looks like a study's file is none of them: such a name is for a person to give.
+    Names that end in .toml are left out, as only users may name files.
     """
     names = {*store.studies(), *(path.stem for path in (store.root / "published").glob("*.parquet"))}
     return sorted(

@@ -68,10 +68,10 @@ Row = tuple[str, str, str, float, Interval, int]
 def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Summarise each condition of a study in `COLUMNS`, one row per outcome and statistic.
 
-    Steps to a threshold that a run never reaches are endless: their median may be inf, and `reached`
-    is the share of runs that get there.
+    Steps to a threshold that a run never reaches are infinite, so that their median may be inf; `reached` is
+    the share of runs that reach it.
 
-    How many runs there are, diverged and `collapsed` is told whatever outcomes are named.
+    The shares of runs that diverged and collapsed are included, whichever outcomes are named.
     """
     at_step = common_step(data)
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)

@@ -135,7 +135,7 @@ def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
     try:
         data = open_study(store, record)
         if step := common_step(data):
-            part.notes.append(f"Budgets are unlike: numbers are of runs as they stood at {step:,} steps.")
+            part.notes.append(f"Budgets differ: numbers are those at step {step:,}.")
         part.numbers = numbers_table(part.record, summary_table(data))
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]

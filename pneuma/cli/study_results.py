@@ -39,7 +39,7 @@ def _tell_step(data: StudyData) -> None:
     from pneuma.analysis.frames import common_step, step_words
 
     if step := common_step(data):
-        say(f"Budgets are unlike: all as they stood at {step:,} steps, {step_words(data)}.")
+        say(f"Budgets differ: all values are those at step {step:,}, {step_words(data)}.")
 
 
 def _with_unit(outcome: str) -> str:
@@ -208,8 +208,8 @@ def compare(
             (condition, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
         )
     print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
-    print("\nMeans, and their difference with a 95 % interval (Welch). P(better): how likely a run of the")
-    print("first is better than one of the second. no value: runs that have none and are left out.")
+    print("\nMeans, and their difference with a 95 % interval (Welch). P(better): the probability that a run")
+    print("of the first is better than one of the second. no value: runs without one, which are left out.")
     return tell_written(files)
 
 
@@ -308,7 +308,7 @@ def effects(
         tested = f, shown(row["partial_r2"], 3), f"{row['p']:.4f}", f"{row['p_holm']:.4f}"
         rows.append((row["effect"], row["levels"], f"{row['df']}, {row['df_error']}", *tested))
     print_table(("effect", "levels", "df", "F", "partial R²", "p", "p (Holm)"), rows)
-    print("\nMeans, each cell counted alike:")
+    print("\nMeans, with equal weight for each cell:")
     for factor, means in found.means.items():
         listed = ";  ".join(f"{level} {shown(value, decimals(value))}" for level, value in means.items())
         say(f"  {factor}: {listed}")
@@ -382,6 +382,6 @@ def robustness(
         effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
         rows.append((levels, effect, f"{cell.p:.3f}", cell.label))
     print_table(("cell", f"difference of {_with_unit(found.outcome)}", "p (Holm)", ""), rows)
-    print("Intervals are each for itself; p and the label are Holm-corrected over the map.")
+    print("Each interval is at 95 % by itself; p and the label are corrected over the map (Holm).")
     _tell_step(data)
     return tell_written(files)

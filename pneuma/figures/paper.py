@@ -4,7 +4,7 @@
 
 The environment's own figures, the thesis's tables of hyperparameters, and of every published study in
 RESULTS/published its curves, what they came to, collapses, maps and numbers; and the verdicts on all claims
-by them. Beside these an index: which command drew each file, from which runs; and the same for people.
+by them; and an index of the command and runs behind each file, as JSON and as a page.
 """
 
 from __future__ import annotations

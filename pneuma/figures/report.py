@@ -50,7 +50,7 @@ class Part:
 
     Attributes:
         where: its heading: in which world its runs are played.
-        notes: sentences that a person should know first.
+        notes: important sentences, shown first.
         mend: the command that would train what is missing.
         extent: how much it is.
         pictures: as `study_pictures` draws them.

@@ -107,11 +107,11 @@ class Search:
 
     Attributes:
         name: of the file; in another world than the text's it ends so.
-        title, section, about: for people.
+        title, section, about: shown to users.
         space: what is searched, and what is fixed.
         objectives: one; several for a search of the Pareto front.
         start: bases to begin with a trial of each.
-        generation: trials that are asked for before any of them is told.
+        generation: trials that are suggested before any of them is reported.
         sampler, pruner: with all their options.
         presets: by name.
         world: of `pneuma.worlds.WORLDS`.

@@ -49,7 +49,7 @@ class Preset:
 
     Attributes:
         seeds, steps: of every condition.
-        conditions: those that have other ones, such as networks that take too long.
+        conditions: exceptions, such as networks that take too long.
     """
 
     seeds: tuple[int, ...]
@@ -66,19 +66,19 @@ class Study:
     """A comparison: named conditions that differ in what they set.
 
     Attributes:
-        name: the file's name, or what its owner calls it; in another world than the usual one it ends so.
-        path: the file; None for a study that is none, such as a fork.
-        title, section, about: for people.
+        name: the file's name; in other worlds than the usual one it ends with the world.
+        path: the file; None for a study without a file, such as a fork.
+        title, section, about: shown to users.
         figure: file stem of its figure.
         baseline: the condition that the others are compared with.
         base: name of the fields to start from.
         shared: fields of every condition on top of the base.
         conditions: what each condition sets on top.
         presets: by name.
-        keep_checkpoints: of each run, evenly spread, beside that of its first update, for `pneuma run fork`.
-        levels: of each condition of a crossed study, the value's name of every factor.
+        keep_checkpoints: number kept of each run, evenly spread, beside that of its first update; for forks.
+        levels: for each condition of a crossed study, its value of each factor.
         world: one of `WORLDS`.
-        worlds: those of `WORLDS` that it can be run in, the usual one first.
+        worlds: those of `WORLDS` in which it can be run, the usual one first.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """What is in a results folder, run by run: which run is meant, what produced it, whether it is sound.
 
-The folder may be anybody's. Nothing in it is run, no path out of it is followed, and any of its
+The folder may be untrusted. Nothing in it is run, no path out of it is followed, and any of its
 files may be missing, damaged or nonsense.
 """
 

@@ -3,7 +3,7 @@
     python -m pneuma.study.worker < job
 
 The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out
-as lines of JSON: `step` at the start and now and then, `note` for people, `passing` for those who watch,
+as lines of JSON: `step` at the start and now and then, `note` for users, `passing` for those who watch,
 `busy` where another process holds a run, `end` for every run. Standard input stays open: a line `stop` asks
 for a checkpoint and an end, and when it closes, because the parent has gone, the worker goes.
 """

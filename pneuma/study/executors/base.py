@@ -1,20 +1,21 @@
-"""What an executor is: it trains groups of runs somewhere, and all that they leave comes to one store.
+"""The interface of executors, which train groups of runs somewhere and store the results in one store.
 
 study's plan → groups of runs → executor → store
 
-Executors are modules, named in `EXECUTORS` and loaded only when asked for: `local` needs nothing that others
-need. Whatever one does, it keeps these promises:
+Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements.
+All of them guarantee:
 
-- A run ends in the store with the same files as `local` leaves, but for its provenance, and meanwhile its
-  newest checkpoint lies there. Files appear whole or not at all.
-- Whoever trains a run holds its lock in the store; what another process holds is left to it, and reported.
+- A run leaves the same files in the store as with `local`, except for its provenance. While it trains, its
+  newest checkpoint is there. Files are written whole or not at all.
+- The process that trains a run holds its lock in the store. Runs that other processes hold are reported and
+  left to them.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A run that crashes, or whose process or node goes, is tried once more before that counts. A job of Slurm's
-  that is lost with its node is put back into the queue by Slurm itself.
-- After the first Ctrl-C every run comes to a checkpoint that lies in the store; after the second all stop at
-  once. Either way the same command goes on, with this executor or another, to the same bits. Where jobs
-  outlive the command, as in Slurm's queue, it is only left: `Detached`.
-- Nothing pickled is ever put into the results folder.
+- A run that crashes, or loses its process or node, is tried once more before it counts as failed. Slurm
+  requeues jobs whose node is lost.
+- After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. The same
+  command resumes, with this executor or another, and ends with the same bits. If jobs outlive the command, as in
+  Slurm's queue, it raises `Detached`.
+- Nothing pickled is ever written to the results folder.
 """
 
 from __future__ import annotations
@@ -128,10 +129,10 @@ def watch(
     Args:
         left: ids of the runs.
         store: where they are stored.
-        on_event: is told.
-        live: returns the jobs there still are, by the ids of their runs.
-        seconds: between two looks.
-        lost: what to say of a run that is not stored though its job has gone.
+        on_event: receives the events.
+        live: returns the remaining jobs, by the ids of their runs.
+        seconds: time between two looks.
+        lost: the reason for a run whose job has ended without results.
     """
     jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
     while left:

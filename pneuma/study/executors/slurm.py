@@ -209,7 +209,7 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     """Return a submitit executor for jobs of this name.
 
     Raises:
-        UserError: where submitit or srun is missing, or for an option that is not for people to set.
+        UserError: where submitit or srun is missing, or for an option that users cannot set.
     """
     options = {key: True if text == "true" else text for key, text in how.slurm}
     if taken := [key for key in OWN if key in options]:
