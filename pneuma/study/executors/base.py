@@ -13,8 +13,8 @@ All of them guarantee:
 - A run that crashes, or loses its process or node, is tried once more before it counts as failed. Slurm
   requeues jobs whose node is lost.
 - After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. The same
-  command resumes, with this executor or another, and ends with the same bits. If jobs outlive the command, as in
-  Slurm's queue, it raises `Detached`.
+  command resumes, with this executor or another, and ends with the same bits. If jobs outlive the command, as
+  in Slurm's queue, it raises `Detached`.
 - Nothing pickled is ever written to the results folder.
 """
 
