@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,23 +19,39 @@ from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store
 
-from .pages import BLOCK
+DOCS = Path(__file__).parents[1] / "docs"
+BLOCK = re.compile(
+    r"(?:^`(?P<file>[\w./]+)`\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+)
+"""A fenced block: its language and text, and the file that it is, where a line before it names one."""
 
-PAGE = Path(__file__).parents[1] / "docs" / "python.md"
+
+def run_page(page: str, folder: Path, last: str = "") -> str:
+    """Write a page's files, run its Python in order, and return what that prints."""
+    code = []
+    for block in BLOCK.finditer((DOCS / page).read_text(encoding="utf-8")):
+        if block["file"]:
+            path = folder / block["file"]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(block["text"])
+        elif block["language"] == "python":
+            code.append(block["text"])
+    (folder / "page.py").write_text("\n".join([*code, last]))
+    command = [sys.executable, "-W", "error", "page.py"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_on_environments_runs(tmp_path: Path) -> None:
+    run_page("environment.md", tmp_path)
 
 
 @pytest.mark.slow
 def test_the_pages_python_runs(tmp_path: Path) -> None:
-    blocks = [*BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]
-    for block in blocks:
-        if block["file"]:
-            (tmp_path / block["file"]).write_text(block["text"])
-    code = [block["text"] for block in blocks if block["language"] == "python"]
-    (tmp_path / "page.py").write_text("\n".join([*code, "print(len(data.runs), int(action), env_id)"]))
-    command = [sys.executable, "-W", "error", "page.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    runs, action, env = done.stdout.split()
+    told = run_page("python.md", tmp_path, "print(len(data.runs), int(action), env_id)")
+    runs, action, env = told.splitlines()[-1].split()
     assert (runs, env) == ("4", "pneuma/Pneuma-v0") and 0 <= int(action) < 5
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
     curves = {f"study-horizon-return-entropy-se.{form}" for form in ("png", "svg")}
@@ -44,7 +61,7 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
     """As plain Python: a cell's last expression is printed as a notebook shows it."""
-    notebook = json.loads((PAGE.parent / "first_study.ipynb").read_text(encoding="utf-8"))
+    notebook = json.loads((DOCS / "first_study.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell.get("outputs") for cell in notebook["cells"])
     (tmp_path / "cells.json").write_text(json.dumps(cells))

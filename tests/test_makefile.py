@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.search.spec import list_searches, load_search
 from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
@@ -64,20 +63,3 @@ def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
         ]
         for study, selection in fixed or [(study, Selection("paper")) for study in studies]:
             assert {cell.run_id for cell in make_plan(study, selection).cells} <= trained, study.name
-
-
-def test_tuning_runs_every_search_that_tunes_and_gives_rivals_the_same() -> None:
-    """Each trial is as long as what is found is trained: what shows early is not all that counts."""
-    lines = _told("tuning").splitlines()
-    assert [line for line in lines if "tune-ppo" in line] == _told("tuning", "RIVALS=algorithms").splitlines()
-    searched = [re.findall(r"pneuma search run (\S+)", line) for line in lines]
-    compared = [re.findall(r"tune-\S+", line.partition("search promote")[2]) for line in lines]
-    assert searched == compared
-    assert sorted(name for names in searched for name in names) == [
-        name for name in list_searches() if name.startswith("tune-")
-    ]
-    for names in searched:
-        searches = [load_search(name) for name in names]
-        assert len({(search.space.base, search.presets["paper"]) for search in searches}) == 1
-    trained = [int(re.findall(r"study run .* --steps (\d+)", line)[0]) for line in lines]
-    assert trained == [load_search(names[0]).presets["paper"].steps for names in searched]

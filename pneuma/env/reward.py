@@ -56,9 +56,6 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 def load_reward(name: str) -> RewardFunction:
     """Import a user's reward, also from the current folder.
 
-    What was imported for this before is read anew, with the modules of its own that it imports, where one
-    was edited, as between two cells of a notebook, or the current folder is another.
-
     Raises:
         UserError: when the module or the function does not exist.
     """
@@ -67,24 +64,18 @@ def load_reward(name: str) -> RewardFunction:
     added = path not in sys.path
     if added:
         sys.path.insert(0, path)
-    if _READ.get(module_name, here := _stamp(module_name)) != here:
-        own = {str(file) for file, _ in here[1]}
-        for each, module in list(sys.modules.items()):
-            if getattr(module, "__file__", None) in own:
-                del sys.modules[each]
-        importlib.invalidate_caches()
-    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # known by whole seconds and sizes alone
+    # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     try:
-        with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+        with redirect_stdout(sys.stderr):  # standard output is for a command's document
             module = importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # whatever a user's module does when it is read
+    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     finally:
         sys.dont_write_bytecode = writes
         if added:  # behind all others, for what the function itself imports when it is called
             sys.path.remove(path)
             sys.path.append(path)
-    _READ[module_name] = _stamp(module_name)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -100,23 +91,10 @@ def reward_files(names: Sequence[str]) -> list[Path]:
     files = []
     for name in names:
         load_reward(name)
-        files += _own_files(name.partition(":")[0])
+        module = name.partition(":")[0]
+        source = getattr(sys.modules[module], "__file__", None)
+        files += module_files(module, Path(source)) if source else []
     return files
-
-
-_READ: dict[str, Any] = {}
-"""The result of `_stamp` when a module was imported for a reward."""
-
-
-def _stamp(module: str) -> tuple[Path, list[tuple[Path, int]]]:
-    """Return the current folder, and the modification times of a module's files."""
-    files = [file for file in _own_files(module) if file.is_file()]
-    return Path.cwd(), [(file, file.stat().st_mtime_ns) for file in files]
-
-
-def _own_files(module: str) -> list[Path]:
-    source = getattr(sys.modules.get(module), "__file__", None)
-    return module_files(module, Path(source)) if source else []
 
 
 def present(events: np.ndarray) -> np.ndarray:

@@ -126,9 +126,6 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
     assert seven.decisive is not None and seven.decisive.p == pytest.approx(7 * 2 / 252)  # 0.056
 
 
-# --- Of how many contrasts a claim speaks ------------------------------------------------------------
-
-
 # --- Two outcomes, two effects, gaps ----------------------------------------------------------------
 
 

@@ -14,7 +14,6 @@ import typer
 from pneuma.cli.options import Chosen, grouped, selecting_words
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
-from pneuma.study.store import Status, Store
 
 from .calls import TINY, Called, call, printed
 
@@ -74,33 +73,7 @@ def test_an_exported_table_has_exactly_the_documented_columns_and_the_same_bytes
         assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
 
 
-def test_curves_are_exported_with_the_window_and_the_band_that_are_named(
-    trained: Path, tmp_path: Path
-) -> None:
-    """At the end of training: what the last hundred episodes of each run returned, least and greatest."""
-    looks = ("--window", "trailing-100", "--band", "minmax")
-    curves = pd.read_csv(io.BytesIO(_export(trained, "curves", tmp_path / "c.csv", *looks)))
-    episodes = pd.read_csv(io.BytesIO(_export(trained, "episodes", tmp_path / "e.csv")))
-    returns = curves[(curves["quantity"] == "return") & (curves["step"] == curves["step"].max())]
-    assert set(curves["band"]) == {"minmax"}
-    for condition in ("tanh", "relu"):
-        own = episodes[episodes["condition"] == condition].sort_values(["run_id", "step"])
-        means = [own[own["run_id"] == name]["return"][-100:].mean() for name in own["run_id"].unique()]
-        found = returns[returns["condition"] == condition][["low", "mean", "high"]].to_numpy(float)[0]
-        assert found == pytest.approx([min(means), sum(means) / len(means), max(means)])
-
-
 # --- Studies whose runs end in no success ---------------------------------------------------------
-
-
-def test_a_diverged_run_is_a_result_with_a_line_of_its_own(tmp_path: Path) -> None:
-    (cell,) = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",))).cells
-    Store(tmp_path).save_run(cell.run_id, Status("diverged", 512), {})
-    run = ("study", "run", "activation", "--seeds", "1", "--condition", "tanh", "--results", tmp_path)
-    assert "tanh seed 0 diverged at step 512" in printed(*run)
-    called = call(*run, "--json")
-    assert called.code == 0 and "tanh seed 0 diverged at step 512" in called.err
-    assert called.document["runs"][0]["status"] == "diverged"
 
 
 def test_a_crash_is_exit_code_1_and_says_where_to_look(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pneuma.config import make_run
 from pneuma.env import MO_ENVIRONMENTS
-from pneuma.env.reward import PARTS, load_reward, module_files
+from pneuma.env.reward import PARTS, module_files
 from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
-from pneuma.study.identity import run_id
 
 from .arena import ATTACK, STAND, Place, move_monster, play, stage
 
@@ -167,36 +164,6 @@ def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, l
     assert "\n" not in message
 
 
-def test_a_reward_that_was_edited_or_stands_elsewhere_is_read_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As between two cells of a notebook; with the modules beside it that it imports."""
-    name = "reread_reward"
-
-    def write(folder: str, told: str, helper: str) -> None:
-        (tmp_path / folder).mkdir(exist_ok=True)
-        (tmp_path / folder / f"{name}.py").write_text(
-            f"import {name}_helper\ndef pay(events, players, stats):\n"
-            f"    return {told} + {name}_helper.MORE + 0 * events['died']\n"
-        )
-        (tmp_path / folder / f"{name}_helper.py").write_text(f"MORE = {helper}\n")
-
-    def paid() -> float:
-        return float(load_reward(f"{name}:pay")({"died": 0}, None, None))  # type: ignore[arg-type]
-
-    write("one", "1", "0.5")
-    write("two", "20", "0.25")
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.chdir(tmp_path / "one")
-    assert paid() == 1.5
-    write("one", "300", "0.5")
-    assert paid() == 300.5
-    write("one", "300", "0.25")  # as long as before, and within the second
-    assert paid() == 300.25
-    monkeypatch.chdir(tmp_path / "two")
-    assert paid() == 20.25
-
-
 # --- Vector rewards -------------------------------------------------------------------------------
 
 
@@ -279,21 +246,3 @@ def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -
     assert found[0] == paths["mine"]
     expected = {paths[name] for name in ("mine", "helper", "late", "tools__deep", "tools__near")} | {package}
     assert set(found) == expected and found[1:] == sorted(found[1:])
-
-
-def test_a_reward_that_the_standard_library_makes_is_named_by_its_own_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`functools.partial` objects say that they are of functools."""
-    source = "import functools\nfrom {helper} import body\nreward = functools.partial(body)\n"
-    module, helper = "own_reward_a", "own_reward_a_helper"
-    named = files(tmp_path, **{module: source.format(helper=helper), helper: BODY.replace("reward", "body")})
-    monkeypatch.chdir(tmp_path)
-    run = make_run({"reward": f"{module}:reward"})
-    before = run_id(run)
-    for path in named.values():
-        original = path.read_text()
-        path.write_text(original + "# changed\n")
-        assert run_id(run) != before
-        path.write_text(original)
-        assert run_id(run) == before

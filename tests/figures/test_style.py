@@ -24,11 +24,6 @@ def test_table_6_2_has_one_colour_under_all_its_names() -> None:
     assert first == ["non-stationary", "tanh", "0.1"]
 
 
-def test_crossed_conditions_share_a_colour_where_each_has_a_panel() -> None:
-    crossed = [f"limit={limit}, {kind}" for limit in (1, 2, 3) for kind in ("tanh", "relu", "leaky-relu")]
-    assert [look["color"] for look in condition_looks(crossed).values()] == [*COLOURS[:3]] * 3
-
-
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
     wild = "a\x1b\u202eb\ud800"
     assert plain(wild) == r"a\u001b\u202eb\ud800"
