@@ -135,8 +135,6 @@ def test_two_ways_to_write_one_training_are_equal_runs(one: dict[str, Any], othe
 
 # --- What a field may be -------------------------------------------------------------------------
 
-# Of numbers of each kind: values beyond each end, then the last ones within.
-
 
 def _refused(key: str, value: Any) -> str:
     with pytest.raises(UserError) as caught:
