@@ -169,9 +169,9 @@ def load_policy(
     if POLICY_FILE not in store.file_names(found):
         raise UserError(f"run {found} left no policy")
     settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
-    if (own := own_things(settings)) and not trust:
+    if (named_code := own_things(settings)) and not trust:
         mend = "if you trust its source, give --trust (in Python trust=True)"
-        raise UserError(f"run {found} would {' and '.join(own.values())}: {mend}")
+        raise UserError(f"run {found} would {' and '.join(named_code.values())}: {mend}")
     return read_sound_policy(store.read_file(found, POLICY_FILE)), str(run.get("env")), settings
 
 

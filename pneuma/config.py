@@ -340,20 +340,20 @@ def _check_learner(run: Run) -> None:
 
 def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     """Return the fields that an environment, an algorithm and its optimizer read."""
-    own = ALGORITHM_FIELDS[algorithm]
+    of_algorithm = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
-        return frozenset(own) | _READ_BY_ALL
+        return frozenset(of_algorithm) | _READ_BY_ALL
     of_env = OF_GYMNASIUM if is_gymnasium_id(env) else _OF_WORLDS
-    return frozenset((*own, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL
+    return frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL
 
 
 _GONE = {"learners": "shared"}
 """Fields of older versions, with the values at which they changed nothing; a run with them is the same
 run."""
-_LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for own in ALGORITHM_DEFAULTS.values() for key in own)}
+_LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
 """Fields for which None means the default."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-_OF_OPTIMIZERS = frozenset(key for own in OPTIMIZER_FIELDS.values() for key in own)
+_OF_OPTIMIZERS = frozenset(key for optimizer_fields in OPTIMIZER_FIELDS.values() for key in optimizer_fields)
 _READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
@@ -378,10 +378,10 @@ def env_config(run: Run) -> EnvConfig:
 
 def evaluation_config(run: Run) -> EnvConfig:
     """Return the fields of the environment in which a run is evaluated: its own, or held-out levels."""
-    own = env_config(run)
+    config = env_config(run)
     if not run.held_out_levels:
-        return own
-    return replace(own, level="random:test:0", random_levels=run.held_out_levels)
+        return config
+    return replace(config, level="random:test:0", random_levels=run.held_out_levels)
 
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:

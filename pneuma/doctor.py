@@ -89,7 +89,9 @@ def _results(folder: Path) -> Finding:
         counts = Counter(store.status(run).name for run in store.runs())
     except UserError as error:
         return Finding("results", BROKEN, str(error), "name another folder with --results")
-    told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "no runs yet"
+    summary = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "no runs yet"
     if counts["damaged"]:
-        return Finding("results", NOTE, f"{folder}: {told}", "`pneuma study run` trains damaged runs again")
-    return Finding("results", GOOD, f"{folder}: {told}")
+        return Finding(
+            "results", NOTE, f"{folder}: {summary}", "`pneuma study run` trains damaged runs again"
+        )
+    return Finding("results", GOOD, f"{folder}: {summary}")

@@ -52,10 +52,10 @@ def nearest_name(word: str, names: Iterable[str]) -> str:
     A name that others give the same thing is near as well: `lr` of `learning_rate`, `reward` of
     `final-return`.
     """
-    known, own = list(names), str(word).lower()
-    meant = MEANT.get(own, own)
+    known, typed = list(names), str(word).lower()
+    meant = MEANT.get(typed, typed)
     near = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in known]
-    near = near or difflib.get_close_matches(own, known, 1, NEAR)
+    near = near or difflib.get_close_matches(typed, known, 1, NEAR)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

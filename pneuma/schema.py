@@ -97,9 +97,9 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
     if not deepest:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
-        return {key: plain(own, deepest - 1) for key, own in value.items()}
+        return {key: plain(item, deepest - 1) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return tuple(plain(own, deepest - 1) for own in value)
+        return tuple(plain(item, deepest - 1) for item in value)
     if isinstance(value, PathLike):
         return fspath(value)
     if type(value).__module__ == "numpy" and getattr(value, "ndim", None) == 0:
@@ -125,7 +125,7 @@ class FieldsOf:
     @property
     def names(self) -> tuple[str, ...]:
         """The fields that may be set."""
-        return tuple(own.name for own in fields(self.owner) if own.name not in self.elsewhere)
+        return tuple(one.name for one in fields(self.owner) if one.name not in self.elsewhere)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         hints = get_type_hints(self.owner, include_extras=True)

@@ -108,10 +108,10 @@ LONGEST_NAME = 100
 
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:
     """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
-    told = "-".join([*(f"{key}={shown_value(value)}" for key, value in settings.items()), *more])
-    name = re.sub(r"[^\w.=+-]+", "-", told).strip("-")
+    whole = "-".join([*(f"{key}={shown_value(value)}" for key, value in settings.items()), *more])
+    name = re.sub(r"[^\w.=+-]+", "-", whole).strip("-")
     if len(name) > LONGEST_NAME:
-        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(told.encode(errors='replace')).hexdigest()[:6]}"
+        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(whole.encode(errors='replace')).hexdigest()[:6]}"
     return name
 
 

@@ -73,8 +73,8 @@ class ClaimRuns:
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
         if len({run.engine for run in runs}) > 1:
-            told = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
-            return f"engines are mixed: {told}"
+            engines = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
+            return f"engines are mixed: {engines}"
         if missing := [*filter(None, map(self._missing, names))]:
             return "; ".join(filter(None, [*missing, self.mend]))
         timed = any(find_outcome(part).source == "times" for part in outcome.split(MINUS))
@@ -85,7 +85,7 @@ class ClaimRuns:
         cells, found = self.cells[condition], len(self.found(condition))
         if found == len(cells):
             return ""
-        steps = f"{cells[0].run.steps:,} steps" + "".join(f" ({told})" for told in self.damaged)
+        steps = f"{cells[0].run.steps:,} steps" + "".join(f" ({problem})" for problem in self.damaged)
         if found:
             return f"too few seeds: {condition} has {found} of the {len(cells)} fixed ones with {steps}"
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
@@ -151,8 +151,8 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
                 for condition, each in cells.items()
                 for cell in each
             ]
-            told = {"title": study.title, "figure": study.figure, "baseline": study.baseline, "same": []}
-            record = {"study": study.name, "path": study.own_path, **told, "runs": runs}
+            about = {"title": study.title, "figure": study.figure, "baseline": study.baseline, "same": []}
+            record = {"study": study.name, "path": study.own_path, **about, "runs": runs}
             found = index.of_record(record)
             finished = any(record.status.finished for record in found.values())
             data = StudyData(found, record, str(store.root)) if finished else None

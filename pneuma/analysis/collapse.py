@@ -84,7 +84,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     if ONE_ACTION in found:
         alone = both(alone, found[ONE_ACTION])
     # Single updates that come again and again are joined, but are no collapse: most updates must show it.
-    stuck = [own for own in _lasting(alone, gap, shortest) if share_held(alone, own, distance or 1) > MOST]
+    stuck = [part for part in _lasting(alone, gap, shortest) if share_held(alone, part, distance or 1) > MOST]
     judged = {*found, *([LOSS] if losses is not None else [])}
     if falls or (len(steps) and not run.begun):  # a fork's best was its parent's
         judged.add(FALL)
@@ -93,7 +93,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     if not spells:
         return Diagnosis(False, unseen=unseen)
     (onset, last), ended = spells[0], spells[-1][1]
-    fell, lost = ([own for own in parts if onset <= own[0] <= last] for parts in (falls, sunk))
+    fell, lost = ([part for part in parts if onset <= part[0] <= last] for parts in (falls, sunk))
     held = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
     held |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
     if fell and fell[0][0] == onset:
@@ -122,8 +122,8 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     for run in data.runs:
         found = diagnose(data, run)
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
-        told = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
-        rows.append({**named, **told})
+        shown = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
+        rows.append({**named, **shown})
     whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
     return pd.DataFrame(rows).astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
 
@@ -135,8 +135,8 @@ def incidence(data: StudyData) -> pd.DataFrame:
     """
     rows, every = [], diagnoses(data)
     for condition in data.conditions:
-        own = every[every["condition"] == condition]
-        found = own[own["unseen"] != ", ".join(SIGNS)]
+        diagnosed = every[every["condition"] == condition]
+        found = diagnosed[diagnosed["unseen"] != ", ".join(SIGNS)]
         count = int(found["collapsed"].sum())
         interval = incidence_interval(count, len(found))
         rows.append(
@@ -151,7 +151,7 @@ def incidence(data: StudyData) -> pd.DataFrame:
                 "interval": interval.method,
                 "recovered": int(found["recovered_step"].notna().sum()),
                 "relearned": int(found["relearned"].sum()),
-                "unknown": len(own) - len(found),
+                "unknown": len(diagnosed) - len(found),
             }
         )
     return pd.DataFrame(rows)
@@ -162,7 +162,7 @@ def incidence(data: StudyData) -> pd.DataFrame:
 
 def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
     """Join stretches across gaps and return those that last long enough for a collapse."""
-    return [own for own in joined(parts, gap) if own[1] - own[0] >= shortest]
+    return [part for part in joined(parts, gap) if part[1] - part[0] >= shortest]
 
 
 def _losses(seen: RunView) -> list[Stretch] | None:

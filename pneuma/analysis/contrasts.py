@@ -138,13 +138,13 @@ def compare_effects(
         level: of the simultaneous interval.
     """
     values = [finite(arm) for arm in arms]
-    seeds = min(own.size for own in values[:2]), min(own.size for own in values[2:])
+    seeds = min(of_arm.size for of_arm in values[:2]), min(of_arm.size for of_arm in values[2:])
     if too_few := _too_few("mean", min(seeds)):
         return undecided("mean", too_few, seeds)
-    means = [own.mean() for own in values]
+    means = [of_arm.mean() for of_arm in values]
     effect = float(means[0] - means[1] - means[2] + means[3])
-    parts = np.array([own.var(ddof=1) / own.size for own in values])
-    error, degrees = float(np.sqrt(parts.sum())), np.array([own.size - 1 for own in values])
+    parts = np.array([of_arm.var(ddof=1) / of_arm.size for of_arm in values])
+    error, degrees = float(np.sqrt(parts.sum())), np.array([of_arm.size - 1 for of_arm in values])
     if error == 0:
         return undecided("mean", "all runs of every arm are equal", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())

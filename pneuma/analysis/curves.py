@@ -97,8 +97,8 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
     table = data.table("evaluations").drop_duplicates(["condition", "run_id", "step"], keep="last")
     curves = []
     for runs in _groups(data):
-        own = table[table["condition"] == runs[0].condition]
-        values = own.pivot(index="run_id", columns="step", values=column)
+        rows = table[table["condition"] == runs[0].condition]
+        values = rows.pivot(index="run_id", columns="step", values=column)
         values = values.reindex([run.run_id for run in runs])
         curves.append(_curve(runs, values.columns.to_numpy(float), values.to_numpy(float)))
     return curves
@@ -141,8 +141,8 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
         for curve in group:
             low, high = curve.band(band)
             about = {"condition": curve.condition, "quantity": quantity, "step": curve.step}
-            own = {"mean": curve.mean, "low": low, "high": high, "band": band, "runs": curve.count}
-            frames.append(pd.DataFrame({**about, **own}))
+            columns = {"mean": curve.mean, "low": low, "high": high, "band": band, "runs": curve.count}
+            frames.append(pd.DataFrame({**about, **columns}))
     return pd.concat(frames, ignore_index=True)
 
 
@@ -165,8 +165,11 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
         return {}
     rows = data.table("evaluations").groupby("condition", sort=False)
     levels = [
-        [np.ascontiguousarray(own[f"{player}_share_killed"], float).mean() for player in ("random", "hunter")]
-        for _, own in rows
+        [
+            np.ascontiguousarray(player_rows[f"{player}_share_killed"], float).mean()
+            for player in ("random", "hunter")
+        ]
+        for _, player_rows in rows
     ]
     if not levels or np.ptp(levels, axis=0).max() > NEAR:
         return {}

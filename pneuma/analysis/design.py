@@ -80,8 +80,8 @@ def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
     refused = {}
     for key, outcomes in plans.items():
         enough = all if claims.claims[key[0]].need == "all" else any
-        if not any(enough(not own.reason for own in each) for each in outcomes.values()):
-            reasons = dict.fromkeys(own.reason for each in outcomes.values() for own in each if own.reason)
+        if not any(enough(not row.reason for row in each) for each in outcomes.values()):
+            reasons = dict.fromkeys(row.reason for each in outcomes.values() for row in each if row.reason)
             refused[key] = "; ".join(reasons)
     return refused
 
@@ -97,7 +97,8 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
         spread = UNKNOWN_SHARE if spread is None else spread
         detectable = _least_share(claim, seeds, alpha, spread if claim.value is None else claim.value)
     elif spread is not None:
-        error, freedom = spread * math.sqrt(sum(1 / own for own in seeds)), max(sum(seeds) - len(seeds), 1)
+        error = spread * math.sqrt(sum(1 / count for count in seeds))
+        freedom = max(sum(seeds) - len(seeds), 1)
         detectable = float(error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER)))
         provable = float(error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2)))
     least, most = detectable, claim.of("plausible", outcome)
@@ -112,8 +113,8 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
         reason = f"no largest plausible effect on {outcome} is stated"
     elif least > most:
         reason = f"cannot be decided with so many seeds ({sum(seeds)} runs): {words.format(least, most)}"
-    told = f"{claim.value:g}" if b is None else b
-    return Plan(claim, world, outcome, a, told, seeds, alpha, spread, detectable, provable, reason)
+    against = f"{claim.value:g}" if b is None else b
+    return Plan(claim, world, outcome, a, against, seeds, alpha, spread, detectable, provable, reason)
 
 
 def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
@@ -124,7 +125,7 @@ def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float
     if len(seeds) == 2:
         weights = count_chances(seeds[1], np.array([base]))[0]
         tables = share_table(*seeds), share_table(*seeds[::-1]).T
-        above, below = ((2 * own <= alpha) @ weights for own in tables)  # by each count of runs of a
+        above, below = ((2 * table <= alpha) @ weights for table in tables)  # by each count of runs of a
     else:
         p = one_share_p_values(np.arange(seeds[0] + 1), seeds[0], base, None)
         above, below = 2 * p.greater <= alpha, 2 * p.less <= alpha

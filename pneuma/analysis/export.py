@@ -35,7 +35,7 @@ def encode_table(
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
     held = data.checked_window(window)
-    names = [own for own in EPISODE_QUANTITIES if data.has_curve(own, held)]
+    names = [quantity for quantity in EPISODE_QUANTITIES if data.has_curve(quantity, held)]
     curves = {name: training_curves(data, name, window) for name in names}
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)

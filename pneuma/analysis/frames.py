@@ -99,8 +99,8 @@ class StudyData:
         self._where = where
         self.study: str = record["study"]
         self.changed: dict[str, Any] = dict(record.get("selection", {}).get("settings") or {})
-        told = shown_settings(self.changed)
-        self.title: str = record["title"] + (f" ({told})" if told else "")
+        changes = shown_settings(self.changed)
+        self.title: str = record["title"] + (f" ({changes})" if changes else "")
         for key in ("study", "figure"):
             if not re.fullmatch(r"(?!\.+$)[^/\\\0]+", record[key]):
                 raise UserError(
@@ -194,7 +194,7 @@ class StudyData:
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return next((own for run in self.runs if (own := run.records.averaged_over)), None)
+        return next((episodes for run in self.runs if (episodes := run.records.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
@@ -205,7 +205,7 @@ class StudyData:
         """
         held = {run.records.quantities for run in self.published}
         some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
-        return [name for name in some if all(name in own for own in held)]
+        return [name for name in some if all(name in known for known in held)]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
         """Return the study with some of its conditions, on the same grid and for the same figure."""
@@ -235,7 +235,7 @@ class StudyData:
             run.records.table(name).assign(**{key: getattr(run, key) for key in naming}) for run in self.runs
         ]
         frame = pd.concat(frames, ignore_index=True)
-        return frame[[*naming, *(own for own in frame if own not in naming)]]
+        return frame[[*naming, *(column for column in frame if column not in naming)]]
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.

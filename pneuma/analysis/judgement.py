@@ -209,8 +209,8 @@ def _judge_contrast(
         smallest = smallest_p(contrast, claim.direction)
         if not contrast.reason and smallest * factor > alpha:
             few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"
-            told = f"{few}, and the list has {counted(claims.contrasts, 'contrast')}"
-            contrast = replace(contrast, reason=told)
+            problem = f"{few}, and the list has {counted(claims.contrasts, 'contrast')}"
+            contrast = replace(contrast, reason=problem)
         verdict = UNTESTABLE if contrast.reason else INCONCLUSIVE
     if claim.c:
         a, other = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"

@@ -66,10 +66,13 @@ def is_return(name: str) -> bool:
 def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
     """Return whether returns of conditions (default: all) compare: same reward, as many players."""
     names = data.conditions if conditions is None else conditions
-    firsts = [own[0].fields for name in names if (own := data.of_condition(name))]
+    firsts = [runs[0].fields for name in names if (runs := data.of_condition(name))]
     units = {
-        (own["env"] if is_gymnasium_id(own.get("env")) else "", str([own.get("reward"), own.get("players")]))
-        for own in firsts
+        (
+            fields["env"] if is_gymnasium_id(fields.get("env")) else "",
+            str([fields.get("reward"), fields.get("players")]),
+        )
+        for fields in firsts
     }
     return len(units) <= 1
 

@@ -211,7 +211,7 @@ def incidence_p_values(
         return share_table(runs_b, runs_a, difference)[counts_b, counts_a]
 
     at = [0.0] if margin is None or margin >= 1 else [0.0, margin, -margin]
-    return p_values([above(own) for own in at], [below(-own) for own in at], len(counts_a))
+    return p_values([above(level) for level in at], [below(-level) for level in at], len(counts_a))
 
 
 @lru_cache(maxsize=256)
@@ -264,7 +264,7 @@ def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: floa
         return above, special.bdtr(counts, runs, share)
 
     at = [value] if margin is None else [value, value + margin, value - margin]
-    sided = np.array([one_sided(own) for own in at])  # (shares, 2, samples)
+    sided = np.array([one_sided(level) for level in at])  # (shares, 2, samples)
     return p_values(sided[:, 0], sided[:, 1], len(counts))
 
 

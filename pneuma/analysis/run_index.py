@@ -45,8 +45,8 @@ class RunIndex:
         """Return what is held of every run of a selection, by its id; of others that they are planned."""
         found = {run["run_id"]: self._own(run["run_id"]) for run in record["runs"]}
         if tables != "none":
-            own = self.table(record["study"]) if _lacking(found) else None
-            _fill(found, [own] if own else [])
+            table = self.table(record["study"]) if _lacking(found) else None
+            _fill(found, [table] if table else [])
         if tables == "all" and _lacking(found):
             _fill(found, self._others())
         return found
@@ -107,7 +107,7 @@ def open_published(results: Path, names: Sequence[str] | None = None) -> list[St
 
 
 def _lacking(found: Mapping[str, Records]) -> set[str]:
-    return {run_id for run_id, own in found.items() if not own.status.finished}
+    return {run_id for run_id, records in found.items() if not records.status.finished}
 
 
 def _fill(found: dict[str, Records], tables: Sequence[PublishedTable]) -> None:

@@ -22,7 +22,7 @@ def study_record(
     name: str,
     picked: Selection = ALL,
     world: str | None = None,
-    tell: Callable[[str], object] = lambda told: None,
+    tell: Callable[[str], object] = lambda message: None,
 ) -> dict[str, Any]:
     """Return the record of a study or variant, with the runs that a selection picks.
 
@@ -34,8 +34,8 @@ def study_record(
         UserError: where nothing is stored, or nothing that is picked.
     """
     asked = world
-    own, world = chosen_world(Path(name).stem if name.endswith(".toml") else shipped_name(name), world)
-    stem = spec.name_in_world(own, world)
+    study, world = chosen_world(Path(name).stem if name.endswith(".toml") else shipped_name(name), world)
+    stem = spec.name_in_world(study, world)
     records = store.selections(stem)
     if records and name.endswith(".toml"):
         store.check_same_file(records[0], Path(name))
@@ -59,8 +59,10 @@ def study_record(
 
 def related_studies(store: Store, study: str) -> list[str]:
     """Return the study's variants and other worlds that are stored, those of its own world first."""
-    own, world = split_world(study)
-    found = [name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == own]
+    study_name, world = split_world(study)
+    found = [
+        name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == study_name
+    ]
     return sorted((name for name in found if name != study), key=lambda name: split_world(name)[1] != world)
 
 
@@ -104,10 +106,10 @@ def shipped_name(name: str) -> str:
     figure, world = split_world(name)
     if not re.fullmatch(r"(fig|table)-[\w-]+|\d(\.\d+)?", figure):
         return name
-    tables = {own: spec.read_head(own) for own in spec.list_studies()}
+    tables = {study: spec.read_head(study) for study in spec.list_studies()}
     numbered = (figure, f"fig-{figure.replace('.', '-')}")
-    found = [own for own, head in tables.items() if head["figure"] in numbered]
-    found = found or [own for own, head in tables.items() if figure in head["section"].split(" and ")]
+    found = [study for study, head in tables.items() if head["figure"] in numbered]
+    found = found or [study for study, head in tables.items() if figure in head["section"].split(" and ")]
     if len(found) > 1:
         raise UserError(f"{name} is of several studies: name one of {', '.join(found)}")
     return in_world(found[0], world) if found else name

@@ -237,14 +237,14 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
             for band in bands:
                 yield _covered(band, name, seeds, band_coverage(band, runs))
             for method, interval, truth in one_by_one:
-                made = [own for own in map(interval, runs[:fewer]) if own.exists]
-                share = np.mean([own.low <= truth <= own.high for own in made]) if made else np.nan
+                made = [each for each in map(interval, runs[:fewer]) if each.exists]
+                share = np.mean([each.low <= truth <= each.high for each in made]) if made else np.nan
                 yield _covered(method, name, seeds, float(share))
     for seeds in SEEDS:
         count = np.arange(seeds + 1)
         chance = special.comb(seeds, count) * EVENT_SHARE**count * (1 - EVENT_SHARE) ** (seeds - count)
         made = [intervals.incidence_interval(int(k), seeds) for k in count]
-        held = [own.low <= EVENT_SHARE <= own.high for own in made]
+        held = [each.low <= EVENT_SHARE <= each.high for each in made]
         yield _covered("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, float(chance @ held))
 
 

@@ -42,8 +42,8 @@ def measure() -> dict[str, Any]:
     cases: list[dict[str, Any]] = []
     ratios = {}
     for size, runs, steps, reference_steps, rounds in CASES:
-        own = [engine_run(size, "batched", seed, steps) for seed in range(runs)]
-        ours, theirs = engine_rates(own, engine_run(size, "sb3", 0, reference_steps), rounds)
+        compiled = [engine_run(size, "batched", seed, steps) for seed in range(runs)]
+        ours, theirs = engine_rates(compiled, engine_run(size, "sb3", 0, reference_steps), rounds)
         case = f"{size} network, {runs} {'run' if runs == 1 else 'runs'}"
         for engine, count, rates in (("batched", runs, ours), ("sb3", 1, theirs)):
             rate = statistics.median(rates)
@@ -57,7 +57,7 @@ def engine_run(size: str, engine: str, seed: int, steps: int) -> Run:
     return make_run({**BASES["table-6-2"], **SIZES[size], "engine": engine, "seed": seed, "steps": steps})
 
 
-def engine_rates(own: Sequence[Run], reference: Run, rounds: int) -> tuple[list[float], list[float]]:
+def engine_rates(compiled: Sequence[Run], reference: Run, rounds: int) -> tuple[list[float], list[float]]:
     """Return the steps per second of both engines in each round."""
     from pneuma.engines import batched, sb3
 
@@ -67,10 +67,10 @@ def engine_rates(own: Sequence[Run], reference: Run, rounds: int) -> tuple[list[
     def theirs(run: Run) -> None:
         sb3.train_one(run, lambda progress: True, env=make_vec_env(run))
 
-    ours(own[0])  # compiles
+    ours(compiled[0])  # compiles
     rates: tuple[list[float], list[float]] = ([], [])
     for _ in range(rounds):
-        for rate, train, runs in zip(rates, (ours, theirs), (own, [reference]), strict=True):
+        for rate, train, runs in zip(rates, (ours, theirs), (compiled, [reference]), strict=True):
             begun = time.perf_counter()
             for run in runs:
                 train(run)

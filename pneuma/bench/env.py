@@ -35,8 +35,8 @@ def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[
     ]
     rates: list[list[float]] = [[] for _ in cases]
     for _ in range(rounds):
-        for own, (_, _, worlds, step) in zip(rates, cases, strict=True):
-            own.append(rate_of(step, seconds) * worlds)
+        for case_rates, (_, _, worlds, step) in zip(rates, cases, strict=True):
+            case_rates.append(rate_of(step, seconds) * worlds)
     return [
         {"case": case, "face": face, "worlds": worlds, "agent_steps_per_second": statistics.median(rate)}
         for (case, face, worlds, _), rate in zip(cases, rates, strict=True)

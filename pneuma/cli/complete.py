@@ -46,9 +46,9 @@ def _store(typed: Mapping[str, Any]) -> Store:
 def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Return the unchecked file of the study on the command line, by its name or path."""
     name = typed.get("name") or (typed.get("names") or typed["rest"])[0]
-    own = split_world(name)[0]
-    shipped = spec.studies_folder() / f"{own}.toml"
-    path = Path(name) if name.endswith(".toml") else shipped if shipped.exists() else Path(f"{own}.toml")
+    study = split_world(name)[0]
+    shipped = spec.studies_folder() / f"{study}.toml"
+    path = Path(name) if name.endswith(".toml") else shipped if shipped.exists() else Path(f"{study}.toml")
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 

@@ -176,10 +176,12 @@ def _story(worlds: Any) -> str:
 
     count = worlds.monsters.shape[1]
     killed = f"{count - worlds.worlds['monsters_left'][0]} of {count} monsters killed"
-    told = f"{killed}, {agent_steps(worlds)} steps"
+    played = f"{killed}, {agent_steps(worlds)} steps"
     if worlds.ending(0) == "running":
-        return f"{told}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
-    return f"{told}, {worlds.ending(0).replace('-', ' ')}"
+        return (
+            f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
+        )
+    return f"{played}, {worlds.ending(0).replace('-', ' ')}"
 
 
 def _player(
@@ -206,5 +208,5 @@ def _player(
         raise UserError(f"--player {player}: {error}") from None
     if env != name.replace("/mo-", "/"):
         raise UserError(f"--player {player}: was trained in {env}, not in {name}")
-    settings["reward"] = [own if own in REWARDS else REWARDS[0] for own in settings["reward"]]
+    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in settings["reward"]]
     return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

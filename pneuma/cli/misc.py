@@ -38,7 +38,7 @@ def report(
     from pneuma.cli.report import gather_report
     from pneuma.figures.report import report_page
 
-    found = gather_report(store, names or [], lambda told: say(told, aside=True, quiet=quiet))
+    found = gather_report(store, names or [], lambda message: say(message, aside=True, quiet=quiet))
     page = report_page(**found)
     write_file(out, page)
     studies, claims = len(found["studies"]), len(found["claims"])
@@ -56,7 +56,7 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     if json:
         print_json({"ok": sound, "checks": findings})
     else:
-        rows = [(own.check, own.state, own.told, own.mend and f"-> {own.mend}") for own in findings]
+        rows = [(each.check, each.state, each.told, each.mend and f"-> {each.mend}") for each in findings]
         print_table([""] * 4, rows)
         begin = "All that Pneuma needs is here. Begin with: pneuma study run activation"
         print(f"\n{begin}" if sound else "\nSomething that Pneuma needs is broken: mend it, then ask again.")

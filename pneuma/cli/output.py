@@ -89,7 +89,7 @@ def print_rows(many: str, rows: Sequence[Mapping[str, Any]], json: bool) -> None
     """Print one or more rows as JSON, or as a table with their keys as headings."""
     if json:
         return print_json({many: rows})
-    return print_table([*rows[0]], [[_shown(own) for own in row.values()] for row in rows])
+    return print_table([*rows[0]], [[_shown(value) for value in row.values()] for row in rows])
 
 
 def _shown(value: object) -> str:
@@ -101,9 +101,9 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
     tables = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.toml"))}
     keys = ("title", "section", "figure")
     rows = [
-        {kind: name, **{key: own.get(key, "") for key in keys}}
-        for name, own in tables.items()
-        if "title" in own
+        {kind: name, **{key: table.get(key, "") for key in keys}}
+        for name, table in tables.items()
+        if "title" in table
     ]
     return print_rows(many, rows, json)
 

@@ -190,7 +190,7 @@ def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, A
 def _value(value: Any) -> str:
     """Return a field or a fact as text."""
     several = isinstance(value, dict)
-    shown = ", ".join(f"{key} {own}" for key, own in value.items()) if several else shown_value(value)
+    shown = ", ".join(f"{key} {part}" for key, part in value.items()) if several else shown_value(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 

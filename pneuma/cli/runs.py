@@ -35,9 +35,11 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         print(f"No run is stored in {results} yet.")
     rows = []
     for run in runs:
-        held = ", ".join(f"{own['study']}/{own['condition']}" for own in run["studies"]) or "of no study"
+        studies = (
+            ", ".join(f"{held['study']}/{held['condition']}" for held in run["studies"]) or "of no study"
+        )
         seed = "?" if run["seed"] is None else run["seed"]
-        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {seed}", held))
+        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {seed}", studies))
     return print_table([""] * 5, rows)
 
 
@@ -71,12 +73,12 @@ def show(
     )
     for key, value in provenance.items():
         if isinstance(value, dict):
-            value = ", ".join(f"{name} {own}" for name, own in value.items())
+            value = ", ".join(f"{name} {version}" for name, version in value.items())
         if key == "attempts" and isinstance(value, list):
             value = f"{len(value)} (--json tells the machine of each)"
         say(f"  {key:<12} {shown_value(value)}")
     print("\nFiles")
-    files = [(f"  {own['name']}", f"{own['bytes']:>12,} bytes", own["state"]) for own in run.files()]
+    files = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in run.files()]
     return print_table([""] * 3, files)
 
 

@@ -148,12 +148,14 @@ def status(
         ]
         queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
         if not json:
-            counts = ", ".join(f"{n} {label}" for label, n in Counter(state.told for state in states).items())
+            counts = ", ".join(
+                f"{n} {label}" for label, n in Counter(state.label for state in states).items()
+            )
             changed = shown_settings(record.get("selection", {}).get("settings") or {})
             say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []
             for state in states:
-                run_id, label = state.run["run_id"], state.told
+                run_id, label = state.run["run_id"], state.label
                 if state.status.step and not state.status.finished:
                     label += f" at step {state.status.step:,}"
                 if job := queued.get(run_id):

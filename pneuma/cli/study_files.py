@@ -174,7 +174,9 @@ def _read_curves(text: str) -> tuple[str, ...]:
     for name in names:
         if name not in allowed:
             raise UserError(f"--curves {name}: {unknown_name('value', name, allowed)}")
-    return tuple(own for name in names for own in (ACTION_QUANTITIES if name == ACTIONS else (name,)))
+    return tuple(
+        quantity for name in names for quantity in (ACTION_QUANTITIES if name == ACTIONS else (name,))
+    )
 
 
 @opt.grouped

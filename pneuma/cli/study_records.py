@@ -28,15 +28,15 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
     Raises:
         UserError: where the file names a user's own code or files, as the record may be untrusted.
     """
-    own, asked = chosen_world(name, world)
-    path = (store.selection(spec.name_in_world(own, asked)) or {}).get("path")
+    own_name, asked = chosen_world(name, world)
+    path = (store.selection(spec.name_in_world(own_name, asked)) or {}).get("path")
     if name.endswith(".toml") or is_shipped(name) or not isinstance(path, str) or not Path(path).is_file():
         return name, world
     study = spec.load_study(path, asked)
     for condition in study.conditions:
         if deeds := own_things(study.fields(condition)):
             does = " and ".join(deeds.values())
-            raise UserError(f"study {own} would {does}; if you trust it, give its file: {path}")
+            raise UserError(f"study {own_name} would {does}; if you trust it, give its file: {path}")
     return path, asked
 
 
@@ -57,17 +57,19 @@ def open_data(picked: Chosen, name: str, published: bool = True) -> StudyData:
 def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
     """Print what else is stored for a study: other budgets and variants."""
     study, shown = record["study"], steps_of(record)
-    amounts = {steps_of(own): own for own in store.selections(study) if not execute.can_join(own, record)}
+    amounts = {
+        steps_of(other): other for other in store.selections(study) if not execute.can_join(other, record)
+    }
     others = [
-        f"{counted(store.finished(own), 'run')} of {steps:,} steps (--steps {steps})"
-        for steps, own in amounts.items()
-        if steps != shown and store.finished(own)
+        f"{counted(store.finished(other), 'run')} of {steps:,} steps (--steps {steps})"
+        for steps, other in amounts.items()
+        if steps != shown and store.finished(other)
     ]
     world = split_world(study)[1]
     others += [name for name in related_studies(store, study) if split_world(name)[1] == world]
     if others:
-        told = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
-        say(f"Note: {study} is shown with {told}. Stored too: {'; '.join(others)}.", aside=True)
+        runs = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
+        say(f"Note: {study} is shown with {runs}. Stored too: {'; '.join(others)}.", aside=True)
 
 
 def tell_left_out(data: StudyData) -> None:
@@ -111,7 +113,7 @@ class RunState(NamedTuple):
     run: dict[str, Any]
     status: Status
     published: bool
-    told: str
+    label: str
 
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
@@ -122,12 +124,12 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
         from pneuma.analysis.run_index import RunIndex
 
         found = RunIndex(store).of_record(record)
-        published = {run_id: own.status for run_id, own in found.items() if own.published}
+        published = {run_id: records.status for run_id, records in found.items() if records.published}
     states = []
     for run in record["runs"]:
         run_id = run["run_id"]
-        status, told = published.get(run_id, here[run_id]), here[run_id].name
+        status, label = published.get(run_id, here[run_id]), here[run_id].name
         if run_id in published:
-            told = f"{status.name} as published" + ", damaged here" * (told == "damaged")
-        states.append(RunState(run, status, run_id in published, told))
+            label = f"{status.name} as published" + ", damaged here" * (label == "damaged")
+        states.append(RunState(run, status, run_id in published, label))
     return states

@@ -65,16 +65,16 @@ def plan_(
         say(f"Note: {note}.")
     rows = []
     for condition in planned.conditions:
-        own = [cell for cell in planned.cells if cell.condition == condition]
-        counts = _counts(states[cell.run_id] for cell in own)
-        rows.append((condition, f"{len(own):>3} x {own[0].run.steps:>11,} steps", counts))
+        of_condition = [cell for cell in planned.cells if cell.condition == condition]
+        counts = _counts(states[cell.run_id] for cell in of_condition)
+        rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     print_table([""] * 3, rows)
     print(f"{_counts(states.values())}.")
     if todo:
         at_once = opt.most_workers(None)
-        told = duration(estimate.total_seconds(seconds.values(), at_once))
+        expected = duration(estimate.total_seconds(seconds.values(), at_once))
         rough = "" if all(estimate.is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
-        print(f"To train: about {told} with {at_once} at once{rough}.")
+        print(f"To train: about {expected} with {at_once} at once{rough}.")
     return None
 
 
@@ -150,7 +150,7 @@ def train(
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
     if json and document:
         results = results or execute.cell_results(planned, store, todo)
-        rows = [{**_cell(own.cell), "status": own.status.name, "trained": own.trained} for own in results]
+        rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
         print_json({"study": planned.study.name, "runs": rows})
     return code
 
@@ -167,8 +167,8 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
-    fields = [study.fields(own, chosen.selection.settings or {}) for own in study.conditions]
-    deeds = dict.fromkeys(deed for own in fields for deed in own_things(own).values())
+    fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
+    deeds = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
     for deed in (deed for deed in deeds if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)
     planned = plan.make_plan(study, chosen.selection)
@@ -180,7 +180,7 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     held = index.of_record(execute.selection_record(planned))
     for error in index.damaged:
         say(f"Note: {error}; its runs are trained.", aside=True)
-    return replace(planned, published=frozenset(name for name, own in held.items() if own.published))
+    return replace(planned, published=frozenset(name for name, records in held.items() if records.published))
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:
@@ -205,13 +205,13 @@ def _tell_results(
     planned: plan.Plan, results: list[execute.CellResult], store: Store, as_json: bool, quiet: bool
 ) -> None:
     for result in results:
-        told, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
+        label, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
-            say(f"{told} diverged at step {state.step:,}; its records count", as_json)
+            say(f"{label} diverged at step {state.step:,}; its records count", as_json)
         elif state.name in UNWELL:
             trace, why = store.run_folder(result.cell.run_id) / "error.txt", result.reason
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
-            say(f"{told} {state.name}: {why}", as_json)
+            say(f"{label} {state.name}: {why}", as_json)
     trained = sum(result.trained for result in results)
     states = _counts(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"

@@ -51,15 +51,15 @@ class ActionValues:
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.stream, "action-values", i) for i in range(len(worlds))])
         worlds.reset(starts=np.arange(len(worlds)))
-        told: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         running = len(worlds)
         while running:
             values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
             best = values.argmax(axis=1).reshape(worlds.players.shape)
             running -= worlds.step(best)
             estimate = values.max(axis=1).reshape(worlds.players.shape)
-            told.append((estimate, worlds.events["reward"].copy(), worlds.present.copy()))
-        estimates, rewards, present = (np.stack(each) for each in zip(*told, strict=True))
+            steps.append((estimate, worlds.events["reward"].copy(), worlds.present.copy()))
+        estimates, rewards, present = (np.stack(each) for each in zip(*steps, strict=True))
         return estimates, rewards, present.astype(np.bool_)
 
 

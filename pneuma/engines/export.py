@@ -56,7 +56,9 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
     weights, which would be another. Where actor and critic were clipped each by itself, both are together.
     """
-    actor, critic = (tuple(len(bias) for _, bias in own[:-1]) for own in (policy.actor, policy.critic))
+    actor, critic = (
+        tuple(len(bias) for _, bias in network[:-1]) for network in (policy.actor, policy.critic)
+    )
     if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
         raise UserError("policy.safetensors: is not of the shape that its run.json says")
     # clipped apart, or without a baseline, it would need Pneuma's own classes to be read
@@ -128,10 +130,10 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     except ImportError:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
-    told = "logits" if policy.exploration is None else "action_values"
-    told = told if policy.deviation is None else "mean_action"
-    nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, told)
-    outputs = [helper.make_tensor_value_info(told, TensorProto.FLOAT, ["batch", actions])]
+    output = "logits" if policy.exploration is None else "action_values"
+    output = output if policy.deviation is None else "mean_action"
+    nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, output)
+    outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", actions])]
     if policy.exploration is None:
         critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, "values")
         nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]

@@ -190,7 +190,7 @@ class Slots:
         for _, *seeds in others:
             self.reseed(seeds)
         self.finished.clear()
-        if not all(np.array_equal(own, saved[name]) for name, own in self.saved_state().items()):
+        if not all(np.array_equal(array, saved[name]) for name, array in self.saved_state().items()):
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 
 

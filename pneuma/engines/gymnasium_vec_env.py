@@ -22,11 +22,11 @@ class GymnasiumVecEnv(WholeVecEnv):
         self.render_mode = None
         self.slots = Slots(run, slot_seeds(run), logged=True)
         self._actions = np.zeros(run.slots)
-        own, features = self.slots.action_space, self.slots.observations.shape[1]
+        space, features = self.slots.action_space, self.slots.observations.shape[1]
         action_space: spaces.Space[Any] = (
-            spaces.Discrete(int(own.n))
-            if isinstance(own, spaces.Discrete)
-            else spaces.Box(own.low.reshape(-1), own.high.reshape(-1), dtype=np.float32)
+            spaces.Discrete(int(space.n))
+            if isinstance(space, spaces.Discrete)
+            else spaces.Box(space.low.reshape(-1), space.high.reshape(-1), dtype=np.float32)
         )
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 

@@ -127,8 +127,8 @@ def read_sound_policy(data: bytes) -> Policy:
     try:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        told = about.get("exploration"), arrays.get("deviation")
-        policy = Policy(about["activation"], layers("actor"), layers("critic"), *told)
+        optional = about.get("exploration"), arrays.get("deviation")
+        policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes each fail in their own way
         sound = False

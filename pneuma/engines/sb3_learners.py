@@ -50,16 +50,18 @@ def make_model(run: Run, env: VecEnv) -> Any:
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
     kind, fields = LEARNERS[run.algorithm]
-    own: dict[str, Any] = {argument: getattr(run, name) for argument, name in fields.items()}
+    arguments: dict[str, Any] = {argument: getattr(run, name) for argument, name in fields.items()}
     layers: Any = list(run.actor)
     if issubclass(kind, DQN):
         assert run.target_every
-        own["target_update_interval"] = max(run.target_every, env.num_envs)  # at least one step of all slots
+        arguments["target_update_interval"] = max(
+            run.target_every, env.num_envs
+        )  # at least one step of all slots
     else:
         layers = {"pi": layers, "vf": list(run.critic)}
-        own["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
+        arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
     if kind is not TRPO:
-        own["max_grad_norm"] = joint_limit(run)
+        arguments["max_grad_norm"] = joint_limit(run)
     model = kind(
         policy="MlpPolicy",
         env=env,
@@ -72,7 +74,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
             "optimizer_kwargs": optimizer_arguments(run),
         },
         device="cpu",
-        **own,
+        **arguments,
     )
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
@@ -101,9 +103,9 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
     Stable-Baselines3 uses epsilon 1e-5 only when given none, torch's own 1e-8 otherwise.
     """
     names = OPTIMIZER_FIELDS[run.optimizer]
-    own = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
+    arguments = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
     stream = {"stream": run.stream} if run.optimizer == "upgd" else {}
-    return {**own, **stream, "weight_decay": run.weight_decay}
+    return {**arguments, **stream, "weight_decay": run.weight_decay}
 
 
 class DoubleDQN(DQN):

@@ -63,8 +63,8 @@ class TableTrainer:
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Take one horizon of steps and learn from each."""
-        told = [self._step(taken) for taken in range(before, after)]
-        records.metrics.append({**_metrics(told), "step": after})
+        steps = [self._step(taken) for taken in range(before, after)]
+        records.metrics.append({**_metrics(steps), "step": after})
         records.episodes.extend(self._finished)
         self._finished.clear()
         return bool(np.isfinite(self.tables).all())
@@ -154,9 +154,9 @@ def exploration_rate(run: Run, taken: int) -> float:
     return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
 
 
-def _metrics(told: Sequence[tuple[int, float]]) -> dict[str, float]:
+def _metrics(steps: Sequence[tuple[int, float]]) -> dict[str, float]:
     """Return the metrics of some steps: action shares, and the mean squared error as the loss."""
-    actions, errors = np.array([action for action, _ in told]), np.array([error for _, error in told])
+    actions, errors = np.array([action for action, _ in steps]), np.array([error for _, error in steps])
     shares = np.bincount(actions, minlength=len(ACTION_NAMES)) / len(actions)
     return {
         **dict.fromkeys(METRIC_COLUMNS, NAN),

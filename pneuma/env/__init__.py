@@ -21,12 +21,12 @@ REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 def register_environments() -> None:
     """Register all environments with Gymnasium, with vector environments for Pneuma's worlds."""
     for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
-        own: dict[str, Any] = {"kwargs": {"env_id": name}}
+        options: dict[str, Any] = {"kwargs": {"env_id": name}}
         gymnasium.register(
             name,
             entry_point="pneuma.env.single:PneumaEnv",
             vector_entry_point="pneuma.env.vector:PneumaVectorEnv",
-            **own,
+            **options,
         )
         # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
         gymnasium.register(
@@ -34,7 +34,7 @@ def register_environments() -> None:
             entry_point="pneuma.env.single:PneumaMOEnv",
             vector_entry_point="pneuma.env.vector:PneumaMOVectorEnv",
             disable_env_checker=True,
-            **own,
+            **options,
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")
     gymnasium.register(GODOT, entry_point="pneuma.env.godot:GodotGame", disable_env_checker=True)

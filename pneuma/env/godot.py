@@ -110,7 +110,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                 asked = message.get("seed")
                 if asked is not None:
                     seeds = [asked + i for i in range(agents)]
-                first = [env.reset(seed=own)[0] for env, own in zip(envs, seeds, strict=True)]
+                first = [env.reset(seed=env_seed)[0] for env, env_seed in zip(envs, seeds, strict=True)]
                 seeds = [None] * agents
                 send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first], "seed": asked})
             elif kind == "action":

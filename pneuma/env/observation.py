@@ -123,8 +123,8 @@ def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: l
     settings["rays"] = rays = int(count) if what == "rays" else 0
     sights = sorted({kind for level in levels for kind, _, _ in level.monsters})
     settings["sights"] = len(sights)
-    for own, level in zip(monsters, levels, strict=True):
-        own["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
+    for monster, level in zip(monsters, levels, strict=True):
+        monster["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
     settings["ray_scale"] = monsters["distance_scale"].min(initial=1.0)
     angles = 2 * np.pi * np.arange(rays) / max(rays, 1)
     settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounded, they are the same on any machine

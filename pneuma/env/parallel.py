@@ -46,8 +46,8 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self._actions = np.zeros((1, players), np.int64)
         count = int(self.worlds.action_space.n)
         self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
-        own = self.worlds.spaces
-        low, high = np.concatenate([each.low for each in own]), np.concatenate([each.high for each in own])
+        low = np.concatenate([space.low for space in self.worlds.spaces])
+        high = np.concatenate([space.high for space in self.worlds.spaces])
         self.state_space = spaces.Box(low, high, dtype=np.float32)  # of `state`
         self._keyed = False
         self._set_up_rendering(self.worlds, render_mode, camera)
@@ -97,8 +97,8 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             raise ResetNeeded("no episode is under way: call reset first")
         for agent in acting:
             if agent not in actions or not self._action_spaces[agent].contains(actions[agent]):
-                told = f"action {actions.get(agent)!r} of {agent}, who is alive,"
-                raise ValueError(f"{told} is outside {self.action_space(agent)}")
+                problem = f"action {actions.get(agent)!r} of {agent}, who is alive,"
+                raise ValueError(f"{problem} is outside {self.action_space(agent)}")
             self._actions[0, self._index[agent]] = actions[agent]
         over = self.worlds.advance(self._actions) > 0
         cut = bool(self.worlds.truncated[0])

@@ -93,8 +93,8 @@ class Ways:
         across, down = self._offset
         here = self._tiles(x + across, y + down, (1 - self._abreast) / 2)
         found = [
-            [self._field(own, goal)[cell] for goal in row]
-            for own, row, cell in zip(level.tolist(), goals.tolist(), here.tolist(), strict=True)
+            [self._field(level_index, goal)[cell] for goal in row]
+            for level_index, row, cell in zip(level.tolist(), goals.tolist(), here.tolist(), strict=True)
         ]
         return np.array(found).reshape(goals.shape)
 

@@ -171,15 +171,15 @@ def module_files(name: str, path: Path) -> list[Path]:
     if len(path.parents) <= len(packages):
         return [path]
     root = path.parents[len(packages)]
-    own = root / packages[0] if packages and _is_installed(root) else root
-    if _is_installed(own):
+    top = root / packages[0] if packages and _is_installed(root) else root
+    if _is_installed(top):
         return [path]
     finder = _Imports([str(root)], excludes=["pneuma"])
     with suppress(ImportError, SyntaxError, ValueError, RecursionError):
         finder.import_hook(name)
     sources = (getattr(module, "__file__", None) for module in finder.modules.values())
     found = {Path(source) for source in sources if source}
-    return [path, *sorted(file for file in found - {path} if file.is_relative_to(own))]
+    return [path, *sorted(file for file in found - {path} if file.is_relative_to(top))]
 
 
 class _Imports(ModuleFinder):

@@ -518,11 +518,11 @@ def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
     away_x = monster.x - tick.hilt_x
     away_y = monster.y - tick.hilt_y
     length = math.sqrt(away_x * away_x + away_y * away_y)
-    own = kind.knock_ticks >= 0
-    speed = kind.knock_speed if own else tick.knock_speed
+    has_knock = kind.knock_ticks >= 0
+    speed = kind.knock_speed if has_knock else tick.knock_speed
     monster.knock_x = away_x / length * speed if length > 0.0 else 0.0
     monster.knock_y = away_y / length * speed if length > 0.0 else 0.0
-    monster.knocked = kind.knock_ticks if own else tick.knock_ticks
+    monster.knocked = kind.knock_ticks if has_knock else tick.knock_ticks
 
 
 @part

@@ -78,8 +78,8 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         config = config or make_env_config(settings, env_id)
         if isinstance(seeds, int | np.integer):
             if seeds < 1 or seeds % config.players:
-                told = f"a multiple of the {config.players} players in a world"
-                raise UserError(f"{seeds} slots are not allowed: {told}")
+                allowed = f"a multiple of the {config.players} players in a world"
+                raise UserError(f"{seeds} slots are not allowed: {allowed}")
             first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
             seeds = [first + i for i in range(int(seeds) // config.players)]
         self.state = Worlds(len(seeds), config)
@@ -216,9 +216,9 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
 
     def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
         names = ("worlds", "players", "monsters", "events", "observations", "masks")
-        own = ("returns", "lengths", "episodes", "steps_taken")
+        kept = ("returns", "lengths", "episodes", "steps_taken")
         return [(name, getattr(self.state, name)) for name in names] + [
-            (name, getattr(self, f"_{name}")) for name in own
+            (name, getattr(self, f"_{name}")) for name in kept
         ]
 
     def action_masks(self) -> np.ndarray:

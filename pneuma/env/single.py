@@ -136,8 +136,10 @@ class VectorRewards:
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         if "reward" in settings:
-            told = f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts"
-            raise UserError(f"{told}; weigh them, or choose a reward for an id without mo-")
+            raise UserError(
+                f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts; "
+                "weigh them, or choose a reward for an id without mo-"
+            )
         super().__init__(*arguments, **settings)
         self.reward_space = parts_space(self.state)
         self.reward_dim = len(PARTS)

@@ -115,7 +115,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             return None
         if isinstance(seed, numbers.Integral):
             return [int(seed) + i for i in range(len(self.state))]
-        seeds = [int(own) for own in seed]  # type: ignore[union-attr]
+        seeds = [int(world_seed) for world_seed in seed]  # type: ignore[union-attr]
         if len(seeds) != len(self.state):
             raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
         return seeds

@@ -81,7 +81,7 @@ class Worlds:
         rewards = _one_each(config.reward, config)
         self.player_stats["reward"] = [REWARD_CODES.get(name, rules.REWARD_CUSTOM) for name in rewards]
         self._custom = [
-            (name, load_reward(name), [p for p, own in enumerate(rewards) if own == name])
+            (name, load_reward(name), [p for p, reward in enumerate(rewards) if reward == name])
             for name in dict.fromkeys(rewards)
             if ":" in name
         ]
@@ -320,8 +320,8 @@ class Worlds:
                 "where other things stop whoever moves, does not fit this world"
             )
         saved = snapshot.worlds, snapshot.players, snapshot.monsters
-        for own, array in zip(self.raw, saved, strict=False):
-            own[world] = array.view(own.dtype)[0]
+        for whole, array in zip(self.raw, saved, strict=False):
+            whole[world] = array.view(whole.dtype)[0]
         self.raw[3][world] = state.NO_EVENTS
 
     def _fingerprint(self) -> str:
@@ -362,8 +362,8 @@ class Worlds:
             for x, y in ((0, 0), (stats["body_x"], stats["body_y"])):  # the position, and the body's middle
                 x, y = x + bodies["x"], y + bodies["y"]
                 if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():  # nor NaN
-                    told = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
-                    raise ValueError(f"{name}: x or y lies off the grid, {told}")
+                    grid = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
+                    raise ValueError(f"{name}: x or y lies off the grid, {grid}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
 

@@ -33,7 +33,7 @@ def index_entries(
         "environments": data.environments,
         "engines": sorted({str(run["run"].get("engine", "unknown")) for run in data.record["runs"]}),
         **drawn,
-        "n": {name: len(own) for name, own in runs.items()},
+        "n": {name: len(ids) for name, ids in runs.items()},
         "runs": runs,
     }
     return [
@@ -74,10 +74,10 @@ def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:
             sections.setdefault(entry["from"], []).append(entry)
     head = f"Drawn by `make figures`, which writes this page too. As data, with run ids: `{INDEX}`."
     lines = ["# Figures and tables", "", head, ""]
-    for source, own in sections.items():
-        title = " ".join(own[0].get("title", "").split())
+    for source, figures in sections.items():
+        title = " ".join(figures[0].get("title", "").split())
         lines += [f"## {title}", "", f"From {source}.", ""] if title else [f"## {source}", ""]
-        lines += [f"- [{entry['file']}]({quote(entry['file'])}){_drawn(entry)}" for entry in own]
+        lines += [f"- [{entry['file']}]({quote(entry['file'])}){_drawn(entry)}" for entry in figures]
         lines += [""]
     return "\n".join(lines).encode()
 
@@ -90,5 +90,5 @@ def _drawn(entry: Mapping[str, Any]) -> str:
     runs = "runs: " * bool(known) + ", ".join(f"{name} {count}" for name, count in known.items())
     if len(known) > MOST_NAMED:
         runs = f"{sum(known.values()):,} runs of {len(known)} conditions"
-    told = "; ".join(filter(None, [": ".join(filter(None, [kind, quantities])), runs]))
-    return f": {told}" if told else ""
+    description = "; ".join(filter(None, [": ".join(filter(None, [kind, quantities])), runs]))
+    return f": {description}" if description else ""

@@ -97,7 +97,11 @@ def report_page(
         lstrip_blocks=True,
     )
     counts = {
-        place: Counter(own[place].verdict for own in claims.values() if place in own)
+        place: Counter(
+            verdicts_by_place[place].verdict
+            for verdicts_by_place in claims.values()
+            if place in verdicts_by_place
+        )
         for place in verdicts.PLACES
     }
     run_places: dict[str, tuple[str, int]] = {}  # the record and row where a run has its place: the first
@@ -133,8 +137,8 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
     for row in summary.to_dict("records"):
         pair = str(row["outcome"]), str(row["statistic"])
         if pair in LEADING or pair[1] in LEADING:
-            told = shown_with_interval(row["value"], row["low"], row["high"])
-            cells.setdefault(pair, {})[row["condition"]] = f"{told}\nn = {int(row['runs'])}"
+            shown = shown_with_interval(row["value"], row["low"], row["high"])
+            cells.setdefault(pair, {})[row["condition"]] = f"{shown}\nn = {int(row['runs'])}"
     pairs = sorted(cells, key=lambda pair: pair[1] == "share")  # how many failed comes last
     rows = [
         [name, *(cells[pair].get(name, "–") for pair in pairs)]

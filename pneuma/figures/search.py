@@ -114,10 +114,10 @@ def _caption(searched: RecordedSearch) -> str:
     """Return a line on what was searched."""
     search, budget = searched.task.search, searched.task.budget
     states = [trial.state for trial in searched.trials]
-    told = ", ".join(
-        f"{states.count(own)} {own}" for own in ("complete", "pruned", "failed") if own in states
+    counts = ", ".join(
+        f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
     )
     return (
-        f"Search {search.name}: {told} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
+        f"Search {search.name}: {counts} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
         f"steps; sampler {search.sampler.name}; {searched.task.digest}"
     )

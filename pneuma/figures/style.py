@@ -147,13 +147,13 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
     """
     split = {name: split_name(name) for name in conditions}
     short = {
-        name: ", ".join([*levels.values(), *filter(None, [own])]) for name, (levels, own) in split.items()
+        name: ", ".join([*levels.values(), *filter(None, [rest])]) for name, (levels, rest) in split.items()
     }
     factors = {tuple(levels) for levels, _ in split.values()}
     if len(factors) != 1 or len(next(iter(factors))) < 2 or len({*short.values()}) < len(short):
         return {name: name for name in conditions}, ""
-    own = ["condition"] * any(own for _, own in split.values())
-    return short, ", ".join([*next(iter(factors)), *own]).replace("_", " ")
+    last = ["condition"] * any(last for _, last in split.values())
+    return short, ", ".join([*next(iter(factors)), *last]).replace("_", " ")
 
 
 # --- Files -------------------------------------------------------------------------------------------

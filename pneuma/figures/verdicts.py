@@ -122,10 +122,10 @@ def places_of(claims: Verdicts) -> dict[str, str]:
 
 def compared(claim: Claim) -> str:
     """Describe what is compared, as 'monsters killed, last evaluation'."""
-    told = (
+    parts = (
         ", less ".join(find_outcome(part).words for part in outcome.split(MINUS)) for outcome in claim.outcome
     )
-    words = " and ".join(told)
+    words = " and ".join(parts)
     return f"share of runs, {words} {claim.event}" if claim.event else words
 
 
@@ -287,5 +287,5 @@ def in_margins(claim: Claim, comparison: Comparison) -> tuple[float, float, floa
 
 def empty_word(verdict: Verdict) -> str:
     """Return why a cell has no effect, in a few words from the beginning of the reason."""
-    told = "not run" if verdict.standing == NOT_RUN else verdict.reason.partition(":")[0]
-    return told if len(told) <= LONGEST_REASON else "untestable"
+    word = "not run" if verdict.standing == NOT_RUN else verdict.reason.partition(":")[0]
+    return word if len(word) <= LONGEST_REASON else "untestable"

@@ -151,8 +151,8 @@ class Search:
         try:
             space.check(unread)
         except UserError as error:
-            told = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
-            raise UserError(f"search {self.name} with {told}: {error}") from None
+            changes = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
+            raise UserError(f"search {self.name} with {changes}: {error}") from None
         return replace(self, space=space)
 
     def in_world(self, world: str) -> Search:
@@ -268,5 +268,5 @@ def read_search(path: Path) -> Search:
         generation=said.generation,
         sampler=said.sampler,
         pruner=said.pruner,
-        presets={name: Budget(**own.model_dump()) for name, own in said.presets.items()},
+        presets={name: Budget(**preset.model_dump()) for name, preset in said.presets.items()},
     )

@@ -109,10 +109,10 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
     Raises:
         UserError: where it is none, or a file that only the record names would use code of a user's own.
     """
-    own, there = split_world(name)
-    if name.endswith(".toml") or own in list_searches():
+    own_name, there = split_world(name)
+    if name.endswith(".toml") or own_name in list_searches():
         return load_search(name, world)
-    search = load_search(_recorded_file(store, own), world or there)
+    search = load_search(_recorded_file(store, own_name), world or there)
     refuse_own_code(search.name, search.space.all_values())
     return search
 
@@ -201,8 +201,8 @@ def _read(path: Path, name: str, file: str) -> RecordedSearch:
         over = read_fields(Run, document["set"])
         identity, file = document["identity"], file or str(document["file"])
         budget = Budget(int(document["trials_asked"]), tuple(identity["seeds"]), int(identity["steps"]))
-        own = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
-        task = Task(own, budget, over)
+        search = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
+        task = Task(search, budget, over)
         if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
@@ -210,7 +210,7 @@ def _read(path: Path, name: str, file: str) -> RecordedSearch:
         searched = RecordedSearch(
             task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"]))
         )
-        ended_study(searched.trials, own)  # refuses parameters and values that the search cannot have had
+        ended_study(searched.trials, search)  # refuses parameters and values that the search cannot have had
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError(
             f"{path}: damaged; without it `pneuma search run` writes it anew, and trains nothing twice"

@@ -154,7 +154,7 @@ class CheckpointFile:
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
     found = ((path, read_checkpoint_name(path.name)) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
-    files = [CheckpointFile(path, *told) for path, told in found if told]
+    files = [CheckpointFile(path, *parts) for path, parts in found if parts]
     return sorted(files, key=lambda file: (file.step, file.digest), reverse=True)
 
 
@@ -219,12 +219,15 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 def table_files(records: Records) -> dict[str, bytes]:
     """Return each table of records as a Parquet file."""
     rows = {name: getattr(records, name) for name in TABLES}
-    return {name: to_parquet(own, columns_of(own, TABLES[name])) for name, own in rows.items()}
+    return {
+        name: to_parquet(table_rows, columns_of(table_rows, TABLES[name]))
+        for name, table_rows in rows.items()
+    }
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
     """Return a table's rows with the columns of the contract first, then any others."""
     table = from_parquet(data)
-    own = [name for name in VALUE_COLUMNS if name in table.column_names]
-    rows: list[Row] = table.select([*columns, *own]).to_pylist()
+    values = [name for name in VALUE_COLUMNS if name in table.column_names]
+    rows: list[Row] = table.select([*columns, *values]).to_pylist()
     return rows

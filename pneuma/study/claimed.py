@@ -109,11 +109,11 @@ def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Clai
         value = getattr(claim, key)
         spread[key] = dict.fromkeys(claim.conditions, value[""]) if value.keys() == {""} else value
         if spread[key].keys() != {*claim.conditions}:
-            told = ", ".join(claim.conditions)
-            raise file.mistake(where, f"{key}: one value, or one for each of {told}", key)
+            listed = ", ".join(claim.conditions)
+            raise file.mistake(where, f"{key}: one value, or one for each of {listed}", key)
     seeds = {
-        name: tuple(range(first, first + own)) if isinstance(own, int) else own
-        for name, own in spread["seeds"].items()
+        name: tuple(range(first, first + given)) if isinstance(given, int) else given
+        for name, given in spread["seeds"].items()
     }
     worlds = tuple(name for name in WORLDS if name in (claim.worlds or study.worlds))
     return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds})
@@ -137,7 +137,7 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
     if len(found) > 1 and steps is None:
         budgets = " or ".join(f"{each:,}" for each in found)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
-    return found.get(steps or 0) or {name: own for each in found.values() for name, own in each.items()}
+    return found.get(steps or 0) or {name: preset for each in found.values() for name, preset in each.items()}
 
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
@@ -156,8 +156,12 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
             for condition, seeds in claim.seeds.items():
                 found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
     return {
-        steps: {name: Preset(tuple(sorted(own[name])), steps) for name in study.conditions if name in own}
-        for steps, own in found.items()
+        steps: {
+            name: Preset(tuple(sorted(seeds_of[name])), steps)
+            for name in study.conditions
+            if name in seeds_of
+        }
+        for steps, seeds_of in found.items()
     }
 
 

@@ -36,9 +36,9 @@ Paces = Mapping[str, float]
 """Seconds per agent step of finished runs, by the fields that decide it."""
 
 
-def stored_paces(store: Store, own: Iterable[str]) -> Paces:
+def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
-    names, cpu = [*dict.fromkeys([*own, *store.runs()[:SAMPLE]])], machine()["cpu"]
+    names, cpu = [*dict.fromkeys([*names_first, *store.runs()[:SAMPLE]])], machine()["cpu"]
     found: dict[str, list[float]] = {}
     for name, origin in stored_origins(store, names):
         try:
@@ -77,6 +77,6 @@ def _kind(settings: Mapping[str, Any]) -> str:
 def _usual(settings: Mapping[str, Any]) -> float:
     """Return the seconds per step from the table."""
     layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
-    weights = max(1, sum(before * after for own in layers for before, after in pairwise(own)))
+    weights = max(1, sum(before * after for sizes in layers for before, after in pairwise(sizes)))
     known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T
     return float(np.exp(np.interp(np.log(weights), known, seconds)))

@@ -109,8 +109,8 @@ def read_sealed(path: Path) -> dict[str, Any] | None:
     document = read_json(path)
     if document is None or document.get("schema") != SCHEMA:
         return None
-    told = document.pop(_SEAL, None)
-    return document if told == checksum(to_json(document)) else None
+    sealed_with = document.pop(_SEAL, None)
+    return document if sealed_with == checksum(to_json(document)) else None
 
 
 def read_checkpoint_name(name: str) -> tuple[int, str] | None:

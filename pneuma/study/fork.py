@@ -27,7 +27,7 @@ FIXED = (
     "critic", "buffer_size", "learning_starts", "seed", "steps",
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
-OF_TRANSITIONS = tuple(own.name for own in fields(EnvConfig))
+OF_TRANSITIONS = tuple(env_field.name for env_field in fields(EnvConfig))
 """Fields on which transitions in a replay buffer depend."""
 
 
@@ -104,8 +104,8 @@ def plan_cause_forks(
             notes[f"without {name}: {error}"] = None
     if len(conditions) == 1:
         raise UserError(f"study {study}: none of {', '.join(CAUSES)} changes anything in these runs")
-    told = [*(f"{control.parent}-{control.fork_step}" for control in controls), *conditions]
-    name = f"{study}-forks-{hashlib.sha256('/'.join(told).encode()).hexdigest()[:4]}"
+    parts = [*(f"{control.parent}-{control.fork_step}" for control in controls), *conditions]
+    name = f"{study}-forks-{hashlib.sha256('/'.join(parts).encode()).hexdigest()[:4]}"
     title = f"Forks of {counted(len(controls), 'collapsed run')} of {study}"
     return _plan(name, title, "Each condition changes one thing", conditions, seeds, (*notes,))
 
@@ -127,10 +127,10 @@ def _plan(
     forks = [*product(range(len(conditions[CONTROL])), seeds)]
     places = tuple(seeds if len(conditions[CONTROL]) == 1 else range(len(forks)))
     cells = tuple(
-        Cell(condition, place, own, run_id(own))
+        Cell(condition, place, run, run_id(run))
         for place, (parent, seed) in zip(places, forks, strict=True)
         for condition, runs in conditions.items()
-        for own in [replace(runs[parent], seed=seed)]
+        for run in [replace(runs[parent], seed=seed)]
     )
     return Plan(study, Selection(seeds=places), cells, (), notes)
 
@@ -150,8 +150,8 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
     settings = stored_settings(store, parent)
-    if (own := own_things(settings)) and not trust:
-        raise UserError(f"run {parent}: a fork would {' and '.join(own.values())}; --trust allows it")
+    if (named_code := own_things(settings)) and not trust:
+        raise UserError(f"run {parent}: a fork would {' and '.join(named_code.values())}; --trust allows it")
     whole = make_run(settings)
     if run_id(whole) != parent:
         why = "was trained by other rules or another engine, or its own files have changed"
@@ -173,8 +173,8 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
         raise UserError(f"run {parent} kept no checkpoints: {kept}")
     sound = next((file.step for file in files if file.step <= at and read_checkpoint(file)), None)
     if sound is None:
-        told = f"the first checkpoint of run {parent} is at step {files[-1].step}"
-        raise UserError(f"--at {at}: none is sound up to there; {told}")
+        first = f"the first checkpoint of run {parent} is at step {files[-1].step}"
+        raise UserError(f"--at {at}: none is sound up to there; {first}")
     return sound
 
 
@@ -199,8 +199,10 @@ def _changed_run(control: Run, change: Change) -> Run:
     other = changes.get("optimizer", control.optimizer) != control.optimizer
     if other and not fresh:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
-    own = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
-    changed = make_run({**as_fields(control), **dict.fromkeys(own), **changes, "fork_reset": change.reset})
+    of_optimizers = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
+    changed = make_run(
+        {**as_fields(control), **dict.fromkeys(of_optimizers), **changes, "fork_reset": change.reset}
+    )
     if not fresh and bool(changed.momentum) != bool(control.momentum):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")
     if changes and replace(changed, fork_reset="") == control:

@@ -150,8 +150,8 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
             seed += 1
         if seed > number:
             notes.append(f"{shown}: seed {number} of {condition} is taken, so it is seed {seed}")
-        own = sorted(path for path in files if path.parent == folder)
-        logs[condition, seed] = Log(str(shown), condition, seed, own)
+        event_files = sorted(path for path in files if path.parent == folder)
+        logs[condition, seed] = Log(str(shown), condition, seed, event_files)
     return [logs[key] for key in sorted(logs)], notes
 
 

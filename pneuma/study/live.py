@@ -74,5 +74,5 @@ class LiveLog:
 
 
 def _tagged(row: Row, group: str, tags: Mapping[str, str]) -> dict[str, Any]:
-    own = {name: -value if name == "entropy" else value for name, value in row.items() if name != "step"}
-    return {tags.get(name, f"{group}/{name}"): value for name, value in own.items()}
+    values = {name: -value if name == "entropy" else value for name, value in row.items() if name != "step"}
+    return {tags.get(name, f"{group}/{name}"): value for name, value in values.items()}

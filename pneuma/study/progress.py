@@ -76,10 +76,10 @@ class ProgressDisplay:
 
     def update(self, cell: Cell, event: Event) -> None:
         """Take one event of `execute`."""
-        name, told, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
+        name, label, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
         if event["event"] in ("note", "passing"):
             if self._show or event["event"] == "note":
-                _print(f"{told}: {event['text']}")
+                _print(f"{label}: {event['text']}")
             return
         if status and status != "stopped":
             self._ended.add(name)
@@ -90,7 +90,7 @@ class ProgressDisplay:
             self._next_line = now + LINE_SECONDS
             whole = self._bar.tasks[0]
             left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
-            what = f"{told}: {status}; " if status else ""
+            what = f"{label}: {status}; " if status else ""
             _print(f"{what}{self._runs()} ended, {whole.percentage:.0f}% of all steps{left}")
 
     def _runs(self) -> str:

@@ -125,8 +125,8 @@ class Study:
 
     def variant(self, name: str) -> Study:
         """Return the study under the name of a variant: STUDY+NAME."""
-        own, world = split_world(self.name)
-        return replace(self, name=in_world(f"{own}{VARIANT}{name}", world))
+        study, world = split_world(self.name)
+        return replace(self, name=in_world(f"{study}{VARIANT}{name}", world))
 
     @property
     def own_path(self) -> str | None:
@@ -216,9 +216,9 @@ def read_head(name: str) -> dict[str, Any]:
 
 def name_in_world(name: str, world: str | None) -> str:
     """Return the name under which a study's runs in a world are recorded; None is the usual world."""
-    own = name.partition(VARIANT)[0]
-    if own in list_studies():
-        worlds = read_head(own).get("worlds")
+    study = name.partition(VARIANT)[0]
+    if study in list_studies():
+        worlds = read_head(study).get("worlds")
         if worlds and TEXT not in worlds and world == next(each for each in WORLDS if each in worlds):
             return name
     return in_world(name, world or TEXT)
@@ -253,10 +253,10 @@ def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Pa
     if name.endswith(".toml"):
         refuse_taken_name(Path(name), folder / Path(name).name, what)
         return Path(name), world
-    own, world = chosen_world(name, world)
-    if own not in (known := shipped_names(folder)):
+    study, world = chosen_world(name, world)
+    if study not in (known := shipped_names(folder)):
         raise unknown_name(what, name, [*known, *files_called(name)])
-    return folder / f"{own}.toml", world
+    return folder / f"{study}.toml", world
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
@@ -271,6 +271,6 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 
 def run_command(name: str, path: object = None) -> str:
     """Return the command that trains a study, by name or by the path of its file."""
-    own, world = split_world(name)
-    asked = shlex.quote(path if isinstance(path, str) else own.partition(VARIANT)[0])
+    study, world = split_world(name)
+    asked = shlex.quote(path if isinstance(path, str) else study.partition(VARIANT)[0])
     return " ".join(["pneuma study run", asked, *world_option(world)])

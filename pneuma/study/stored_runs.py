@@ -55,7 +55,7 @@ class StoredRun:
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
         states |= {name: "sound" for name in listed if self.store.is_whole(self.run_id, name)}
         states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
-        return [{"name": name, "bytes": sizes.get(name, 0), "state": own} for name, own in states.items()]
+        return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 
 
 def find_run(store: Store, text: str) -> str:

@@ -49,8 +49,8 @@ def from_parquet(data: bytes) -> pa.Table:
             raise ValueError(f"unpacks to more than {LARGEST_BYTES / 2**20:.0f} MB")
         table = file.read(use_threads=False)
     except (pa.ArrowException, OSError, MemoryError) as error:
-        told = [*str(error).splitlines(), "damaged"][0]
-        raise ValueError(f"is no table that can be read ({told[:100]})") from None
+        problem = [*str(error).splitlines(), "damaged"][0]
+        raise ValueError(f"is no table that can be read ({problem[:100]})") from None
     if len({*table.column_names}) < table.num_columns:
         raise ValueError("has two columns of one name")
     return table
@@ -63,9 +63,9 @@ def record_table(data: bytes, name: str) -> pa.Table:
         ValueError: for what is no such table.
     """
     table = from_parquet(data)
-    for own in _EVERYWHERE.get(name, ()):
-        if own not in table.column_names or (own != "value" and table[own].null_count):
-            raise ValueError(f"column {own} is missing, or has gaps")
+    for column in _EVERYWHERE.get(name, ()):
+        if column not in table.column_names or (column != "value" and table[column].null_count):
+            raise ValueError(f"column {column} is missing, or has gaps")
     for field in table.schema:
         if field.name in _TEXT:
             sound = pa.types.is_string(field.type) or pa.types.is_large_string(field.type)

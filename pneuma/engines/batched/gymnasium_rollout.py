@@ -69,7 +69,7 @@ class Collector:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
-        slots = {f"worlds/{name}": own for name, own in self.slots.saved_state().items()}
+        slots = {f"worlds/{name}": array for name, array in self.slots.saved_state().items()}
         return {**slots, "worlds/begins": self._begins}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:

@@ -66,7 +66,7 @@ class Learner:
         batch, values, dead = self._judge(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
-        networks, optimizer, told = learn(
+        networks, optimizer, metrics = learn(
             self.networks,
             self.optimizer,
             batch,
@@ -78,7 +78,7 @@ class Learner:
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         return {
-            **{name: float(value) for name, value in told.items()},
+            **{name: float(value) for name, value in metrics.items()},
             "explained_variance": _explained_variance(values, batch["returns"]),
             "dead_units": dead,
             **action_shares(run, batch["actions"], self._actions),
@@ -92,9 +92,9 @@ class Learner:
         actions = rollout.actions.reshape(-1)
         logs, values, dead = look_back(self.networks, observations, actions, run.activation)
         values = np.asarray(values)
-        own = values[: slots * steps].reshape(slots, steps)
+        value = values[: slots * steps].reshape(slots, steps)
         gain = advantages(
-            self._bootstrapped(rollout), own, rollout.starts, values[slots * steps :], rollout.last_ends,
+            self._bootstrapped(rollout), value, rollout.starts, values[slots * steps :], rollout.last_ends,
             np.float32(run.gamma), np.float32(run.gamma * run.gae_lambda),
         )  # fmt: skip
         batch = {
@@ -102,9 +102,9 @@ class Learner:
             "actions": actions,
             "log_probabilities": np.asarray(logs),
             "advantages": gain.reshape(-1),
-            "returns": (gain + own).reshape(-1),
+            "returns": (gain + value).reshape(-1),
         }
-        return batch, own.reshape(-1), float(dead)
+        return batch, value.reshape(-1), float(dead)
 
     def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
         """Return rewards plus the discounted value of states that a time limit cut off, (S, T)."""

@@ -106,7 +106,9 @@ def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
     leaves, structure = jax.tree.flatten(parameters)
     key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
     keys = jax.random.split(jax.random.fold_in(key, steps), len(leaves))
-    drawn = [jax.random.normal(own, leaf.shape, leaf.dtype) for own, leaf in zip(keys, leaves, strict=True)]
+    drawn = [
+        jax.random.normal(stream, leaf.shape, leaf.dtype) for stream, leaf in zip(keys, leaves, strict=True)
+    ]
     return jax.tree.unflatten(structure, drawn)
 
 

@@ -157,10 +157,10 @@ class Collector:
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Resume from `saved_state`; raise ValueError if its shape differs."""
-        for name, own in self.saved_state().items():
-            if own.shape != saved[name].shape:
-                raise ValueError(f"{name} is of shape {saved[name].shape}, not {own.shape}")
-            own[:] = saved[name]
+        for name, array in self.saved_state().items():
+            if array.shape != saved[name].shape:
+                raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
+            array[:] = saved[name]
         self.worlds.observe()
 
     def fork(self) -> None:

@@ -37,10 +37,10 @@ class BatchedTrainer:
     def update(self, before: int, after: int, records: Records) -> bool:
         """Collect one horizon, and learn from it."""
         rollout = self.collector.collect(self.learner.networks["actor"])
-        told = self.learner.learn_from(rollout)
-        records.metrics.append({"step": after, **told})
+        metrics = self.learner.learn_from(rollout)
+        records.metrics.append({"step": after, **metrics})
         records.episodes.extend(self.collector.episode_rows(rollout, before))
-        if not self.learner.is_finite(told):
+        if not self.learner.is_finite(metrics):
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # what overflows shows in the next
         return not (is_last and overflows(self.policy(), self.collector.observations))
@@ -55,7 +55,7 @@ class BatchedTrainer:
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         """Copy networks, optimizer, worlds and random streams."""
-        arrays = {name: own.copy() for name, own in self.collector.saved_state().items()}
+        arrays = {name: array.copy() for name, array in self.collector.saved_state().items()}
         numbers = {
             "layout": self.collector.layout,
             "optimizer": self.run.optimizer,
@@ -64,7 +64,7 @@ class BatchedTrainer:
         }
         for part in ("networks", "optimizer"):
             named = _named(getattr(self.learner, part))
-            arrays |= {f"{part}/{name}": np.array(own) for name, own in named}
+            arrays |= {f"{part}/{name}": np.array(array) for name, array in named}
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -112,10 +112,10 @@ def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> No
 def _filled(tree: Any, prefix: str, checkpoint: Checkpoint) -> Any:
     """Return a tree of this structure with the arrays of a checkpoint."""
     arrays = {}
-    for name, own in _named(tree):
+    for name, leaf in _named(tree):
         array = checkpoint.arrays[prefix + name]
-        if array.shape != np.shape(own):
-            raise ValueError(f"{prefix}{name} is of shape {array.shape}, not {np.shape(own)}")
+        if array.shape != np.shape(leaf):
+            raise ValueError(f"{prefix}{name} is of shape {array.shape}, not {np.shape(leaf)}")
         arrays[name] = array
     return _rebuilt(tree, "", arrays)
 

@@ -72,8 +72,8 @@ class Detached(KeyboardInterrupt):
         asked: whether it was left by --detach, and not by Ctrl-C.
     """
 
-    def __init__(self, told: str, asked: bool = False) -> None:
-        super().__init__(told)
+    def __init__(self, message: str, asked: bool = False) -> None:
+        super().__init__(message)
         self.asked = asked
 
 

@@ -254,8 +254,8 @@ class Supervisor:
         try:
             with self._store.lock(name) as mine:
                 if mine:
-                    told = words.decode(errors="replace")
-                    self._store.save_failure(name, run, status, f"{_reason(code)}\n{told}")
+                    output = words.decode(errors="replace")
+                    self._store.save_failure(name, run, status, f"{_reason(code)}\n{output}")
         except (UserError, OSError) as error:
             self._note(name, str(error))
         self._on_event(end_event(name, Status(status)))
@@ -339,7 +339,7 @@ class _Worker:
 def one_thread_environment() -> dict[str, str]:
     """Return environment variables for a child process that computes on one thread and imports this code."""
     path = os.pathsep.join(filter(None, [SOURCE, os.environ.get("PYTHONPATH", "")]))
-    own = {
+    added = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
         "--xla_gpu_deterministic_ops=true",
@@ -349,7 +349,7 @@ def one_thread_environment() -> dict[str, str]:
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONPATH": path,
     }
-    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **own}
+    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **added}
 
 
 def prepare_node(gpu: bool = False) -> None:

@@ -72,7 +72,7 @@ def run_groups(
     waiting = [dict(group) for group in groups]
     left = {name for group in waiting for name in group}
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        told = Store(store.root.resolve()), how, versions(), code(), os.getcwd(), mark.name
+        shared = Store(store.root.resolve()), how, versions(), code(), os.getcwd(), mark.name
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
         tasks: dict[Any, dict[str, Run]] = {}
 
@@ -80,7 +80,7 @@ def run_groups(
             """Return the runs of tasks that have not ended, and keep those tasks."""
             while waiting and len(tasks) < how.workers:
                 group = waiting.pop(0)
-                tasks[start(group, *told)] = group
+                tasks[start(group, *shared)] = group
             for task in ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else ():
                 del tasks[task]
                 _check(task)
@@ -174,7 +174,7 @@ def train_here(
     store: Store,
     how: Supervision,
     wanted: Mapping[str, str],
-    own: str,
+    source: str,
     folder: str,
     mark: str,
 ) -> None:
@@ -185,7 +185,7 @@ def train_here(
         store: the shared results folder.
         how: they are looked after.
         wanted: versions that the node must have.
-        own: the version of the code that was sent.
+        source: the version of the code that was sent.
         folder: that of the command, from which people's own rewards and levels are read.
         mark: a file in the results folder.
 
@@ -193,7 +193,7 @@ def train_here(
         UserError: where runs cannot be trained on this node.
     """
     here, node = versions(), socket.gethostname()
-    lacking = [f"{name} {own}" for name, own in wanted.items() if here.get(name) != own]
+    lacking = [f"{name} {version}" for name, version in wanted.items() if here.get(name) != version]
     if lacking:
         raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
     if not Path(mark).exists():
@@ -201,7 +201,7 @@ def train_here(
             f"--executor ray: the node {node} does not see {store.root}: all must share that folder"
         )
     die_with(os.getppid())  # Ray's own process here
-    os.environ[CARRIED_CODE] = own
+    os.environ[CARRIED_CODE] = source
     with suppress(OSError):
         os.chdir(folder)
     prepare_node()

@@ -199,9 +199,9 @@ def queued(store: Store) -> dict[str, Job]:
     jobs: dict[str, Job] = {}
     names = f"--name={','.join(noted)}"
     for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
-        name, place, *told = line.split("|", 4)
+        name, place, *state = line.split("|", 4)
         group = noted[name][int(place) if place.isdecimal() else 0]  # a single job is no array
-        jobs |= dict.fromkeys(group, Job(*told))
+        jobs |= dict.fromkeys(group, Job(*state))
     return jobs
 
 
@@ -224,8 +224,8 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     except RuntimeError as error:
         raise UserError(f"--executor slurm: {error}; give the command where jobs are submitted") from None
     usual = {"requeue": True, "time": USUAL_MINUTES}
-    own = {"job_name": name, "array_parallelism": how.workers, "setup": setup}
-    executor.update_parameters(**own, additional_parameters={**usual, **options})
+    parameters = {"job_name": name, "array_parallelism": how.workers, "setup": setup}
+    executor.update_parameters(**parameters, additional_parameters={**usual, **options})
     return executor
 
 
@@ -236,10 +236,10 @@ def _ask(*command: str) -> list[str]:
         UserError: with its own words, when it fails or does not answer in time.
     """
     try:
-        told = subprocess.run(
+        answer = subprocess.run(
             command, capture_output=True, text=True, timeout=ANSWER_SECONDS, check=True
         ).stdout
     except (OSError, subprocess.SubprocessError) as error:
-        own = " ".join((getattr(error, "stderr", None) or str(error)).split())
-        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine: {own}") from None
-    return [line.strip() for line in told.splitlines()]
+        reason = " ".join((getattr(error, "stderr", None) or str(error)).split())
+        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine: {reason}") from None
+    return [line.strip() for line in answer.splitlines()]
