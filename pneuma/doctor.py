@@ -81,8 +81,8 @@ def examine(results: Path) -> Iterator[Finding]:
 
 def _results(folder: Path) -> Finding:
     """Check that the results folder can be written and that its runs are sound."""
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)):
         return Finding("results", BROKEN, f"{folder}: cannot be written", "name another with --results")
     store = Store(folder)
     try:

@@ -94,8 +94,8 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
         return Diagnosis(False, unseen=unseen)
     (onset, last), ended = spells[0], spells[-1][1]
     fell, lost = ([part for part in parts if onset <= part[0] <= last] for parts in (falls, sunk))
-    held = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
-    held |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
+    present = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
+    present |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
     if fell and fell[0][0] == onset:
         sound = max(steps[steps < onset], default=0)
     elif lost and lost[0][0] == onset:
@@ -109,7 +109,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
         sound_step=int(sound),
-        signs=tuple(sign for sign in SIGNS if sign in held),
+        signs=tuple(sign for sign in SIGNS if sign in present),
         unseen=unseen,
         recovered_step=None if lasts else int(ended),
         relearned=_relearned(seen, steps, shares, random, onset, None if lasts else ended),

@@ -112,8 +112,8 @@ def curve_names(data: StudyData) -> list[str]:
     if "evaluations" not in data.tables:
         return data.quantities
     table = data.table("evaluations")
-    held = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
-    return [*held, *data.quantities]
+    evaluated = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
+    return [*evaluated, *data.quantities]
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:

@@ -34,8 +34,8 @@ def encode_table(
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
-    held = data.checked_window(window)
-    names = [quantity for quantity in EPISODE_QUANTITIES if data.has_curve(quantity, held)]
+    window_name = data.checked_window(window)
+    names = [quantity for quantity in EPISODE_QUANTITIES if data.has_curve(quantity, window_name)]
     curves = {name: training_curves(data, name, window) for name in names}
     if "evaluations" in data.tables:
         curves["share_killed"] = evaluation_curves(data)

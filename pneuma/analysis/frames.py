@@ -203,9 +203,9 @@ class StudyData:
         Only those that published tables have where runs are had from such: a line over some of a
         condition's runs would mislead.
         """
-        held = {run.records.quantities for run in self.published}
+        published = {run.records.quantities for run in self.published}
         some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
-        return [name for name in some if all(name in known for known in held)]
+        return [name for name in some if all(name in names for names in published)]
 
     def of_conditions(self, names: Sequence[str]) -> StudyData:
         """Return the study with some of its conditions, on the same grid and for the same figure."""
@@ -228,8 +228,8 @@ class StudyData:
         Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
         """
         if name not in self.tables:
-            held = ", ".join((*self.tables, "curves"))
-            raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {held}")
+            known = ", ".join((*self.tables, "curves"))
+            raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {known}")
         naming = ("condition", "seed", "run_id")
         frames = [
             run.records.table(name).assign(**{key: getattr(run, key) for key in naming}) for run in self.runs
@@ -249,10 +249,10 @@ class StudyData:
         if quantity in self.quantities and quantity not in records.quantities:
             return np.full(self.grid.shape, np.nan)
         if quantity not in self.quantities or not records.has_curve(quantity, window):
-            held = ", ".join(self.quantities) or "none"
+            known = ", ".join(self.quantities) or "none"
             raise UserError(
                 f"study {self.study}: {self.what} holds no {quantity} in the window {window}; "
-                f"its curves are: {held}"
+                f"its curves are: {known}"
             )
         return records.curve(quantity, window, self.grid, run.slots)
 
@@ -314,8 +314,8 @@ class RunView:
         return self._finite(self.data.grid, self.run.records.peaks(quantity, self.data.grid))
 
     def _finite(self, step: np.ndarray, values: np.ndarray) -> Series:
-        kept = np.isfinite(values) & (step <= self.last_step)
-        return step[kept], values[kept]
+        finite = np.isfinite(values) & (step <= self.last_step)
+        return step[finite], values[finite]
 
 
 _NOTHING: Series = np.empty(0), np.empty(0)

@@ -180,8 +180,8 @@ def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
         return no_interval()
     z = special.ndtri((1 + level) / 2)
     cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
-    kept = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
-    fourth, squares = ((runs - np.mean(kept)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
+    middle = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
+    fourth, squares = ((runs - np.mean(middle)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
     kurtosis = runs.size * fourth / squares**2
     error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     factor = runs.size / (runs.size - z)

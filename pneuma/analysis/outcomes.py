@@ -101,8 +101,8 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
     found = find_outcome(name)
     if run.ends_before(at_step):
         return NAN
-    kept = None if at_step is not None and at_step < run.budget else run.records.kept_outcome(name)
-    return found.measure(view(data, run, at_step)) if kept is None else kept
+    published = None if at_step is not None and at_step < run.budget else run.records.kept_outcome(name)
+    return found.measure(view(data, run, at_step)) if published is None else published
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:

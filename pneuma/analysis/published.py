@@ -164,8 +164,8 @@ class PublishedTable:
     @cached_property
     def quantities(self) -> tuple[str, ...]:
         """The quantities whose curves the table has."""
-        held, window = {*self.rows.column_names}, self.head["windows"][0]
-        return tuple(name for name in TRAINING_QUANTITIES if curve_column(name, window) in held)
+        columns, window = {*self.rows.column_names}, self.head["windows"][0]
+        return tuple(name for name in TRAINING_QUANTITIES if curve_column(name, window) in columns)
 
     @cached_property
     def runs(self) -> dict[str, PublishedRecords]:
@@ -220,14 +220,14 @@ class PublishedRecords(Records):
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return a curve, (points,); on another grid than the table's, the last value before each point."""
-        kept, steps = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
-        held = np.concatenate([[np.nan], kept])[np.searchsorted(steps, grid, side="right")]
-        return np.where(grid <= steps[-1], held, np.nan)
+        values, steps = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
+        on_grid = np.concatenate([[np.nan], values])[np.searchsorted(steps, grid, side="right")]
+        return np.where(grid <= steps[-1], on_grid, np.nan)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each previous point, (points,)."""
-        kept = np.array(self.cell(f"{quantity} {PEAKS}"), float)
-        return peak_curve(make_grid(self.budget), kept, grid, EXTREMES[quantity])
+        values = np.array(self.cell(f"{quantity} {PEAKS}"), float)
+        return peak_curve(make_grid(self.budget), values, grid, EXTREMES[quantity])
 
     def signs(self) -> dict[str, list[Stretch]]:
         """Return where signs of collapse hold."""
@@ -235,8 +235,8 @@ class PublishedRecords(Records):
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was measured before curves were rounded or left out."""
-        kept: float | None = self.cell(f"{OUTCOME} {name}")
-        return kept
+        value: float | None = self.cell(f"{OUTCOME} {name}")
+        return value
 
     def provenance(self) -> dict[str, Any]:
         """Return the run's provenance, without times."""

@@ -76,7 +76,7 @@ def encode_study(
         naming = {name: entry[name] for name in ("condition", "seed", "run_id")}
         naming |= {"status": data.index[entry["run_id"]].status.name, "settings": json.dumps(entry["run"])}
         cells.append((dict(_cells(data, run, types)) if run else {}) | naming)
-    here = next(run.records for run in data.runs if not run.records.published)
+    records = next(run.records for run in data.runs if not run.records.published)
     head = {
         "schema": 2,
         **{key: data.record.get(key) for key in published.OF_RECORD},
@@ -84,7 +84,7 @@ def encode_study(
         "figure": data.figure,
         "budget": data.budget,
         "tables": [published.EVALUATIONS] if published.EVALUATIONS in data.tables else [],
-        "windows": list(here.windows),
+        "windows": list(records.windows),
         "averaged_over": data.averaged_over,
     }
     table = pa.table(
@@ -104,11 +104,11 @@ def encode_study(
 
 
 def _refuse_losses(data: StudyData, before: published.PublishedTable, curves: Collection[str] | None) -> None:
-    held = {name for run in data.runs if not run.records.published for name in run.records.quantities}
+    recorded = {name for run in data.runs if not run.records.published for name in run.records.quantities}
     why = ""
     if before.finished - {run.run_id for run in data.runs}:
         why = "has runs that are not of this selection: select them too (--preset, --condition, --seeds)"
-    elif curves is not None and held & {*curves} != {*before.quantities}:
+    elif curves is not None and recorded & {*curves} != {*before.quantities}:
         why = f"keeps curves of {', '.join(before.quantities) or 'nothing'}: leave --curves out"
     elif data.published and data.budget != before.head["budget"]:
         why = (
@@ -124,8 +124,8 @@ def _new_columns(data: StudyData, curves: Collection[str]) -> Iterator[str]:
     yield from published.NAMING
     for quantity in quantities:
         if quantity in curves:
-            kept = data.windows if quantity == "return" else data.windows[:1]  # as the thesis's figures
-            yield from dict.fromkeys(published.curve_column(quantity, window) for window in kept)
+            windows = data.windows if quantity == "return" else data.windows[:1]  # as the thesis's figures
+            yield from dict.fromkeys(published.curve_column(quantity, window) for window in windows)
             if quantity in EXTREMES:
                 yield f"{quantity} {published.PEAKS}"
     yield from (

@@ -82,8 +82,8 @@ def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, take: np.
 
 def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
     """Return, at each t, the last value at or before t; one that is NaN or infinite is a blank."""
-    held = np.concatenate([[np.nan], values])[np.searchsorted(step, grid, side="right")]
-    return np.where(np.isfinite(held) & (grid <= end), held, np.nan)
+    curve = np.concatenate([[np.nan], values])[np.searchsorted(step, grid, side="right")]
+    return np.where(np.isfinite(curve) & (grid <= end), curve, np.nan)
 
 
 def _single(curve: np.ndarray) -> np.ndarray:
@@ -139,16 +139,16 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
             NaN throughout, as entropy is where values of actions are learned, tells nothing.
     """
     columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
-    held: dict[str, np.ndarray] = {}
+    holding: dict[str, np.ndarray] = {}
     if "entropy" in columns:
-        held[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY
+        holding[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY
     if {*ACTION_QUANTITIES} <= {*columns}:
         shares = np.array([columns[name] for name in ACTION_QUANTITIES])  # (actions, updates)
         others = 1 - shares.sum(axis=0)  # of the two spells, which have no columns, together
-        held[ONE_ACTION] = np.maximum(shares.max(axis=0), others) >= MOST_OF_ONE
+        holding[ONE_ACTION] = np.maximum(shares.max(axis=0), others) >= MOST_OF_ONE
     if "dead_units" in columns:
-        held[DEAD_UNITS] = columns["dead_units"] >= MOST_DEAD
-    return {sign: stretches(step, holds) for sign, holds in held.items()}
+        holding[DEAD_UNITS] = columns["dead_units"] >= MOST_DEAD
+    return {sign: stretches(step, holds) for sign, holds in holding.items()}
 
 
 def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:

@@ -78,9 +78,9 @@ def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
     runs = [run for run in record["runs"] if run["condition"] in wanted and run["seed"] in seeds]
     if record["runs"] and not runs:
         raise UserError(f"--seeds: study {record['study']} has none of these; it has {sorted(known_seeds)}")
-    kept = {run["condition"] for run in runs}
-    same = [[name for name in names if name in kept] for names in record["same"]]
-    narrowed = [*(wanted if kept < {*known} else ())]
+    conditions = {run["condition"] for run in runs}
+    same = [[name for name in names if name in conditions] for names in record["same"]]
+    narrowed = [*(wanted if conditions < {*known} else ())]
     narrowed += ["seeds", *map(str, sorted(seeds & known_seeds))] if not known_seeds <= seeds else []
     return {**record, "runs": runs, "same": [names for names in same if len(names) > 1], "picked": narrowed}
 

@@ -244,8 +244,8 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         count = np.arange(seeds + 1)
         chance = special.comb(seeds, count) * EVENT_SHARE**count * (1 - EVENT_SHARE) ** (seeds - count)
         made = [intervals.incidence_interval(int(k), seeds) for k in count]
-        held = [each.low <= EVENT_SHARE <= each.high for each in made]
-        yield _covered("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, float(chance @ held))
+        covering = [each.low <= EVENT_SHARE <= each.high for each in made]
+        yield _covered("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, float(chance @ covering))
 
 
 def _covered(method: str, distribution: str, seeds: int, share: float) -> dict[str, Any]:

@@ -167,11 +167,11 @@ def draw_indexed(store: Store, out: Path | None, draw: Callable[[Path], list[dic
     """
     from pneuma.figures.index import INDEX, encode_index, read_index
 
-    there = read_index(out or store.root / "figures")
+    present = read_index(out or store.root / "figures")
 
     def draw_all(folder: Path) -> list[Path]:
         entries = draw(folder)
-        (folder / INDEX).write_bytes(encode_index([*there, *entries]))
+        (folder / INDEX).write_bytes(encode_index([*present, *entries]))
         return [*(folder / entry["file"] for entry in entries), folder / INDEX]
 
     return [path for path in draw_files(store, out, draw_all) if path.name != INDEX]

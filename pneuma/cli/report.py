@@ -38,11 +38,12 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
 
     Where none of them is the thesis's, the page is theirs: it has their titles, and judges no claims.
     """
-    shipped, here = {*spec.list_studies()}, {_own_name(name) for name in known_studies(store)}
+    shipped, run_here = {*spec.list_studies()}, {_own_name(name) for name in known_studies(store)}
     for name in names:
-        if _own_name(name) not in here | shipped:
+        if _own_name(name) not in run_here | shipped:
             study_record(store, name)  # says that there is none
-    asked = {_own_name(name) for name in names} or (here | shipped if here & shipped or not here else here)
+    everything = run_here | shipped if run_here & shipped or not run_here else run_here
+    asked = {_own_name(name) for name in names} or everything
     sections = {study: spec.read_head(study)["section"] for study in asked & shipped}
     studies = sorted(asked, key=lambda study: (not sections.get(study), sections.get(study, ""), study))
     claims: Verdicts = {}

@@ -62,8 +62,8 @@ def show(
         return print_json({**run.row(), **about, "files": run.files()})
     detail = f" ({run.status.detail})" if run.status.detail else ""
     say(f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained")
-    for held in run.studies:
-        say(f"study {held['study']}, condition {held['condition']}, seed {held['seed']}")
+    for study in run.studies:
+        say(f"study {study['study']}, condition {study['condition']}, seed {study['seed']}")
     print("\nFields" if all_ else "\nFields that are not at their defaults (--all shows the others)")
     for key, value in (run.settings if all_ else differing).items():
         default = f"   (default {shown_value(usual.get(key))})" if key in differing else ""

@@ -327,11 +327,10 @@ def promote(
         if json:
             print_json({"study": out, "winners": chosen})
         return 0
-    split = [
-        split_world(searched.task.search.name) for searched in searches
-    ]  # the end of a name tells a study's world
-    there = [] if split[0][1] == TEXT else [split[0][1]]
-    path = store.root / "searches" / f"{'-'.join(['promoted', *there, *(name for name, _ in split)])}.toml"
+    split = [split_world(searched.task.search.name) for searched in searches]
+    named_world = [] if split[0][1] == TEXT else [split[0][1]]  # the end of a name tells a study's world
+    study = "-".join(["promoted", *named_world, *(name for name, _ in split)])
+    path = store.root / "searches" / f"{study}.toml"
     store.check_writable()
     store.write(path, text)
     say(f"wrote {path}", aside=True, quiet=quiet)

@@ -34,8 +34,8 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
         return name, world
     study = spec.load_study(path, asked)
     for condition in study.conditions:
-        if deeds := own_things(study.fields(condition)):
-            does = " and ".join(deeds.values())
+        if named_code := own_things(study.fields(condition)):
+            does = " and ".join(named_code.values())
             raise UserError(f"study {own_name} would {does}; if you trust it, give its file: {path}")
     return path, asked
 
@@ -94,16 +94,16 @@ def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[Read]:
     Raises:
         UserError: where none of several can be read: what hinders the first.
     """
-    found, hindered = [], []
+    found, errors = [], []
     for name in names:
         try:
             found.append(read(name))
         except UserError as error:
-            hindered.append(error)
-    if hindered and not found:
-        raise hindered[0]
-    for hindrance in hindered:
-        say(f"Note: {hindrance}.", aside=True)
+            errors.append(error)
+    if errors and not found:
+        raise errors[0]
+    for unread in errors:
+        say(f"Note: {unread}.", aside=True)
     return found
 
 
@@ -118,9 +118,9 @@ class RunState(NamedTuple):
 
 def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     """Return the state of each run of a record, here or in a published table."""
-    here = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
+    stored = {run["run_id"]: store.status(run["run_id"]) for run in record["runs"]}
     published: dict[str, Status] = {}
-    if not all(status.finished for status in here.values()):
+    if not all(status.finished for status in stored.values()):
         from pneuma.analysis.run_index import RunIndex
 
         found = RunIndex(store).of_record(record)
@@ -128,7 +128,7 @@ def run_states(store: Store, record: Mapping[str, Any]) -> list[RunState]:
     states = []
     for run in record["runs"]:
         run_id = run["run_id"]
-        status, label = published.get(run_id, here[run_id]), here[run_id].name
+        status, label = published.get(run_id, stored[run_id]), stored[run_id].name
         if run_id in published:
             label = f"{status.name} as published" + ", damaged here" * (label == "damaged")
         states.append(RunState(run, status, run_id in published, label))

@@ -168,8 +168,8 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
     fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
-    deeds = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
-    for deed in (deed for deed in deeds if deed.startswith("run ")):
+    named_code = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
+    for deed in (deed for deed in named_code if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)
     planned = plan.make_plan(study, chosen.selection)
     if not unpublished:
@@ -177,10 +177,10 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(chosen.store, stored=False)
-    held = index.of_record(execute.selection_record(planned))
+    found = index.of_record(execute.selection_record(planned))
     for error in index.damaged:
         say(f"Note: {error}; its runs are trained.", aside=True)
-    return replace(planned, published=frozenset(name for name, records in held.items() if records.published))
+    return replace(planned, published=frozenset(name for name, records in found.items() if records.published))
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:

@@ -165,12 +165,12 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
     """Check that a policy fits the worlds' observations and actions."""
-    for what, trained, here in (
+    for what, trained, asked in (
         ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
         ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
     ):
-        if trained != here:
-            raise UserError(f"was trained on {trained} {what}; these settings make {here}")
+        if trained != asked:
+            raise UserError(f"was trained on {trained} {what}; these settings make {asked}")
 
 
 def flat(layers: Layers) -> np.ndarray:

@@ -206,8 +206,8 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
     numbers = checkpoint.numbers
     arrays = {k: v for k, v in checkpoint.arrays.items() if not k.startswith(tuple(left_out))}
     try:
-        kept = any(name.startswith("optimizer/") for name in arrays)
-        if kept and numbers["optimizer"] != type(model.policy.optimizer).__name__:
+        has_optimizer = any(name.startswith("optimizer/") for name in arrays)
+        if has_optimizer and numbers["optimizer"] != type(model.policy.optimizer).__name__:
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
         model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
         _restore_optimizer(model.policy.optimizer, arrays)
@@ -278,8 +278,8 @@ def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, np.ndarray]
     state: dict[int, dict[str, Any]] = optimizer.state_dict()["state"]
     return {
         f"optimizer/{index}/{name}": _copy(torch.as_tensor(value))
-        for index, kept in state.items()
-        for name, value in kept.items()
+        for index, entries in state.items()
+        for name, value in entries.items()
         if value is not None
     }
 

@@ -76,13 +76,16 @@ class TableTrainer:
     def _step(self, taken: int) -> tuple[int, float]:
         """Take one step, after `taken` others, and learn from it; return the action and its error."""
         action = self._choose(taken)
-        there, reward, ended, _, _ = self.env.step(np.int64(action))
+        next_place, reward, ended, _, _ = self.env.step(np.int64(action))
         updated = int(self._generator.integers(len(self.tables)))
         error = temporal_difference(
-            self.tables, updated, (self._place, action, reward, None if ended else int(there)), self.run.gamma
+            self.tables,
+            updated,
+            (self._place, action, reward, None if ended else int(next_place)),
+            self.run.gamma,
         )
         self.tables[updated, self._place, action] += self.run.learning_rate * error
-        self._return, self._length, self._place = self._return + reward, self._length + 1, int(there)
+        self._return, self._length, self._place = self._return + reward, self._length + 1, int(next_place)
         if ended:
             row: Row = {"slot": 0, "episode": self._episode, "step": taken + 1, "return": self._return}
             self._finished.append({**row, "length": self._length, "kills": NAN, "hp": NAN, "ending": ENDING})
@@ -139,11 +142,11 @@ def temporal_difference(
         step: place, action, reward, and the next place; None where there is none.
         gamma: discount.
     """
-    place, action, reward, there = step
+    place, action, reward, next_place = step
     rated = 0.0
-    if there is not None:
-        best = tables[updated, there].argmax()
-        rated = float(tables[len(tables) - 1 - updated, there, best])
+    if next_place is not None:
+        best = tables[updated, next_place].argmax()
+        rated = float(tables[len(tables) - 1 - updated, next_place, best])
     return reward + gamma * rated - float(tables[updated, place, action])
 
 

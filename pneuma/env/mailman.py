@@ -65,12 +65,12 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
             raise gymnasium.error.ResetNeeded("no day is under way: call reset first")
         slipped = bool(self.slip) and self.np_random.random() < self.slip
         home = (action == GO_HOME) != slipped
-        there = LETTERS if self.place == POST_OFFICE and not home else HOME
-        reward = REWARDS[self.place, there]
+        next_place = LETTERS if self.place == POST_OFFICE and not home else HOME
+        reward = REWARDS[self.place, next_place]
         if self.noise:
             reward += float(self.np_random.normal(0.0, self.noise))
-        self.place = there
-        return np.int64(there), reward, there == HOME, False, {}
+        self.place = next_place
+        return np.int64(next_place), reward, next_place == HOME, False, {}
 
 
 def decision_process(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -83,8 +83,8 @@ def decision_process(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     chances, rewards = np.zeros((2, 2, 3)), np.zeros((2, 2))
     for place, action, slipped in np.ndindex(2, 2, 2):
         home = (action == GO_HOME) != bool(slipped)
-        there = LETTERS if place == POST_OFFICE and not home else HOME
+        next_place = LETTERS if place == POST_OFFICE and not home else HOME
         chance = slip if slipped else 1 - slip
-        chances[place, action, there] += chance
-        rewards[place, action] += chance * REWARDS[place, there]
+        chances[place, action, next_place] += chance
+        rewards[place, action] += chance * REWARDS[place, next_place]
     return chances, rewards

@@ -91,10 +91,10 @@ class Ways:
         """
         goals = self._tiles(to_x, to_y, 0.0)
         across, down = self._offset
-        here = self._tiles(x + across, y + down, (1 - self._abreast) / 2)
+        cells = self._tiles(x + across, y + down, (1 - self._abreast) / 2)
         found = [
             [self._field(level_index, goal)[cell] for goal in row]
-            for level_index, row, cell in zip(level.tolist(), goals.tolist(), here.tolist(), strict=True)
+            for level_index, row, cell in zip(level.tolist(), goals.tolist(), cells.tolist(), strict=True)
         ]
         return np.array(found).reshape(goals.shape)
 
@@ -115,15 +115,15 @@ class Ways:
         best, nearest = spot(place), first
         queue = [(first, first, 0, 0, place)]  # A*: first by the whole way, then by what is left of it
         while queue and nearest > enough and len(came) < MOST_PLACES:
-            _, length, _, steps, here = heappop(queue)
+            _, length, _, steps, current = heappop(queue)
             if length < nearest:
-                best, nearest = spot(here), length
+                best, nearest = spot(current), length
             for action in range(4):
-                there = self.step(level, here, action, reach)
-                if there is not None and spot(there) not in came:
-                    came[spot(there)] = (spot(here), action)
-                    left = self._length(field, *there)
-                    heappush(queue, (left + (steps + 1) * reach, left, len(came), steps + 1, there))
+                following = self.step(level, current, action, reach)
+                if following is not None and spot(following) not in came:
+                    came[spot(following)] = (spot(current), action)
+                    left = self._length(field, *following)
+                    heappush(queue, (left + (steps + 1) * reach, left, len(came), steps + 1, following))
         return dict(_trace(came, best))
 
     def step(self, level: int, place: Place, action: int, reach: float) -> Place | None:
@@ -131,8 +131,8 @@ class Ways:
         axis = 0 if action in (rules.LEFT, rules.RIGHT) else 1
         way = reach if action in (rules.RIGHT, rules.DOWN) else -reach
         end = self._slide(level, place, axis, way)
-        there = (end, place[1]) if axis == 0 else (place[0], end)
-        return None if self._drowns[level] and self._meets_sea(level, place, there) else there
+        end_place = (end, place[1]) if axis == 0 else (place[0], end)
+        return None if self._drowns[level] and self._meets_sea(level, place, end_place) else end_place
 
     # --- Distances -------------------------------------------------------------------------------
 
@@ -195,10 +195,10 @@ class Ways:
                     return min(place[axis], corner[axis] + (line + 1) * tile + half - offset)
         return place[axis] + way
 
-    def _meets_sea(self, level: int, place: Place, there: Place) -> bool:
+    def _meets_sea(self, level: int, place: Place, end: Place) -> bool:
         """Return whether a body's position reaches a coast tile on a straight move."""
         (left, right), (top, bottom) = (
-            sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, there))
+            sorted(int((point[axis] - self._corner[axis]) / self._tile) for point in (place, end))
             for axis in (0, 1)
         )
         sea = self._drowns[level] or []

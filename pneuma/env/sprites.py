@@ -248,10 +248,10 @@ def _soften(ground: np.ndarray) -> np.ndarray:
     kinds = np.zeros((ground.shape[0] * TILE, ground.shape[1] * TILE), np.uint8)
     most = np.full(kinds.shape, -1000, np.int32)
     for kind in _SOFT:
-        here = ground == kind
-        if not here.any():
+        mask = ground == kind
+        if not mask.any():
             continue
-        share = _sum_around(here.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
+        share = _sum_around(mask.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
         share += np.where(share > 0, _wobble(ground.shape, kind), -1000)
         kinds[share > most] = kind
         np.maximum(most, share, out=most)
@@ -304,9 +304,9 @@ def _paint_banks(image: np.ndarray, kinds: np.ndarray) -> None:
     rim[1:] |= (kinds[1:] != kinds[:-1]) & (kinds[:-1] != WATER)
     upper, lower = water_at(3) | water_at(4), water_at(1) | water_at(2)
     for kind in (SNOW, GRASS, SAND):
-        here = kinds == kind
+        mask = kinds == kind
         for where, colour in zip((rim, upper, lower), _EDGES[kind], strict=True):
-            image[here & where] = rgb(colour)
+            image[mask & where] = rgb(colour)
 
 
 def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) -> None:
@@ -329,10 +329,10 @@ def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) 
 def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
     """Return whether a bridge meets land both above and below."""
     for way in (-1, 1):
-        here = row
-        while _ground_at(ground, here, column) == BRIDGE:
-            here += way
-        if _ground_at(ground, here, column) == WATER:
+        r = row
+        while _ground_at(ground, r, column) == BRIDGE:
+            r += way
+        if _ground_at(ground, r, column) == WATER:
             return False
     return True
 

@@ -233,10 +233,10 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     scores: list[tuple[int, int]] = []
     while not window.closed:
         window.show(renderer.frame(0), FRAMES_PER_SECOND)
-        held = window.keys()
-        if "leave" in held:
+        pressed = window.keys()
+        if "leave" in pressed:
             break
-        chosen = [name for name in (*names[4:], *names[:4]) if name in held]
+        chosen = [name for name in (*names[4:], *names[:4]) if name in pressed]
         if not chosen:
             continue  # the world waits for its player
         actions = np.full(worlds.players.shape, ACTION_NAMES.index("attack"))

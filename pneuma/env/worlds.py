@@ -302,8 +302,8 @@ class Worlds:
             raise ValueError(f"no episode has begun in world {world}: reset it first")
         one = slice(world, world + 1)
         worlds, players, monsters = (raw[one].copy() for raw in self.raw[:3])
-        kept = worlds.view(state.WORLD), players.view(state.PLAYER), monsters.view(state.MONSTER)
-        return Snapshot(*kept, self._fits)
+        arrays = worlds.view(state.WORLD), players.view(state.PLAYER), monsters.view(state.MONSTER)
+        return Snapshot(*arrays, self._fits)
 
     def restore(self, world: int, snapshot: Snapshot) -> None:
         """Restore a snapshot in one world, of this or another `Worlds` with equal levels and characters.

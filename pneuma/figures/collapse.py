@@ -61,19 +61,19 @@ def draw_collapse(
     shown = known if len(known) <= MOST_ROWS else known[known["collapsed"] > 0]
     onsets = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     runs = [run for run in data.runs if run.run_id in onsets]
-    held = {name: [_series(data, run, name) for run in runs] for name in PANELS}
-    held = {name: series for name, series in held.items() if any(len(step) for step, _ in series)}
-    rows = 2 if len(held) > 1 else 1
+    curves = {name: [_series(data, run, name) for run in runs] for name in PANELS}
+    curves = {name: series for name, series in curves.items() if any(len(step) for step, _ in series)}
+    rows = 2 if len(curves) > 1 else 1
     usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
     inches = max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES))
     names, parts = style.short_names(list(shown["condition"]))
     colours = {name: look["color"] for name, look in style.condition_looks(data.conditions).items()}
     with style.house_style():
         figure = Figure(layout="constrained")
-        columns = -(-len(held) // rows)
-        cells = [*held, "."][: rows * columns]
+        columns = -(-len(curves) // rows)
+        cells = [*curves, "."][: rows * columns]
         grid = figure.subplot_mosaic([[*cells[r * columns :][:columns], "bars"] for r in range(rows)])
-        for name, series in held.items():
+        for name, series in curves.items():
             falls = [(step - onsets[run.run_id], values, colours[run.condition])
                      for run, (step, values) in zip(runs, series, strict=True)]  # fmt: skip
             _draw_falls(grid[name], name, falls)

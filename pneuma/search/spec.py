@@ -169,9 +169,9 @@ class Search:
             return self
         if is_gymnasium_id(env := self.space.fixed.get("env")):
             raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
-        there = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
+        changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         name = in_world(self.name, world)
-        return replace(there, name=name, title=f"{self.title} ({world})", world=world)
+        return replace(changed, name=name, title=f"{self.title} ({world})", world=world)
 
 
 def list_searches() -> list[str]:

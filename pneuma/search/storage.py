@@ -86,9 +86,9 @@ def save_record(store: Store, task: Task, trials: Sequence[EndedTrial]) -> None:
     """Write a search's record. While a stopped search is replayed, later trials of the record are kept."""
     path = record_path(store, task.search.name)
     documents, asked = [trial_document(trial, task.search) for trial in trials], task.budget.trials
-    held = read_sealed(path)
-    if held and held.get("digest") == task.digest:
-        before = held["trials"]
+    recorded = read_sealed(path)
+    if recorded and recorded.get("digest") == task.digest:
+        before = recorded["trials"]
         if len(before) >= len(documents) and to_json(before[: len(documents)]) == to_json(documents):
             documents, asked = before, max(asked, len(before))
     document = {
@@ -109,10 +109,10 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
     Raises:
         UserError: where it is none, or a file that only the record names would use code of a user's own.
     """
-    own_name, there = split_world(name)
+    own_name, named_world = split_world(name)
     if name.endswith(".toml") or own_name in list_searches():
         return load_search(name, world)
-    search = load_search(_recorded_file(store, own_name), world or there)
+    search = load_search(_recorded_file(store, own_name), world or named_world)
     refuse_own_code(search.name, search.space.all_values())
     return search
 
@@ -165,11 +165,11 @@ def _recorded_file(store: Store, name: str) -> str:
 
 def replaced_note(store: Store, task: Task) -> str:
     """Return a note on the record that a search is about to replace; empty if there is none."""
-    held = read_sealed(record_path(store, task.search.name)) or {}
-    if held.get("digest") == task.digest or not held.get("trials"):
+    recorded = read_sealed(record_path(store, task.search.name)) or {}
+    if recorded.get("digest") == task.digest or not recorded.get("trials"):
         return ""
-    changed = ", ".join(_changed(held.get("identity"), task)) or "files"
-    trials = counted(len(held["trials"]), "trial")
+    changed = ", ".join(_changed(recorded.get("identity"), task)) or "files"
+    trials = counted(len(recorded["trials"]), "trial")
     return f"the {trials} so far had other {changed}, and leave the record; their runs stay"
 
 
@@ -190,8 +190,8 @@ def trial_document(trial: EndedTrial, search: Search) -> dict[str, Any]:
 
 def _changed(identity: object, task: Task) -> list[str]:
     """Return in what a recorded identity differs from a task's."""
-    held = identity if isinstance(identity, dict) else {}
-    return [key for key, value in json.loads(to_json(task.identity)).items() if held.get(key) != value]
+    recorded = identity if isinstance(identity, dict) else {}
+    return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
 
 
 def _read(path: Path, name: str, file: str) -> RecordedSearch:

@@ -169,8 +169,8 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
         raise UserError(f"--at {at}: {ends}, so nothing would be left to train")
     files = checkpoint_files(store.run_folder(parent))
     if not files:
-        kept = "those of a study do that says keep_checkpoints, and forks never"
-        raise UserError(f"run {parent} kept no checkpoints: {kept}")
+        hint = "those of a study do that says keep_checkpoints, and forks never"
+        raise UserError(f"run {parent} kept no checkpoints: {hint}")
     sound = next((file.step for file in files if file.step <= at and read_checkpoint(file)), None)
     if sound is None:
         first = f"the first checkpoint of run {parent} is at step {files[-1].step}"

@@ -82,7 +82,7 @@ def own_things(fields: Mapping[str, object]) -> dict[str, str]:
     keys = (key for key in _FILES if fields.get(key) is not None)
     named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
     texts = {key: value if isinstance(value, str) else ", ".join(value) for key, value in named.items()}
-    deeds = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
+    described = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
     if fields.get("env") == GODOT and fields.get("env_kwargs"):
-        deeds["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
-    return deeds
+        described["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
+    return described

@@ -117,11 +117,11 @@ class Study:
         if world == self.world:
             return self
         set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
-        there = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
+        changed = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
         if world == self.worlds[0]:
-            return there
+            return changed
         name, figure = in_world(self.name, world), in_world(self.figure, world)
-        return replace(there, name=name, figure=figure, title=f"{self.title} ({world})")
+        return replace(changed, name=name, figure=figure, title=f"{self.title} ({world})")
 
     def variant(self, name: str) -> Study:
         """Return the study under the name of a variant: STUDY+NAME."""

@@ -155,10 +155,12 @@ class Store:
         if recorded.finished:
             return recorded
         try:
-            kept = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
+            checkpoints = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
         except UserError as error:
             return Status("damaged", 0, str(error))
-        step = max(recorded.step, *(named[0] for named in kept if named), 0)  # a crash does not know it
+        step = max(
+            recorded.step, *(named[0] for named in checkpoints if named), 0
+        )  # a crash does not know it
         if is_held(folder):
             return Status("running", step)
         if manifest is None and os.path.lexists(folder / "status.json"):
@@ -294,10 +296,10 @@ class Store:
 
     def published_path(self, study: str) -> Path:
         """Return the path of a study's published table: here, or among those that come with Pneuma."""
-        here, shipped = (
+        own_path, shipped = (
             folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables())
         )
-        return shipped if shipped.exists() and not os.path.lexists(here) else here
+        return shipped if shipped.exists() and not os.path.lexists(own_path) else own_path
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""

@@ -84,9 +84,9 @@ def list_runs(store: Store) -> list[StoredRun]:
     Of finished ones no checksum is compared, which for a thousand runs takes seconds.
     """
     stored = {*store.runs()}
-    held = {name: run for name, run in _held(store).items() if name in stored}
-    names = [*held, *sorted(stored - {*held})]
-    return [StoredRun(store, name, store.status(name, quick=True), *held.get(name, ())) for name in names]
+    recorded = {name: run for name, run in _held(store).items() if name in stored}
+    names = [*recorded, *sorted(stored - {*recorded})]
+    return [StoredRun(store, name, store.status(name, quick=True), *recorded.get(name, ())) for name in names]
 
 
 def stored_run(store: Store, run_id: str) -> StoredRun:
@@ -96,13 +96,13 @@ def stored_run(store: Store, run_id: str) -> StoredRun:
 
 def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]]:
     """Return the studies that contain each run, and its recorded configuration, by run id."""
-    held: dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]] = {}
+    found: dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]] = {}
     for study in store.studies():
         for row in (row for selection in store.selections(study) for row in selection["runs"]):
-            earlier, _ = held.get(row["run_id"], ((), {}))
+            earlier, _ = found.get(row["run_id"], ((), {}))
             holder = {"study": study, "condition": row["condition"], "seed": row["seed"]}
-            held[row["run_id"]] = (*earlier, holder), row["run"]
-    return held
+            found[row["run_id"]] = (*earlier, holder), row["run"]
+    return found
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -55,10 +55,10 @@ def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
 def sgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
     """Gradient descent with momentum; the first step takes the whole gradient, as torch has it."""
     first = state["steps"] == 0
-    kept = numbers["momentum"]
+    factor = numbers["momentum"]
     fresh = jnp.where(first, 1.0, 1.0 - numbers["dampening"])
     momentum = jax.tree.map(
-        lambda m, g: jnp.where(kept > 0, kept * m + fresh * g, g), state["momentum"], gradients
+        lambda m, g: jnp.where(factor > 0, factor * m + fresh * g, g), state["momentum"], gradients
     )
     moved = jax.tree.map(lambda p, m: p - numbers["learning_rate"] * m, parameters, momentum)
     return moved, {"steps": state["steps"] + 1, "momentum": momentum}

@@ -151,8 +151,8 @@ def join(address: str | None) -> None:
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
         code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # it lies here, compiled
-        here: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
-        ray.init("local", include_dashboard=False, runtime_env=code, **here, **quiet)
+        resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
+        ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
     else:
         host, _, port = address.rpartition(":")
         try:  # or Ray would try for minutes
@@ -192,8 +192,8 @@ def train_here(
     Raises:
         UserError: where runs cannot be trained on this node.
     """
-    here, node = versions(), socket.gethostname()
-    lacking = [f"{name} {version}" for name, version in wanted.items() if here.get(name) != version]
+    installed, node = versions(), socket.gethostname()
+    lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]
     if lacking:
         raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
     if not Path(mark).exists():
@@ -211,6 +211,6 @@ def train_here(
 
 def versions() -> dict[str, str]:
     """Return the versions that must match between the command and every node, as they can change results."""
-    here = machine()
-    packages = {name: version for name, version in here["packages"].items() if name != "pneuma"}
-    return {"Python": here["python"], **packages}
+    about = machine()
+    packages = {name: version for name, version in about["packages"].items() if name != "pneuma"}
+    return {"Python": about["python"], **packages}
