@@ -245,7 +245,7 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
         return path, context["key"], context["message"]
     (*where, key) = path
     names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
-    allowed = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
+    allowed = first["msg"].removeprefix("Input should be ").replace("a valid i", "an i").replace("valid ", "")
     if kind == "wrong":
         message = f"{key}: {context['message']}"
     elif first["loc"][-1] == "[key]":  # a table's name, where only some are known

@@ -294,4 +294,6 @@ def shown_with_interval(value: float, low: float, high: float) -> str:
     places = decimals(value, low, high)
     if math.isnan(low) or math.isnan(high):
         return shown(value, places)
-    return f"{shown(value, places)} [{shown(low, places)}, {shown(high, places)}]"
+    ends = shown(low, places), shown(high, places)
+    between = "; " if "," in "".join(ends) else ", "  # as in [-8,400; 9,400]
+    return f"{shown(value, places)} [{between.join(ends)}]"

@@ -12,7 +12,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.study import spec
 from pneuma.study.plan import Selection
 from pneuma.study.store import Store
-from pneuma.worlds import chosen_world, in_world, split_world
+from pneuma.worlds import WORLDS, chosen_world, in_world, split_world
 
 ALL = Selection()
 
@@ -45,8 +45,8 @@ def study_record(
         records = [read_published(store, stem).record]
     otherwise = [] if records or asked else related_studies(store, stem)
     if otherwise:
-        shown = f"{otherwise[0]}, one of {', '.join(otherwise)}"
-        tell(f"Note: {stem} has no runs of its own; {shown}, is shown.")
+        more = f" Stored too: {'; '.join(otherwise[1:])}." if otherwise[1:] else ""
+        tell(f"Note: {stem} has no runs of its own; {otherwise[0]} is shown.{more}")
         return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
@@ -60,10 +60,14 @@ def study_record(
 def related_studies(store: Store, study: str) -> list[str]:
     """Return the study's variants and other worlds that are stored, those of its own world first."""
     study_name, world = split_world(study)
+    elsewhere = (in_world(study_name, other) for other in WORLDS)
+    names = {*known_studies(store), *(name for name in elsewhere if store.published_path(name).exists())}
     found = [
-        name for name in known_studies(store) if split_world(name)[0].partition(spec.VARIANT)[0] == study_name
+        name
+        for name in sorted(names - {study})
+        if split_world(name)[0].partition(spec.VARIANT)[0] == study_name
     ]
-    return sorted((name for name in found if name != study), key=lambda name: split_world(name)[1] != world)
+    return sorted(found, key=lambda name: split_world(name)[1] != world)
 
 
 def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
@@ -129,6 +133,12 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
     return sorted(
         name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )
+
+
+def studies_run_here(store: Store, world: str | None = None) -> list[str]:
+    """Return the names of studies that were run or imported here; if there are none, of published ones."""
+    names, recorded = known_studies(store, world), {*store.studies()}
+    return [name for name in names if name in recorded] or names
 
 
 def steps_of(record: Mapping[str, Any]) -> int:

@@ -9,7 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.analysis.stored_studies import is_shipped, known_studies, shipped_name, study_record
+from pneuma.analysis.stored_studies import (
+    is_shipped,
+    known_studies,
+    shipped_name,
+    studies_run_here,
+    study_record,
+)
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
@@ -154,17 +160,18 @@ def status(
             changed = shown_settings(record.get("selection", {}).get("settings") or {})
             say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []
-            for state in states:
+            for state in states if name else ():
                 run_id, label = state.run["run_id"], state.label
                 if state.status.step and not state.status.finished:
                     label += f" at step {state.status.step:,}"
                 if job := queued.get(run_id):
                     label += f" job {job['job']} {job['state'].lower()}"
                 rows.append((f"  {state.run['condition']}", f"seed {state.run['seed']}", run_id, label))
-            print_table([""] * 4, rows)
+            if rows:
+                print_table([""] * 4, rows)
         return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
 
-    found = [standing(name)] if name else each_study(known_studies(store, picked.world), standing)
+    found = [standing(name)] if name else each_study(studies_run_here(store, picked.world), standing)
     if json:
         return print_json(found[0] if name else {"studies": found})
     if not found:

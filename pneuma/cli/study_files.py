@@ -21,7 +21,7 @@ from pneuma.analysis import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.analysis.stored_studies import is_shipped, known_studies, study_record
+from pneuma.analysis.stored_studies import is_shipped, studies_run_here, study_record
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -107,7 +107,7 @@ def plot(
         def one(name: str) -> list[dict[str, Any]]:
             return draw_one(name, folder)
 
-        drawn = map(one, names) if names else each_study(known_studies(store, picked.world), one)
+        drawn = map(one, names) if names else each_study(studies_run_here(store, picked.world), one)
         return [entry for entries in drawn for entry in entries]
 
     tell_written(draw_indexed(store, out, draw), json)

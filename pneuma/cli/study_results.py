@@ -154,6 +154,10 @@ def compare(
     if b is None:
         from pneuma.analysis.run_index import join_studies
 
+        if others := [condition for condition in data.conditions if condition != a and a in data.conditions]:
+            raise UserError(
+                f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
+            )
         other = open_data(picked, a)
         heads = [data.study, other.study]
         shared = [

@@ -16,7 +16,7 @@ from pneuma.analysis.stored_studies import shipped_name
 from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.study_records import file_of
-from pneuma.errors import UserError, install_extra
+from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
@@ -137,6 +137,9 @@ def train(
     todo, notes = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
+    if todo:
+        runs = counted(len(todo), "run")
+        say(f"Training {runs}; compiling for the first time takes up to a minute.", aside=True, quiet=quiet)
     results, code = [], STOPPED
     try:
         with ProgressDisplay(planned, todo, store, quiet) as display:

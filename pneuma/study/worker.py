@@ -37,7 +37,6 @@ from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import Status, Store, run_document
 
 REPORT_SECONDS = 0.25
-BEGINS = "begins (compiling for the first time takes up to a minute)"
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ def _train_once(
     attempt = Attempt(first)
     log = LiveLog(job.logs[name], first) if name in job.logs else None
     reporter.send("step", name, step=first)
-    reporter.send("passing", name, text=BEGINS)
+    reporter.send("passing", name, text="begins")
 
     def update(progress: Progress) -> bool:
         attempt.update(progress.step)
