@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from itertools import groupby
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -215,16 +216,20 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
     for section, group in groupby(by_section, key=lambda verdicts: claim_of(verdicts).section):
         rows += [(f"Section {section}", {}), *((claim_of(verdicts).name, verdicts) for verdicts in group)]
     places = places_of(claims)
+    ran = {one.place for verdicts in claims.values() for one in verdicts.values() if one.standing != NOT_RUN}
     with house_style(6.5):
         figure, panels = plt.subplots(
             1, len(places), sharey=True, layout="constrained", squeeze=False,
             figsize=(7.4, 1.1 + ROW_INCHES * len(rows)),
+            width_ratios=[1 if place in ran or not ran else 0.25 for place in places],
         )  # fmt: skip
         for axes, (place, title) in zip(panels[0], places.items(), strict=True):
-            axes.set_title(title, loc="center")
+            axes.set_title(title if place in ran else fill(title, 14), loc="center")
             axes.set_xscale("symlog", linthresh=1, linscale=0.8)
             axes.set(xlim=(-MOST * 1.4, MOST * 1.4), ylim=(len(rows) - 0.4, -0.6))
-            axes.set_xticks([-10, -1, 0, 1, 10], ["−10", "−1", "0", "1", "10"])
+            ticks = {-10: "−10", -1: "−1", 0: "0", 1: "1", 10: "10"} if place in ran else {0: "0"}
+            axes.set_xticks([*ticks], [*ticks.values()])
+            axes.minorticks_off()
             axes.grid(visible=False)
             axes.tick_params(axis="y", length=0)
             axes.axvspan(-1, 1, color="#EDEDED", zorder=0)
