@@ -1,10 +1,10 @@
 """The functions that scripts and notebooks call.
 
     run_study(study)      as `pneuma study run` does
-    open_data(study)      a study's runs as `pneuma.analysis` takes them
-    compare(study, a, b)  two of its conditions: differences, intervals, who is better
-    load_policy(run_id)   a stored run's policy, and what environment it plays in
-    evaluate(agent)       how well any agent plays, on the scale on which runs are judged
+    open_data(study)      a study's data, for `pneuma.analysis`
+    compare(study, a, b)  the differences of two conditions, with intervals
+    load_policy(run_id)   a stored run's policy, with its environment
+    evaluate(agent)       evaluates any agent as runs are evaluated
 
 docs/python.md shows them at work.
 """
@@ -55,21 +55,21 @@ def run_study(
     """Train the missing runs of a study and open it. Stored runs are not trained again.
 
     Args:
-        study: a shipped study's name, or the path of a file of one's own.
+        study: name of a shipped study, or path of your own file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        preset: one of the study's; quick when left out.
-        seeds: how many, or which, instead of the preset's.
+        preset: one of the study's presets; default: quick.
+        seeds: a count or a list of seeds, instead of the preset's.
         steps: agent steps of each run, instead of the preset's.
-        conditions: names; all when left out.
-        settings: fields of the run that every condition gets.
-        world: of `pneuma.worlds.WORLDS`; the study's usual one when left out.
-        workers: how many runs train at once, each in a process of one thread; a core each when left out.
-        on_progress: called with the cell and the event, `step` for one, instead of showing progress.
-        quiet: whether to show no progress.
+        conditions: names of conditions; default: all.
+        settings: fields to set in every condition.
+        world: a key of `pneuma.worlds.WORLDS`; default: the study's first.
+        workers: number of runs that train at once, each in a process of one thread; default: one per core.
+        on_progress: called with a cell and an event, such as a step, instead of showing progress.
+        quiet: show no progress.
 
     Raises:
-        UserError: for a study, selection or world that there is not, or when a run crashed or was killed.
-        KeyboardInterrupt: after Ctrl-C; the same call goes on where runs were stopped.
+        UserError: for an unknown study, selection or world, or when a run crashed or was killed.
+        KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
     for name, count in (("steps", steps), ("workers", workers)):
         if count is not None and count < 1:
@@ -106,10 +106,10 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
     Args:
         study: its name, or the path of its file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        world: of `pneuma.worlds.WORLDS`; the usual one when left out.
+        world: a key of `pneuma.worlds.WORLDS`; default: the usual one.
 
     Raises:
-        UserError: when the folder has nothing of it, or no run has finished.
+        UserError: when nothing of the study is stored, or no run has finished.
     """
     from pneuma.analysis.run_index import open_study
     from pneuma.analysis.stored_studies import study_record
@@ -127,15 +127,15 @@ def compare(
     Args:
         study: opened data, or what `open_data` takes.
         a: a condition.
-        b: the one that it is held against.
-        outcomes: names of docs/outcomes.md; the usual three when left out.
+        b: the condition that it is compared with.
+        outcomes: names from docs/outcomes.md; default: the usual three.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
 
     Returns:
         A row for each outcome: means, their difference with its interval, `p_better`, and counts of runs.
 
     Raises:
-        UserError: for what there is not, or cannot be compared.
+        UserError: for unknown names, or outcomes that cannot be compared.
     """
     from pneuma.analysis.frames import StudyData
     from pneuma.analysis.summaries import compare_conditions
@@ -152,14 +152,13 @@ def load_policy(
     Args:
         run_id: the run's id, or a prefix of four digits or more.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        trust: whether a level, characters or a reward of the run's owner may be opened.
+        trust: open level, characters and reward files that the run names.
 
     Returns:
-        The policy; the id of its environment; and this one's settings,
-        as `gymnasium.make(id, **settings)` takes them.
+        The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`.
 
     Raises:
-        UserError: for no such run, one without a policy, or one that is to be trusted first.
+        UserError: for an unknown run, a run without a policy, or one that needs `trust`.
     """
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
@@ -186,25 +185,26 @@ def evaluate(
 ) -> dict[str, float]:
     """Evaluate an agent as runs are evaluated, with random streams that training never uses.
 
-    Every world plays one episode, all at once; the agent is asked for all of them at every step, in the same
-    order, until the last has ended. Of several players each has an observation: row i is player i % players.
+    All worlds play one episode at the same time. At every step the agent gets the observations of all of
+    them, in the same order, until the last one has ended. Each player has its own row: row i is player i %
+    players.
 
     Args:
         agent: a policy of a stored run, or any function from observations, (N, features) float32, to
             actions, (N,) whole numbers.
         env_id: one of `pneuma.config.ENVIRONMENTS`.
-        settings: the environment's own, as `gymnasium.make` takes them.
-        best: the function's counterpart without exploration or memory, played once from every start place.
-            (A policy has its own.)
-        seed: of the runs; their random player and hunter are the ends of the score's scale.
-        episodes: played with `agent`; a study's runs have 50.
+        settings: keywords of `gymnasium.make`.
+        best: the same agent without exploration or memory, which plays once from every start place. (A policy
+            has its own.)
+        seed: as of a run; its random player and hunter are the ends of the score's scale.
+        episodes: number of episodes; studies use 50.
 
     Returns:
-        The columns of a run's evaluations: share_killed, score, return, length, died and the rest; those that
-        begin with `argmax` where best actions were played.
+        The columns of a run's evaluations: share_killed, score, return, length, died and so on. Those that
+        begin with `argmax` are present if best actions were played.
 
     Raises:
-        UserError: for an environment or world that there is not, or actions that are none.
+        UserError: for an unknown environment or world, or invalid actions.
     """
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits

@@ -270,12 +270,12 @@ for _base in BASES.values():
 def make_run(given: Mapping[str, object]) -> Run:
     """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
 
-    What is not given is as the environment's preset has it. The optimizer's own fields get their
-    defaults, and those that it does not read become None, so that two ways to write the same training
-    are the same run. The budget is rounded up to whole horizons.
+    Missing fields come from the environment's preset. Fields of the optimizer get their defaults, and those
+    that it does not read become None, so that two ways to write the same training give the same run. The
+    budget is rounded up to whole horizons.
 
     Raises:
-        UserError: for an unknown key, a value out of range, or two values that do not go together.
+        UserError: for an unknown key, a value out of range, or two values that exclude each other.
     """
     given = {key: value for key, value in given.items() if (key, value) not in _GONE.items()}
     env = str(given.get("env", ENVIRONMENTS[0]))
@@ -392,8 +392,9 @@ def as_fields(config: EnvConfig) -> dict[str, Any]:
 def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
     """Return the 64-bit seed of a random stream, keyed by the run's `stream`.
 
-    Streams are keyed by hash, never by adding: no two purposes, slots or seeds share one. Runs of one seed
-    in several conditions do, and so begin with the same weights, where these have one shape, and worlds.
+    Streams are keyed by a hash, not by adding numbers, so that no two purposes, slots or seeds share one.
+    Runs of different conditions with the same seed do share them. They start with the same worlds and, if the
+    networks have the same shape, the same weights.
     """
     digest = hashlib.sha256(f"{stream}/{purpose}/{slot}".encode()).digest()
     return int.from_bytes(digest[:8], "little")

@@ -3,8 +3,8 @@
     TOML file → read_toml → read_model(SomeTable, file) → the model, checked
     pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: less than or equal to 1"
 
-A model of a table derives from `Table`. What its types cannot say its validators raise as `wrong(…)`.
-Lists are tuples in models; whole numbers may be written as 1e6.
+A model of a table derives from `Table`. Its validators raise `wrong(…)` for what types cannot express. Lists
+become tuples, and whole numbers may be written as 1e6.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
     """Return a value in the types of models: lists as tuples, whole numbers as int, NumPy's as Python's.
 
     Raises:
-        ValueError: where lists and tables lie too deep in each other.
+        ValueError: for lists and tables that are nested too deeply.
     """
     if not deepest:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
@@ -116,7 +116,7 @@ class FieldsOf:
 
     Attributes:
         owner: the dataclass.
-        elsewhere: fields that are not set here, and what sets them.
+        elsewhere: fields that are set in another place, and where.
     """
 
     owner: type
@@ -209,11 +209,11 @@ def read_model(
     """Check a table of a file, the whole file by default.
 
     Args:
-        model: what it must be.
+        model: the model of the table.
         file: the file.
         where: the table.
-        usual: what the table has where it says nothing.
-        fixed: what it has, whatever it says.
+        usual: defaults for missing keys.
+        fixed: values that replace those of the table.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.

@@ -69,7 +69,7 @@ def matching(pattern: str, allowed: str) -> Reads:
 def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads:
     """Restrict a value to names of a form: one, or a list with one per player. The result is a tuple.
 
-    As a text its names have commas between them, which no name has.
+    In text form the names are separated by commas, which no name contains.
     """
 
     def read(value: Any) -> tuple[str, ...]:

@@ -335,8 +335,8 @@ def _fill_monster(row: Any, kind: Monster) -> None:
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
     """Return the distance to a player's body beyond which a resting monster meets nothing in a step.
 
-    The furthest that it senses, that it is in the way, or that a weapon or flame reaches it, and as far as a
-    player walks.
+    That is the farthest distance at which it senses, blocks, or is reached by a weapon or flame, plus the
+    distance that a player walks.
     """
     body = float(np.hypot(monster["half_width"], monster["half_height"]))
     furthest = [body + float(np.hypot(monster["body_x"], monster["body_y"]))]

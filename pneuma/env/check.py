@@ -1,8 +1,8 @@
 """Conformance checks of an environment.
 
 Runs the checkers of Gymnasium, Stable-Baselines3 and PettingZoo, and Pneuma's own: same seed same bits,
-observations inside their space, worlds that go on when put back. Meant for levels, character files and
-rewards of a user's own as well.
+observations inside their space, worlds that continue with the same bits when restored. Also for a user's own
+levels, characters and rewards.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Settings = Mapping[str, object]
 def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, str]]:
     """Run all checks that apply to an environment; yield each one's name and its finding, "" for none.
 
-    Worlds of several players have no single environment: PettingZoo's is checked.
+    For several players the PettingZoo environment is checked.
 
     Raises:
         UserError: when the environment cannot be made at all.

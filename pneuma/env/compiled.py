@@ -1,9 +1,9 @@
 """Functions that numba compiles, kept on disk where there is a folder for it.
 
-The cache on disk looks at the types of arguments and at the file that a kernel is in, and at no other. So
-the handle of a world's state (`pneuma.env.state.HANDLE`) has a field that nobody reads, named by a digest
-of all files with kernels: where one has changed, every kernel that takes a handle is compiled anew. A
-kernel that takes none may use nothing of another file.
+Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
+the handle of a world's state (`pneuma.env.state.HANDLE`) has an unused field whose name is a digest of all
+files with kernels. If one of them changes, every kernel that takes a handle is compiled again. A kernel that
+takes no handle must not use code from other files.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNE
 def cached(**options: Any) -> Callable[[Any], Any]:
     """Return `njit` with its cache; where no folder can be written, each process compiles anew.
 
-    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR. Where it can in none, as in a
-    container whose user owns nothing, it refuses the function: that is no reason not to play.
+    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR. If none of these can be written,
+    as in some containers, it raises an error, and the function is compiled without a cache.
     """
 
     def compiled(function: Any) -> Any:

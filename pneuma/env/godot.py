@@ -46,9 +46,9 @@ def receive(connection: socket.socket) -> dict[str, Any]:
     """Return the next message.
 
     Raises:
-        EOFError: where the other end is gone.
-        TimeoutError: where it does not answer in the connection's time.
-        ValueError: for what is no message.
+        EOFError: when the other end has closed.
+        TimeoutError: when it does not answer in time.
+        ValueError: for an invalid message.
     """
     message = json.loads(_exactly(connection, int.from_bytes(_exactly(connection, 4), "little")))
     if not isinstance(message, dict):
@@ -75,13 +75,13 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
     Args:
         name: an environment's id. Box actions come from -1 to 1 and are scaled to the space's bounds.
         settings: its keyword arguments.
-        agents: how many copies are played side by side.
+        agents: number of copies that are played side by side.
         port: of this machine.
         seed: of the first copy; the next has the next one.
 
     Raises:
-        UserError: where no trainer listens, or what does sends none of the protocol's messages; or the
-            environment is not of flat observations and one action.
+        UserError: when no trainer listens, when it does not speak the protocol, or when the environment has
+            other than flat observations and one action.
     """
     with ExitStack() as stack:
         envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]
@@ -164,7 +164,7 @@ def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) ->
     """Return the action of each copy.
 
     Raises:
-        KeyError, TypeError, ValueError: for what is none.
+        KeyError, TypeError, ValueError: for invalid actions.
     """
     space = envs[0].action_space
     sent = [
@@ -202,13 +202,13 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
 
     Args:
         env_path: the exported game. It is started with `--port`, `--env_seed` and without a window, and again
-            for every seed unless it takes seeds with `reset`. Without it a game that already runs, as in the
-            editor, is waited for.
+            for every seed unless it takes seeds with `reset`. If it is left out, the environment waits for a
+            game that already runs, such as the editor's.
         port: where the game connects; by default a free one, or 11008 for a running game.
         arguments: more arguments for the game, such as `{"speedup": 8}`.
 
     Raises:
-        UserError: where the game cannot be started, does not answer, or has other spaces.
+        UserError: when the game cannot be started, does not answer, or has other spaces.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}

@@ -13,8 +13,8 @@ A folder holds
     objects.csv     a table code,x,y of start places (400) and monsters (390 …), in pixels from the origin
     level.toml      optional: what `Header` lists
 
-Whatever its source, a level is refused in which a body would begin beyond the grid, in what stops it, in
-another body, or where a player cannot walk to it.
+A level is refused if a body would start outside the grid, inside an obstacle or another body, or where no
+player can walk to.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
 
     Args:
         name: as above.
-        monster_codes: which code is which kind.
+        monster_codes: the kind of monster of each code.
 
     Raises:
         UserError: naming the file and what is wrong.
@@ -230,8 +230,8 @@ def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
 def room_for_bodies(level: Level, margin: float) -> np.ndarray:
     """Return where a body is too far from everything to meet it: (2 rows, 2 columns) uint8, half tiles.
 
-    A cell has room when every tile within `margin` pixels of it is open. The rules look here first:
-    most moves need no closer look.
+    A cell has room if every tile within `margin` pixels of it is open. The rules check this first, as most
+    moves need no closer look.
     """
     rows, columns = level.terrain.shape
     closed = np.pad(level.terrain != rules.OPEN, 1, constant_values=True)
@@ -257,8 +257,9 @@ def _tiles_near(count: int, tile: float, margin: float) -> tuple[np.ndarray, np.
 def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, config: EnvConfig) -> None:
     """Refuse a level in which a body would begin beyond the grid, stuck, or where no player can walk to.
 
-    The rules look up tiles unchecked, and who begins inside a wall may never get out. Players take turns
-    at the start places, so each must hold everybody. Monsters that no terrain stops may be anywhere.
+    The rules look up tiles without bounds checks, and a body that starts inside a wall may never get out. Any
+    player may start at any start place, so each must have room for all of them. Monsters that no terrain
+    stops may be anywhere.
 
     Args:
         level: the level.
@@ -337,13 +338,13 @@ def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
 def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) -> int | None:
     """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
 
-    A player walks where it fits: over free tiles side by side, as many abreast as its body needs.
+    A player can walk over free tiles where as many lie side by side as its body is wide.
 
     Args:
         level: the level.
         free: (rows, columns) bool, the tiles that a player may walk on.
         side: the longer side of a player's body.
-        monsters: how many monsters, from the first on, must be walked to.
+        monsters: how many monsters, counted from the first, must be reachable.
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)

@@ -77,8 +77,8 @@ def decision_process(slip: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the process as arrays, for dynamic programming; learners never see it.
 
     Returns:
-        (2, 2, 3) the chance to come, from the post office or the letters, by an action, to a place; and
-        (2, 2) the mean reward of that. Noise changes neither.
+        (2, 2, 3) the probability of each next place, by place (post office or letters) and action; and (2, 2)
+        the mean rewards. Noise changes neither.
     """
     chances, rewards = np.zeros((2, 2, 3)), np.zeros((2, 2))
     for place, action, slipped in np.ndindex(2, 2, 2):

@@ -67,7 +67,7 @@ def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool],
     """Return whether each monster is perceived, and the most rows in an observation.
 
     Raises:
-        UserError: for a kind of monster that the level does not have.
+        UserError: for a kind of monster that is not in the level.
     """
     kinds = [kind for kind, _, _ in levels[0].monsters]
     what, _, which = config.perceive.partition(":")

@@ -20,13 +20,13 @@ from pneuma.env_fields import ENVIRONMENTS, make_env_config
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     """One world of 1 to 8 players, named `player_0` and so on; see `PneumaEnv` for the world.
 
-    A player leaves `agents` when it dies; the episode ends for all when nobody lives, when the level is
-    cleared and `end_on_clear` is set, or at the time limit. `infos` hold `action_mask`, and `ending`,
-    `kills`, `xp` and `hp` at a player's end. `save` and `restore` copy the world and put it back.
+    A player leaves `agents` when it dies. The episode ends for all when no player is alive, at the time
+    limit, or, with `end_on_clear`, when the level is cleared. `infos` hold `action_mask`, and at a player's
+    end `ending`, `kills`, `xp` and `hp`. `save` and `restore` copy the world and put it back.
 
     Args:
         env_id: whose presets to start from.
-        players: how many; `classes`, `weapons` and `reward` may list one each.
+        players: their number; `classes`, `weapons` and `reward` may list one for each.
         settings: the other fields of `pneuma.config.EnvConfig`.
     """
 
@@ -65,7 +65,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
         """Start an episode with all players alive; the same seed gives the same world.
 
-        `options={"start": i}` puts player 0 at the i-th start place, and the others at the next.
+        `options={"start": i}` puts player 0 at start place i, and the others at the following ones.
         """
         start = chosen_starts(self.worlds, (options or {}).get("start"))
         if seed is not None or not self._keyed:
@@ -89,8 +89,8 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         """Play one action of each living player.
 
         Raises:
-            ValueError: for what is no action, or when a living player has none.
-            ResetNeeded: before the first reset and after the end.
+            ValueError: for an invalid action, or when a living player has no action.
+            ResetNeeded: before the first reset and after the end of an episode.
         """
         acting = self.agents
         if not acting:
@@ -123,7 +123,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     def restore(self, snapshot: Snapshot) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
         """Restore a snapshot with its living `agents`; return what `reset` returns.
 
-        Of an episode that has ended nobody is left, as after its last step.
+        If the saved episode had ended, `agents` is empty, as after its last step.
         """
         self.worlds.restore(0, snapshot)
         self.worlds.observe()

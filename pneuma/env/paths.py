@@ -1,9 +1,8 @@
 """Paths over a level: walking distances, and the steps that bring a body nearer to a goal.
 
-A step takes a body a fixed way along one axis, or flush to what stops it, so that it cannot stand
-just anywhere, and a gap that is one tile wide can be missed. Distances are therefore walked over
-tiles, and the few steps that follow are searched among the places that steps really lead to. Other
-bodies in the way are not looked at: they move.
+A step moves a body a fixed distance along one axis, or up to an obstacle. So a body cannot stand at just any
+place, and can miss a gap that is one tile wide. Distances are therefore counted over tiles, and the next few
+steps are searched among the places that steps really reach. Other bodies are ignored, because they move.
 """
 
 from __future__ import annotations
@@ -49,18 +48,18 @@ def spot(place: Place) -> Spot:
 class Ways:
     """Paths of one body over levels of one shape, computed when needed and cached.
 
-    A cell is the upper left tile of a block of tiles that the body fits into; `lengths` and the
-    fields behind it count from cell to cell. All grids have a rim of closed tiles.
+    A cell is the upper left tile of a block of tiles that the body fits into. Lengths are counted from cell
+    to cell. All grids have a rim of closed tiles.
     """
 
     def __init__(self, levels: Sequence[Level], body: Body, stops: int, sea: bool) -> None:
         """Prepare the levels.
 
         Args:
-            levels: of equal shape and place, as those of a `Worlds` are.
-            body: whose ways.
-            stops: bit c: tiles of code c stop it.
-            sea: whether the coast drowns.
+            levels: levels of equal shape and position, as in a `Worlds`.
+            body: the body that moves.
+            stops: bit c is set if tiles of code c stop it.
+            sea: whether a body drowns at the coast.
         """
         level = levels[0]
         self._halves, self._offset = body[:2], body[2:]

@@ -33,9 +33,9 @@ class RandomPlayer:
 class Hunter:
     """Walks to the nearest living monster and attacks when the sword would hit one.
 
-    From afar it follows a way over the level's tiles (`pneuma.env.paths`). Near by it turns to where
-    its sword meets the monster. Where something stops it, it goes another way for a few steps. It
-    knows the whole state, not only what a player observes.
+    Far from a monster it follows a path over the level's tiles (`pneuma.env.paths`). Close to it, it turns to
+    where its sword hits. If something stops it, it goes another way for a few steps. It knows the whole
+    state, not only what a player observes.
     """
 
     SIDE_STEPS = 4
@@ -91,8 +91,8 @@ class Hunter:
     def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:
         """Return the direction, or another one for a few steps if the player was stopped.
 
-        First aside, then round to the right. Later players go further, lest two meet in the same place
-        for ever. All are (N, P).
+        First aside, then round to the right. Later players go further, so that two do not block each other
+        for ever. All arrays are (N, P).
         """
         stopped = (worlds.players["x"] == self._left_off[0]) & (worlds.players["y"] == self._left_off[1])
         stopped |= self._drowns(worlds, np.where(self._detour > 0, self._way, way), walks)
@@ -152,7 +152,7 @@ class Hunter:
     def _meets_sword(self, worlds: Worlds, x: np.ndarray, y: np.ndarray, facing: int) -> np.ndarray:
         """Return which monsters an attack in a direction would hit if it began now: (N, P, M).
 
-        One that is awake comes closer meanwhile, on each axis on which nothing holds it up.
+        A monster that is awake comes closer meanwhile, on each axis on which nothing stops it.
         """
         stats = _kinds(worlds)
         monsters = worlds.monsters

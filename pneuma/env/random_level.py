@@ -3,9 +3,9 @@
 `random:train:17` is the island that number 17 draws on the training side. The two sides never share
 an island's random stream: its key is 2 x number for training and 2 x number + 1 for testing.
 
-An island looks like the thesis's: snow in the north, grass in the middle, desert in the south, here
-and there cut off by a strait with bridges; the same ground codes, size of grid and counts. Drawing
-takes uniform numbers, + - x / and comparisons only, so that every processor draws the same island.
+An island looks like the thesis's: snow in the north, grass in the middle, desert in the south, in places cut
+off by a strait with bridges, with the same ground codes, grid size and counts. Drawing uses only uniform
+numbers, + - x / and comparisons, so that every processor draws the same island.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Frames of the world: the whole map, or a view that follows a player.
 
-A picture is drawn in art pixels, 16 a tile, over a background that is painted once, then enlarged by
-a whole factor; above it goes a strip of numbers: a player's HP and XP, and how far the world is. It
-follows from the state alone: the same state gives the same bytes.
+A picture is drawn in art pixels, 16 per tile, over a background that is painted once, and then enlarged by a
+whole factor. A strip above it shows a player's HP, XP and progress. The same state gives the same bytes.
 """
 
 from __future__ import annotations
@@ -63,9 +62,9 @@ class Renderer:
         """Paint the background.
 
         Args:
-            worlds: whose state to draw, now and later.
+            worlds: the worlds to draw, now and after later steps.
             camera: "map" for the whole level, "follow" for a view centred on a player.
-            panel: whether a strip above the picture tells HP, XP, step and monsters left.
+            panel: whether a strip above the picture shows HP, XP, step and monsters left.
 
         Raises:
             UserError: for an unknown camera, or a level that is too large.
@@ -104,7 +103,7 @@ class Renderer:
 
         Args:
             world: which of the worlds.
-            player: whom the camera follows and the panel speaks of.
+            player: the player that the camera follows and the panel shows.
         """
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
@@ -258,7 +257,7 @@ def _foot(body: Any, stats: Any) -> float:
 def ground_kinds(level: Level) -> np.ndarray:
     """Return the ground of each tile of a level, (rows, columns) of `sprites.WATER` and so on.
 
-    Any other code is grass, and where the land ends there is always water.
+    Any other code is drawn as grass. The coast is always water.
     """
     kinds = np.where((level.ground >= 0) & (level.ground <= sprites.BRIDGE), level.ground, sprites.GRASS)
     return np.where(level.terrain == rules.COAST, sprites.WATER, kinds)

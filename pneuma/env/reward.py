@@ -12,14 +12,13 @@ With xp and hp after the step, hp0 full HP, and Δ for what the step itself brou
                       d is the distance to the nearest living monster in pixels, S an algebraic
                       sigmoid: S = 1/2 + z / (2 sqrt(1 + z²)), z = (150 - d) / 50; 0 without one
 
-`module:function` names a reward of one's own. It is called after every step as
+`module:function` names a user's own reward. It is called after every step as
 
     function(events, players, player_stats) -> (N, P) numbers
 
-with the arrays `pneuma.env.state.EVENTS` and `PLAYER`, both (N, P), and `PLAYER_STATS`, (P,), to read
-and not to write. What it returns for players that were not alive is not used. It is called once when an
-environment is made, as if in the first step nothing had happened. `events["distance"]` is infinite
-where no monster lives.
+with read-only arrays of dtypes `pneuma.env.state.EVENTS` and `PLAYER`, both (N, P), and `PLAYER_STATS`, (P,).
+Its values for players that were not alive are not used. It is called once when an environment is made, with
+the events of a step in which nothing happened. `events["distance"]` is infinite if no monster is alive.
 """
 
 from __future__ import annotations
@@ -108,7 +107,7 @@ def custom_rewards(
     """Call a user's reward and check its result: (N, P) numbers, finite for living players.
 
     Raises:
-        UserError: naming the function, its file and line, and what was wrong.
+        UserError: naming the function, its file and line, and the mistake.
     """
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
@@ -160,8 +159,8 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
 def module_files(name: str, path: Path) -> list[Path]:
     """Return the source files of a module: its own first, then those that it imports, sorted.
 
-    Followed are imports, wherever they stand in a file, of modules that lie under the folder that holds
-    the module or, where it is part of an installed package, in the package; not those of Pneuma.
+    Imports are followed wherever they stand in a file, if they lead to modules in the folder of the module
+    or, for an installed package, in the package. Imports of Pneuma are not followed.
 
     Args:
         name: of the module, in full.

@@ -1,11 +1,11 @@
 """The rules of the world, compiled.
 
-N worlds x P players x M monsters advance here by agent steps of several ticks of 1/60 s, and are
-observed. State lies in plain arrays (`state.py`), which `worlds.py` owns and hands in; nothing here
-allocates. Sources: thesis sections 5.1 to 5.3 and the constants of the published code.
+They advance N worlds with P players and M monsters each by agent steps of several ticks of 1/60 s, and write
+the observations. The state lies in plain arrays (`state.py`) that `worlds.py` owns. Nothing here allocates
+memory. Sources: thesis sections 5.1 to 5.3 and the constants of the published code.
 
-A tick goes: every player acts; every monster is struck, senses, bites and moves; every player gets what
-the tick brought. Living bodies and terrain stop whoever moves, x first, then y; nobody pushes.
+In a tick every player acts; then every monster is struck, senses, bites and moves; then every player gets its
+rewards. Living bodies and terrain stop a moving body, first along x, then along y. Nothing is pushed.
 
 The dynamics use only + - * / and square root, without fast-math, so that every processor gives
 the same bits.
@@ -95,8 +95,8 @@ def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
 def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
     """Advance every running world by one agent step, observe it, and return how many ended.
 
-    Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended
-    stays as it is, with empty events, until it is reset. With `only_observe` no time passes.
+    Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended stays as
+    it is, with empty events, until it is reset. With `only_observe` only the observations are written.
     """
     s = open_state(handle)
     ended = 0
@@ -268,8 +268,8 @@ def _charge(player: Array, event: Array, cost: float) -> None:
 def _gather_active(s: State, w: int) -> int:
     """List in `scratch` the monsters to which anything can happen in the next step; return their number.
 
-    The others only stand there, in the way of those who move. Leaving them out changes no bit and saves
-    most of the time.
+    The others stand still and only block those that move. Leaving them out changes no bit and saves most of
+    the time.
     """
     count = 0
     for m in range(s.monsters.shape[1]):
@@ -782,7 +782,8 @@ def _blocked(terrain: Array, level: int, column: int, row: int, stops: int) -> b
 def _observe(s: State, w: int, p: int, tell: bool) -> None:
     """Write a player's observation and action mask; layouts in `observation.py`.
 
-    `tell` says whether the events are to tell of the nearest monster: not those of an ended world.
+    `tell` says whether to write the nearest monster's distance to the events, which an ended world does not
+    do.
     """
     count = _order_monsters(s, w, p, tell)
     out = s.observations[w, p]
@@ -800,8 +801,8 @@ def _observe(s: State, w: int, p: int, tell: bool) -> None:
 def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     """List in `scratch` the monsters that a player perceives, with distances; return their number.
 
-    The nearest come first, ties by index, and the dead are left out. In fixed order the same are
-    listed by index; the dead fill up what is left, infinitely far off.
+    The nearest come first, ties by index, without the dead. In fixed order the same monsters are listed by
+    index, and the dead fill the remaining rows, infinitely far away.
     """
     player = s.players[w, p]
     level = s.worlds[w].level
@@ -886,8 +887,8 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
 def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int:
     """Write the `i`-th monster of `scratch` from place `at` on; return where the next one begins.
 
-    All of a dead one is zero: its HP as they are, the rest because it is infinitely far off. In the published
-    code's layout it lies where it died.
+    The row of a dead monster is zero: its HP are, and the rest is because it is infinitely far away. In the
+    published code's layout it stays where it died.
     """
     settings = s.settings[0]
     player = s.players[w, p]
@@ -922,7 +923,7 @@ def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int
 def _write_rays(s: State, w: int, p: int, out: Array, at: int) -> int:
     """Write what each ray of a player meets first, from place `at` on; return where the last one ends.
 
-    Of what is met at one distance the first counts: monsters by index, then players, then terrain.
+    At equal distances the first thing counts: monsters by index, then players, then terrain.
     """
     settings = s.settings[0]
     player = s.players[w, p]
@@ -972,7 +973,7 @@ def _between(low: float, high: float, way: float) -> tuple[float, float]:
 def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
     """Return the distance at which a ray meets a tile that stops or drowns players.
 
-    Through a corner it passes only between two open tiles.
+    It passes a corner only between two open tiles.
     """
     settings = s.settings[0]
     level = s.worlds[w].level
@@ -1002,9 +1003,9 @@ def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: fl
 def _mask_actions(s: State, w: int, p: int) -> None:
     """Write which actions would have an effect in the next step.
 
-    Nothing does while an attack lasts through it; only attack then counts as allowed. Walking or dashing
-    against a wall that one faces already does nothing, nor does a spell that cannot be paid, nor a dash too
-    soon after the last one.
+    While an attack lasts through the whole step no action does anything; then only attack counts as allowed.
+    Also without effect are walking or dashing against a wall that the player already faces, a spell without
+    enough energy, and a dash too soon after the last one.
     """
     player = s.players[w, p]
     stats = s.player_stats[p]

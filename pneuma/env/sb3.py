@@ -48,15 +48,15 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     """A vector environment of slots that resets ended worlds at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
-    `terminal_observation`, `TimeLimit.truncated`, `episode` with the return `r` and length `l`, and how
-    it ended. `env_method("action_masks")` is there for learners that mask.
+    `terminal_observation`, `TimeLimit.truncated`, `episode` with the return `r` and length `l`, and how it
+    ended. `env_method("action_masks")` serves learners that mask actions.
 
     Args:
-        seeds: one for each world; or a number of slots, a multiple of the players in a world.
+        seeds: one per world; or a number of slots, which is a multiple of the players in a world.
         config: the environment's settings, instead of `env_id` and keywords.
-        seed: with a number of slots, world i is seeded seed + i; otherwise as the system pleases.
+        seed: if `seeds` is a number, world i gets seed + i; default: random.
         env_id: whose presets to start from.
-        render_mode: `rgb_array`, of which `render` makes one picture; or `human`, a window.
+        render_mode: `rgb_array`, one picture of all slots; or `human`, a window.
         camera: `map`, or `follow` for a view of the player.
         settings: the fields of `pneuma.config.EnvConfig`.
 
@@ -107,8 +107,8 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def reset(self) -> np.ndarray:
         """Start an episode in each world, with the seeds and options set before.
 
-        `set_options({"start": i})` chooses the start place; in a list of one a slot, those of the first
-        players count.
+        `set_options({"start": i})` chooses the start place. In a list with one entry per slot, those of the
+        first player of each world count.
         """
         every = slice(None, None, self.slots.players)
         asked = [options.get("start") for options in self._options[every]]
@@ -171,8 +171,8 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def restore(self, world: int, snapshot: Snapshot) -> np.ndarray:
         """Restore a snapshot in one world; return all observations, as `reset` does.
 
-        If the saved episode had ended, the next begins. What the `episode` of its info will say counts
-        from the episode's beginning; from here on, if another face saved it. See `Slots.restore`.
+        If the saved episode had ended, the next one begins. `episode` in the info counts from the episode's
+        beginning, or from here on if another interface saved it. See `Slots.restore`.
         """
         runs = self.slots.restore(world, snapshot)
         slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
@@ -192,7 +192,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def saved_state(self) -> dict[str, np.ndarray]:
         """Copy everything that the next step depends on, including episodes in progress: arrays by name.
 
-        Worlds, players, monsters and events are bytes, laid out as `layout` tells.
+        Worlds, players, monsters and events are bytes; `layout` describes them.
         """
         layout = np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)
         return {"layout": layout} | {name: _bytes(array).copy() for name, array in self._state_arrays()}

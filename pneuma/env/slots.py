@@ -1,8 +1,8 @@
 """Slots: each player of each world as an environment of its own, as learners need it.
 
-A slot's player may die while its world goes on. Its episode then ends, at once, with what it saw last; from
-the next step until the world ends as well, the slot idles: observations of zeros, no reward, and no ending.
-When the world ends, all of its slots that were not idle end with it, and all begin again together.
+A slot's player may die while its world goes on. Its episode then ends at once, with its last observation.
+From the next step until its world ends the slot idles: its observations are zeros, and it has no rewards and
+no endings. When the world ends, all its other slots end with it, and all start again together.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Slots:
         """Return actions in the form that the rules take, (slots,) int64.
 
         Raises:
-            ValueError: for what is no action, or not one for each slot.
+            ValueError: for invalid actions, or another number of them than slots.
         """
         given = np.asarray(actions)
         if given.dtype.kind in "iu" and given.size == self.count:
@@ -120,8 +120,8 @@ def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
     """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
 
     Args:
-        worlds: which are reset.
-        start: None; the index of a start place; or one for each world, of which some may be None.
+        worlds: the worlds to reset.
+        start: None, the index of a start place, or a list with one of these for each world.
     """
     if start is None:
         return None

@@ -1,8 +1,8 @@
 """Pictures of everything in the world, from the pixel art in the folder `art`.
 
-A picture is a uint8 array of shape (height, width, 4): red, green, blue and opacity of art pixels,
-of which a tile is 16 wide. The ground is painted as a whole, because shores and the seams between
-snow, grass and sand run across tiles. `render.py` puts it all together.
+A picture is a uint8 array of shape (height, width, 4): red, green, blue and opacity of art pixels. A tile is
+16 of them wide. The ground is painted as a whole, because shores and the borders between snow, grass and sand
+cross tiles. `render.py` combines the pictures.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
     """Return the picture of player `index`, in its own cloak.
 
     Args:
-        index: which player; from the ninth on, cloaks repeat.
+        index: of the player; colours repeat from the ninth player on.
         facing: one of `FACINGS`.
         pose: one of `POSES`.
         flash: a colour to flash in, or none.
@@ -61,8 +61,8 @@ def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") 
 
     Args:
         kind: as in `data/characters.toml`; `art/monsters/KIND.png` holds both poses, calm above alert.
-        pose: 0 or 1, as it shifts its weight.
-        alert: whether it has noticed somebody; its eyes show it.
+        pose: 0 or 1.
+        alert: whether it has noticed a player, which its eyes show.
         flash: a colour to flash in, or none.
     """
     known = {path.stem for path in (ART / "monsters").iterdir()}
@@ -242,8 +242,8 @@ def _ground_pictures(kind: int) -> np.ndarray:
 def _soften(ground: np.ndarray) -> np.ndarray:
     """Return the ground of each art pixel, with rounded corners and slightly uneven borders.
 
-    Each pixel takes the ground of which there is most in a small square around it, plus a smooth
-    wobble; whole numbers throughout, so that every processor paints the same.
+    Each pixel takes the most frequent ground in a small square around it, shifted by a smooth noise. Only
+    whole numbers are used, so that every processor paints the same picture.
     """
     kinds = np.zeros((ground.shape[0] * TILE, ground.shape[1] * TILE), np.uint8)
     most = np.full(kinds.shape, -1000, np.int32)

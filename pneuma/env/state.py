@@ -214,8 +214,8 @@ SCRATCH = _record(("order", "u8"), ("distance", "f8"), ("crowded", "i4"))
 class State(NamedTuple):
     """Every array that the kernels share.
 
-    The first three are the whole state of the worlds. `events`, `observations` and `masks` are
-    written by every step; what follows is room to work in.
+    The first three are the whole state of the worlds. `events`, `observations` and `masks` are written by
+    every step. The last two are scratch space.
     """
 
     worlds: Array  # (N,) WORLD
@@ -249,7 +249,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 def make_handle(state: State) -> np.ndarray:
     """Return addresses and shapes of all arrays, (14,) HANDLE, with which the kernels are called.
 
-    Handing one small array to a compiled function instead of all saves most of the time of a call. The
+    Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.
 
     Raises:

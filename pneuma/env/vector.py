@@ -70,11 +70,11 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
-        A seed, or one for each world, keys the random streams of the worlds that are reset.
+        `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset.
         `options["start"]` is the index of a start place, or one for each world.
 
         Raises:
-            ResetNeeded: when the first reset is of some worlds only.
+            ResetNeeded: when the first reset leaves out some worlds.
         """
         told = options or {}
         starts = chosen_starts(self.state, told.get("start"))
@@ -100,8 +100,8 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def restore(self, world: int, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
         """Restore a snapshot in one world; return all observations, as `reset` does.
 
-        The world goes on as the saved one would have here: if its episode had ended, this autoreset
-        mode decides when the next begins. See `Slots.restore`.
+        The world continues as the saved one would have. If its episode had ended, the autoreset mode decides
+        when the next one begins. See `Slots.restore`.
         """
         self._over[world] = not self.slots.restore(world, snapshot)
         self._note_over(self._over)

@@ -1,6 +1,6 @@
 """Showing a world: a window, rendering, smooth episodes, videos, and play by hand.
 
-The faces give one frame a step. Episodes and play show a step of 8 ticks in four frames of 2, so that
+Environments give one frame per step. Episodes and play show the 8 ticks of a step in four frames, so that
 motion is smooth. A window needs pygame-ce.
 """
 
@@ -123,8 +123,8 @@ def _load_pygame() -> Any:
 class Rendering:
     """The rendering that all interfaces share; frames are drawn only when needed.
 
-    `rgb_array` gives the frame of the first world, or one a slot for a vector environment: that slot's
-    world, with its player followed and told of. `human` opens a window, which needs the extra `play`.
+    `rgb_array` gives a frame of the first world, or for a vector environment one per slot, which follows and
+    describes that slot's player. `human` opens a window, which needs the extra `play`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -221,10 +221,10 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     """Let the user play player 0 with the keyboard until the window closes.
 
     Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can,
-    escape leaves; the world waits while no key is held. The other players stand and strike.
+    escape leaves. The world waits while no key is held. The other players stand still and attack.
 
     Returns:
-        Kills and length, in steps of 8 ticks, of every episode that ended.
+        The kills and length (in steps of 8 ticks) of every finished episode.
     """
     smooth(worlds)
     renderer = Renderer(worlds, camera)
@@ -281,9 +281,9 @@ def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: flo
     """Write frames to a .gif or .mp4, or the first to a .png; the file is written whole or not at all.
 
     Args:
-        path: where to; its suffix says which format.
+        path: the file; its suffix is the format.
         frames: arrays of one shape (height, width, 3), uint8, taken one at a time.
-        frames_per_second: how fast to play them; browsers play a GIF of more than 50 slowly.
+        frames_per_second: their rate; browsers play GIFs with more than 50 slowly.
 
     Raises:
         UserError: for an .mp4 without imageio-ffmpeg, or a file that cannot be written.

@@ -1,6 +1,6 @@
 """N worlds in parallel: their state, and the calls to the rules.
 
-Every face (single, vector, parallel, Stable-Baselines3) is a thin layer over `Worlds`, so all of them
+Every interface (single, vector, parallel, Stable-Baselines3) is a thin layer over `Worlds`, so all of them
 give the same bits for the same seeds and actions.
 """
 
@@ -38,8 +38,8 @@ class Snapshot:
 
     Attributes:
         worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
-        fits: names the levels, characters and stops that it can be put back among.
-        returns: (P,) what the episode has paid so far, from a face that counts it.
+        fits: a hash of the levels, characters and obstacles with which it can be restored.
+        returns: (P,) the rewards of the episode so far, if the interface counts them.
     """
 
     worlds: np.ndarray
@@ -55,14 +55,14 @@ class Worlds:
     Attributes:
         worlds, players, monsters: the whole state, shapes (N,), (N, P) and (N, M), with the dtypes
             `state.WORLD`, `PLAYER` and `MONSTER`.
-        events: (N, P) `state.EVENTS`, what the last step did, the reward among it.
+        events: (N, P) `state.EVENTS`, the events of the last step, with the reward.
         observations: (N, P, features) float32, overwritten by every step.
-        masks: (N, P, actions) int8, 0 where an action would do nothing in the next step; those of the
-            dead are as if they lived.
-        action_names: what each action is called.
+        masks: (N, P, actions) int8, 0 if an action would do nothing in the next step; the dead count as
+            alive.
+        action_names: the names of the actions.
         levels: the levels played; one, unless random ones are drawn.
-        usual_starts: (N,) the start places unless others are asked for; below zero, drawn at random.
-        player_stats, monster_stats: (P,) and (L, M), what the rules read.
+        usual_starts: (N,) the default start places; negative ones are drawn at random.
+        player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
 
     Raises:
         UserError: for a configuration that cannot be played.
@@ -227,7 +227,7 @@ class Worlds:
             starts: (N,) indices of start places; below zero, drawn at random.
 
         Raises:
-            ValueError: for a mask or starts of another shape or kind, or a start place that there is not.
+            ValueError: for a mask or starts of a wrong shape or type, or an unknown start place.
         """
         which = self._every if mask is None else _checked(mask, (len(self),), "b", "mask")
         usual = self.usual_starts if starts is None else _checked(starts, (len(self),), "iu", "starts")
@@ -294,7 +294,7 @@ class Worlds:
         """Return a snapshot of one world, which can be sent and restored elsewhere.
 
         Raises:
-            ValueError: when there is no such world, or no episode has ever begun in it.
+            ValueError: for an unknown world, or one in which no episode has begun.
         """
         if not 0 <= world < len(self):
             raise ValueError(f"world {world}: there are worlds 0 to {len(self) - 1}")
@@ -308,8 +308,8 @@ class Worlds:
     def restore(self, world: int, snapshot: Snapshot) -> None:
         """Restore a snapshot in one world, of this or another `Worlds` with equal levels and characters.
 
-        The world goes on as the saved one would have; its events are empty. Its observation is that of
-        the next step; `observe` writes it at once.
+        The world continues as the saved one would have. Its events are empty. The next step writes its
+        observation, or `observe` at once.
 
         Raises:
             ValueError: for a state that does not fit it.
@@ -341,10 +341,10 @@ class Worlds:
     def observe(self) -> None:
         """Write all observations and masks from the current state, which may have been changed by hand.
 
-        What the state counts, who is left, is counted anew.
+        Counts of players and monsters that are alive are updated.
 
         Raises:
-            ValueError: for bodies that are nowhere on the grid, or face nowhere.
+            ValueError: for bodies outside the grid, or with an invalid facing.
         """
         self._refuse_nowhere()
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
