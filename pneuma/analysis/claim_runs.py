@@ -32,11 +32,11 @@ class Arm:
     """One arm of a contrast.
 
     Attributes:
-        values: (seeds,) the outcome of each run that counts, in the order of the seeds; 1 or 0 where runs
-            with an event are counted.
+        values: (seeds,) the outcome of each run that counts, in the order of seeds; 1 or 0 if runs with an
+            event are counted.
         run_ids: of the same runs.
-        reason: why it cannot be compared: a run has no value.
-        learned: whether it is shown to play better than the random player; None where that is not known.
+        reason: why it cannot be compared, if a run has no value.
+        learned: whether it is shown to play better than the random player; None if unknown.
     """
 
     values: np.ndarray
@@ -50,10 +50,10 @@ class ClaimRuns:
     """The runs that a claim fixed in one world.
 
     Attributes:
-        cells: what was fixed, by condition.
-        data: those that have finished; None without any.
-        mend: how a reason ends where runs are missing: the command that trains them.
-        damaged: published tables that could not be read, in which they may be.
+        cells: the fixed runs, by condition.
+        data: the finished ones; None if there are none.
+        mend: the end of a reason if runs are missing, with the command that trains them.
+        damaged: published tables that could not be read, and may contain them.
     """
 
     claim: Claim
@@ -172,8 +172,8 @@ def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: fl
 def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> bool | None:
     """Return whether an arm plays better than the random player, by a one-sided Student's test.
 
-    A run's number is its mean score over all its evaluations, where 0 is the random player. A greatest
-    score would be above 0 by chance alone. None where a run has no score.
+    The test uses each run's mean score over all evaluations, where 0 is the random player; the greatest score
+    would be above 0 by chance alone. None if a run has no score.
     """
     every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
     scores = np.array([scores.mean() if len(scores) else np.nan for scores in every])

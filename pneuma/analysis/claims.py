@@ -6,8 +6,8 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `judgement.py`. The file's checksum is in every verdict. docs/claims.md says
-what each key means. Which runs a claim fixes is read by `pneuma.study.claimed`.
+studies/claims.toml → ClaimList → `judgement.py`. The file's checksum is printed with the verdicts.
+docs/claims.md explains each key. `pneuma.study.claimed` reads which runs a claim fixes.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class ListHead(Table):
 
     Attributes:
         title: of the list.
-        learned: what the list before it taught.
+        learned: what the earlier list taught.
         alpha: the chance of any false verdict in the whole list.
-        weights: how alpha is split between groups of claims; none where all contrasts have equal parts.
+        weights: how alpha is split between groups of claims; empty if all contrasts have equal parts.
         world_weights: how each part is split between worlds.
-        seeds_from: the first seed of runs that a claim fixes by their number.
+        seeds_from: the first seed if a claim fixes a number of seeds.
     """
 
     title: Text = ""
@@ -82,8 +82,8 @@ class Pilot(Table):
     """Spreads between runs of other seeds, for the design check.
 
     Attributes:
-        command: what printed it.
-        spreads: by world and outcome the standard deviation between runs; of an incidence, by 'OUTCOME above
+        command: the command that printed the spreads.
+        spreads: by world and outcome, the standard deviation between runs; for an incidence 'OUTCOME above
             X', the share of runs in arm b.
     """
 
@@ -96,19 +96,19 @@ class Claim(ClaimedRuns, Table):
 
     Attributes:
         name: of the claim.
-        quote: the words that it is, or a part of them.
-        context: what the sentence says around them, in one line.
+        quote: the words of the thesis.
+        context: the rest of the sentence, in one line.
         section: of the thesis.
-        group: whose part of alpha it shares; its section, where it names none.
-        c, d: one condition each: the claim is on (a - b) - (c - d).
-        value: a constant that a is held against in place of b.
+        group: the group whose part of alpha it shares; default: its section.
+        c, d: one condition each; the claim is then about (a - b) - (c - d).
+        value: a constant that a is compared with instead of b.
         outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
         above, below: the threshold of an incidence.
-        only: an outcome, 0 or 1: runs with 0 do not count; empty where all do.
-        direction: what a is beside b.
-        margin: within what a difference counts as none; see `contrasts.compare`.
+        only: an outcome of 0 or 1; runs with 0 do not count. Empty if all count.
+        direction: of a compared with b.
+        margin: smaller differences count as none; see `contrasts.compare`.
         plausible: the largest effect thought possible.
-        need: whether all contrasts must be as claimed, or any.
+        need: whether all contrasts must be as claimed, or any one.
         note: why it is tested so.
     """
 
@@ -214,8 +214,8 @@ class ClaimList:
     def factor(self, claim: Claim, world: str) -> float:
         """Return what a contrast's p-value is multiplied by: alpha divided by the contrast's part of it.
 
-        Without weights, the number of contrasts (Bonferroni). With them, each group and world has its part
-        of alpha, and its contrasts share that part equally (weighted Bonferroni: Rosenthal and Rubin 1983).
+        Without weights it is the number of contrasts (Bonferroni). With weights, each group and world has a
+        part of alpha, which its contrasts share equally (weighted Bonferroni: Rosenthal and Rubin 1983).
         """
         counts: Counter[tuple[str, str]] = Counter()
         for each in self.claims.values():

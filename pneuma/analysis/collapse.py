@@ -44,13 +44,13 @@ class Diagnosis:
 
     Attributes:
         collapsed: whether it ever did.
-        onset_step: agent steps after the first update, or evaluation, of the collapse.
-        onset_update: the number of that update; None where the run's settings do not tell.
-        sound_step: the last update, evaluation or best return before it: from where a fork can begin.
+        onset_step: agent steps at the first update or evaluation of the collapse.
+        onset_update: the number of that update; None if unknown.
+        sound_step: the last update, evaluation or best return before it, from which a fork can start.
         signs: those of `SIGNS` that held over most of it.
-        unseen: those that the run's records cannot tell of; of a fork a fall from what its parent had.
-        recovered_step: where the last collapse ended; None where one lasts to the run's end.
-        relearned: whether it plays as before afterwards; None without a collapse or evaluations.
+        unseen: signs that the run's records cannot show; for a fork, a fall from its parent's best.
+        recovered_step: where the last collapse ended; None if it lasts to the run's end.
+        relearned: whether it plays nearly as well as before again; None without a collapse or evaluations.
     """
 
     collapsed: bool
@@ -131,7 +131,7 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
 def incidence(data: StudyData) -> pd.DataFrame:
     """Return how many runs of each condition collapsed: counts, share, and its 95 % interval.
 
-    Runs whose records can tell of no sign at all are left out; `unknown` counts them.
+    Runs whose records can show no sign are left out; `unknown` counts them.
     """
     rows, every = [], diagnoses(data)
     for condition in data.conditions:
@@ -168,7 +168,8 @@ def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]
 def _losses(seen: RunView) -> list[Stretch] | None:
     """Return where the return is below zero after having been above; None if that would mean nothing.
 
-    In a world that resets XP a low return is one episode's alone. What logs were of is not known.
+    In a world that resets XP, a low return is that of one episode only. The world of imported logs is
+    unknown.
     """
     steps, returns = seen.curve("return")
     if not len(steps) or seen.run.fields.get("xp_scope") == "episode":
@@ -179,8 +180,8 @@ def _losses(seen: RunView) -> list[Stretch] | None:
 def _played(seen: RunView) -> tuple[np.ndarray, np.ndarray, float | None]:
     """Return evaluation steps, how well the run played there, and the random player's level if known.
 
-    That is the share of monsters killed; elsewhere the gain in return over the random player, in the unit in
-    which `DEPTH` is twice the standard deviation of what one of its episodes returns.
+    This is the share of monsters killed. In other environments it is the gain in return over the random
+    player, in a unit in which `DEPTH` is twice the standard deviation of that player's returns.
     """
     _, returned = seen.evaluations("random_return")
     if not len(returned):

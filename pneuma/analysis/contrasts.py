@@ -1,8 +1,8 @@
 """Contrasts: one arm of runs against another arm or a constant, with effect, interval and tests.
 
-A contrast has five one-sided p-values, each valid by itself: that the effect is above no difference, below
-it, within the margin on both sides, and beyond it, above and below. What they mean for a claim is decided in
-`pneuma.analysis.judgement`. Which test each kind uses, and what it assumes, is in docs/evidence.md.
+A contrast has five one-sided p-values, each valid by itself: the effect is above zero, below zero, within the
+margin, beyond it above, and beyond it below. `pneuma.analysis.judgement` decides what they mean for a claim.
+docs/evidence.md explains the tests and their assumptions.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ class Contrast:
 
     Attributes:
         kind: mean, or incidence: the share of runs with an event.
-        effect: mean, or share, of a less that of b or the constant.
+        effect: the mean or share of a, minus that of b or the constant.
         interval: its 95 % interval.
-        p_greater: one-sided p-value that the effect is above no difference.
+        p_greater: one-sided p-value that the effect is above zero.
         p_less: that it is below.
-        p_equivalent: that it is within the margin on both sides; 1 where there is no margin.
+        p_equivalent: that it is within the margin on both sides; 1 without a margin.
         seeds: runs of a and of b; 0 for a constant.
-        reason: what hinders a conclusion, in words; empty where nothing does.
+        reason: why nothing can be concluded; usually empty.
         smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
-        p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 where there is none.
+        p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 without a margin.
         simultaneous: its interval at the level of a whole list of contrasts.
     """
 
@@ -78,14 +78,14 @@ def compare(
     Args:
         kind: mean, or incidence, of values 0 or 1.
         a: (runs,) finite values, one per run.
-        b: the same of the other arm, or a number in a's unit, or a share of runs.
-        margin: within what a difference counts as none: in the outcome's unit, or as a share. None where no
-            such claim can be made.
-        generator: draws relabelings, or turns of signs, where there are too many to count.
+        b: the values of the other arm, or a number in a's unit, or a share of runs.
+        margin: smaller differences count as none; in the outcome's unit, or as a share of runs. None for no
+            margin.
+        generator: draws relabelings or sign flips if there are too many to enumerate.
         level: of the simultaneous interval.
 
     Raises:
-        ValueError: for values that are not finite, or an incidence of others than 0 and 1.
+        ValueError: for values that are not finite, or an incidence with values other than 0 and 1.
     """
     first, value = finite(a), b if isinstance(b, int | float) else None
     second = np.empty(0) if value is not None else finite(b)
@@ -134,7 +134,7 @@ def compare_effects(
 
     Args:
         arms: (runs,) finite values of a, b, c and d.
-        margin: within what the difference of differences counts as none, or None.
+        margin: smaller differences of differences count as none; or None.
         level: of the simultaneous interval.
     """
     values = [finite(arm) for arm in arms]

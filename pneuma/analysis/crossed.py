@@ -3,9 +3,9 @@
     a study and an outcome → a cell of runs for each combination of levels → effects, Holm-corrected
     a study, a field and two values of it → a pair of conditions for each cell → a robustness map
 
-Factors are the fields in which conditions differ, as they resolved; nobody has to name them. Fields that do
-not take every combination of their values vary together, and are one factor of effects. A cell of a map
-is a pair of conditions that differ in the contrast's field alone.
+Factors are the fields in which the resolved conditions differ; nobody has to name them. Fields that do not
+take all combinations of their values form one factor of the effects. A cell of a map is a pair of conditions
+that differ only in the contrast's field.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Effect(NamedTuple):
     """A main effect of one factor, or an interaction of two.
 
     Attributes:
-        degrees: of freedom: its own, and those that the model leaves to the errors.
-        statistic: its F; inf where the model leaves no errors.
-        p_value: by permutation; NaN where the design cannot tell it from others.
-        share: of the variance that the model leaves without it, what it takes away (partial R²).
+        degrees: of freedom, of the effect and of the errors.
+        statistic: its F; inf without errors.
+        p_value: by permutation; NaN if the design cannot separate it from other effects.
+        share: of the variance that the other effects leave (partial R²).
     """
 
     factors: tuple[str, ...]
@@ -62,10 +62,10 @@ class Effects:
     """All main effects and two-way interactions of a crossed study.
 
     Attributes:
-        means: of each factor, its levels' means, in which each cell counts alike.
-        cells: how many combinations of levels there are.
-        runs: how many have a value of the outcome.
-        without: how many finished runs have none, and are left out.
+        means: the means of each factor's levels, with equal weight for each cell.
+        cells: number of combinations of levels.
+        runs: number of runs with a value of the outcome.
+        without: number of finished runs without one, which are left out.
     """
 
     outcome: str
@@ -99,8 +99,8 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
     """Test all main effects and two-way interactions of a crossed study's factors.
 
     Raises:
-        UserError: for a name that is no outcome's, returns of unlike rewards, a study that is not crossed, a
-            cell without a run that has the outcome, or no more runs than the effects take up.
+        UserError: for an unknown outcome, returns of different rewards, a study that is not crossed, a cell
+            without a run that has the outcome, or too few runs.
     """
     name = name or primary(data)
     refuse_unlike_returns(data, name)
@@ -138,7 +138,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     Conditions without a finished run are included.
 
     Raises:
-        UserError: where fewer than two factors are crossed, or a combination is missing.
+        UserError: when fewer than two factors are crossed, or a combination is missing.
     """
     settings = _settings(data)
 
@@ -171,14 +171,14 @@ def factorial(
 ) -> list[Effect]:
     """Return all main effects and two-way interactions.
 
-    Each is tested with the others in the model, by Freedman and Lane's permutation of the residuals of the
-    model without it (Freedman and Lane 1983): exact where nothing else acts, close where it does. Levels are
-    coded as deviations from their mean, so that a main effect is the average over the other factors' levels,
-    each counted alike, however many runs each cell has.
+    Each effect is tested with the others in the model, by permuting the residuals of the model without it
+    (Freedman and Lane 1983). The test is exact if there are no other effects, and close otherwise. Levels are
+    coded as deviations from their mean, so that a main effect is the average over the other factors' levels
+    with equal weights, however many runs each cell has.
 
     Args:
-        values: (runs,) finite.
-        factors: name to the (runs,) levels that each run had; balanced or not.
+        values: (runs,) finite numbers.
+        factors: by name, the (runs,) levels of each run; balanced or not.
         generator: draws the permutations.
     """
     runs = finite(values)
@@ -235,8 +235,8 @@ class Cell:
 
     Attributes:
         levels: of every field in which the cells differ.
-        better, worse: conditions: the one that is claimed to do better, and the other.
-        contrast: of the two, the first less the second, turned so that above 0 is as claimed.
+        better, worse: the condition that is claimed to do better, and the other one.
+        contrast: the first minus the second, with the sign such that above 0 is as claimed.
         p: Holm-corrected over the map, two-sided.
     """
 
@@ -259,9 +259,9 @@ class Map:
     """A contrast in all its cells, in the study's order.
 
     Attributes:
-        setting: what the two conditions of a cell differ in.
-        values: of the claimed better, and of the other.
-        outcome: by what they are judged.
+        setting: the field in which the two conditions of a cell differ.
+        values: the value that is claimed to be better, and the other one.
+        outcome: by which they are compared.
     """
 
     setting: str
@@ -273,9 +273,8 @@ class Map:
     def label(self) -> str:
         """The label of the whole map.
 
-        Robust where every cell holds; conditional where some hold and some are reversed; partial where some
-        hold and the others are open, for few seeds show no condition; reversed where some are reversed and
-        none holds; else undecided.
+        Robust if every cell holds; conditional if some hold and some are reversed; partial if some hold and
+        the others are open; reversed if some are reversed and none holds; otherwise undecided.
         """
         labels = {cell.label for cell in self.cells}
         if HOLDS in labels:
@@ -313,11 +312,11 @@ def robustness_map(
         setting: a field of the run.
         better: its value that is claimed to do better.
         worse: the other.
-        outcome: one that has a better direction; the study's primary one when left out.
+        outcome: one that has a better direction; default: the study's primary one.
 
     Raises:
-        UserError: where no pair of conditions is such a contrast, or for an outcome without a direction, or
-            in which the two values do not compare.
+        UserError: when no pair of conditions is such a contrast, or for an outcome without a direction, or
+            one that the two values change the meaning of.
     """
     outcome = outcome or primary(data)
     direction = {"higher": 1.0, "lower": -1.0}.get(find_outcome(outcome).better)

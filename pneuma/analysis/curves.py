@@ -1,8 +1,8 @@
 """Curves: the mean over seeds with a named band, on a common grid of steps.
 
-A training curve is, for each run and at each point t of the grid, the mean of the episodes that
-ended in the last twentieth of the budget before t; blank until every slot has finished one. Only
-then are runs averaged, over those that have a value at t. Nothing is extrapolated.
+A training curve has at each point t of the grid the mean of the run's episodes that ended in the last
+twentieth of the budget before t. It is blank until every slot has finished an episode. Runs are then averaged
+over those that have a value at t. Nothing is extrapolated.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class Curve:
     Attributes:
         condition: its name.
         step: (points,) agent steps.
-        runs: (seeds, points) each run's values, NaN where it has none.
-        diverged: (seeds,) whether each run ended in a loss, gradient or parameter that is not finite.
-        log: whether mean and bands are of logarithms, for a logarithmic axis: no band reaches below zero, and
-            what is zero or less counts as no value.
+        runs: (seeds, points) the values of each run; NaN if it has none.
+        diverged: (seeds,) whether each run diverged.
+        log: whether mean and bands are of logarithms, for a logarithmic axis. Values of zero or less then
+            count as none.
     """
 
     condition: str
@@ -107,7 +107,7 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
 def curve_names(data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
-    Of evaluations those that some run has a value of: the mailman kills nobody.
+    Of the evaluations, these are the quantities of which some run has a value.
     """
     if "evaluations" not in data.tables:
         return data.quantities
@@ -156,7 +156,7 @@ NEAR = 0.02
 def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
     """Return the level of each of `PLAYERS` that evaluations recorded.
 
-    A normalised score is 0 and 1 for them by its definition; returns of theirs are not recorded. None where
+    Their normalised scores are 0 and 1 by definition, and their returns are not recorded. None if the
     conditions, whose environments may differ, do not share them.
     """
     if quantity == "score":
@@ -182,7 +182,7 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
 class Band(NamedTuple):
     """Its words for a legend, and its edges of (runs, points) values, NaN where a run has none.
 
-    There are no edges where the runs themselves are drawn.
+    There are no edges if the runs themselves are drawn.
     """
 
     label: str
@@ -246,8 +246,8 @@ LEAST_COVERAGE: dict[str, tuple[float, ...]] = {
 def coverage(band: str, runs: int) -> float | None:
     """Return how often a band of `BANDS` covers the true mean.
 
-    Between two of `COVERAGE_SEEDS` it is the lesser of theirs, as it need not grow with the runs; 0 of
-    fewer than the first, for which nothing was drawn. None for a band that is no interval of a mean.
+    Between two of `COVERAGE_SEEDS` it is the smaller of their coverages, because coverage need not grow with
+    the number of runs. Below the first it is 0. None for a band that is no interval of a mean.
     """
     if band not in LEAST_COVERAGE:
         return None

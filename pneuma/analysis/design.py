@@ -2,10 +2,10 @@
 
     ClaimList with pilot spreads → [Plan], one for each contrast of a claim in a world
 
-A claim of a direction can be decided where the least difference that is found with 80 % power, at its part of
-alpha, is no greater than what is plausible; one of no difference where arms alike would be shown to lie
-within the margin. Spreads come from a pilot on other seeds, written into the claims' file with the command
-that printed them. A claim that cannot be decided in a world is not admitted there.
+A claim of a direction can be decided if the least difference that is found with 80 % power, at its part of
+alpha, is no greater than what is plausible. A claim of no difference can be decided if equal arms would be
+shown to lie within the margin. Spreads come from a pilot on other seeds, which is in the claims' file with
+the command that printed it. A claim that cannot be decided in a world is not admitted there.
 """
 
 from __future__ import annotations
@@ -33,13 +33,14 @@ class Plan:
     """What the seeds of one contrast can show.
 
     Attributes:
-        a, b: the arms; b is a number where a is held against one.
+        a, b: the arms; b may be a number.
         seeds: of each arm.
         alpha: the contrast's own part of the list's error rate.
-        spread: between runs, from the pilot; of an incidence the share of runs of arm b; None without one.
+        spread: between runs, from the pilot; for an incidence the share of runs of arm b; None without a
+            pilot.
         detectable: the least difference that is found with 80 % power.
-        provable: the least margin within which arms alike are shown to lie with 80 % power.
-        reason: why it cannot be decided; empty where it can.
+        provable: the least margin within which equal arms are shown to lie with 80 % power.
+        reason: why it cannot be decided; empty if it can.
     """
 
     claim: Claim
@@ -69,8 +70,7 @@ def check_design(claims: ClaimList) -> list[Plan]:
 def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
     """Return why claims are not admitted, by claim and world; empty if the list has no pilot.
 
-    A claim is admitted where one of its outcomes can be decided: in all its contrasts, or in any where it
-    needs no more.
+    A claim is admitted if one of its outcomes can be decided in all contrasts, or with `need = "any"` in one.
     """
     if claims.pilot is None:
         return {}
@@ -120,7 +120,7 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
 def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float) -> float:
     """Return the least difference from a base share that is found in the claimed direction.
 
-    Of two arms the base is arm b's share of runs, of one the constant. Infinite where no share is found.
+    The base is arm b's share of runs, or the constant. Infinite if no share would be found.
     """
     if len(seeds) == 2:
         weights = count_chances(seeds[1], np.array([base]))[0]

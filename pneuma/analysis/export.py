@@ -21,9 +21,8 @@ def encode_table(
 ) -> tuple[bytes, int]:
     """Encode one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`; also return its number of rows.
 
-    The same runs give the same bytes; no table holds wall-clock values.
-
-    Form is csv, parquet, latex or markdown; window and band, whose edges are low and high, are of curves.
+    The same runs give the same bytes, as tables contain no times. `form` is csv, parquet, latex or markdown.
+    `window` and `band` (whose edges are low and high) are for curves.
     """
     if table == "curves":
         frame = _curves(data, window, band)
@@ -78,7 +77,7 @@ def _as_text(cell: object) -> object:
 def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
     """Yield the cells of each row with rounded numbers.
 
-    A number beside an interval is rounded with it; others keep six digits.
+    Numbers with an interval are rounded with it; others keep six digits.
     """
     for row in frame.to_dict("records"):
         if {"value", "low", "high"} <= row.keys():

@@ -2,9 +2,9 @@
 
     open_study → StudyData of FinishedRuns; StudyData, run and step → RunView
 
-`open_study` (`pneuma.analysis.run_index`) makes the data. A run's `Records` say what is stored of it. A
-`RunView` is a run as it stood at a step. It reads only evaluations and curves on the study's grid, which
-runs and published tables both have, so that both give the same numbers.
+`open_study` (`pneuma.analysis.run_index`) makes the data. A run's `Records` give access to what is stored. A
+`RunView` is the state of a run at a step. It uses only evaluations and curves on the study's grid, which runs
+and published tables both have, so that both give the same numbers.
 """
 
 from __future__ import annotations
@@ -200,8 +200,8 @@ class StudyData:
     def quantities(self) -> list[str]:
         """The training curves that some run has, of `TRAINING_QUANTITIES`.
 
-        Only those that published tables have where runs are had from such: a line over some of a
-        condition's runs would mislead.
+        If some runs come from published tables, these are only the quantities in the tables, because a line
+        over some runs of a condition would mislead.
         """
         published = {run.records.quantities for run in self.published}
         some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
@@ -241,9 +241,9 @@ class StudyData:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
-            run: one of the finished runs; blank throughout where it lacks the quantity.
+            run: a finished run; its curve is blank if it lacks the quantity.
             quantity: one of `quantities`.
-            window: one of `windows`, the first when left out; what updates have has only one.
+            window: one of `windows`; default: the first. Quantities of updates have only one.
         """
         window, records = self.checked_window(window), run.records
         if quantity in self.quantities and quantity not in records.quantities:
@@ -277,7 +277,7 @@ class RunView:
     """A run as it stood at a step. A run that diverged has its last recorded values.
 
     Attributes:
-        until: agent steps; the run's budget unless a smaller one was asked for.
+        until: agent steps; the run's budget, or an earlier step.
         since: where means over evaluations begin.
     """
 
@@ -324,8 +324,8 @@ _NOTHING: Series = np.empty(0), np.empty(0)
 def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
     """Return a run as it stood at `at_step`, or at its own budget if that is smaller or no step is given.
 
-    A step is given where runs of unlike budgets are compared. Each was evaluated at even parts of its own, so
-    that what they have in common begins at the latest of their first evaluations.
+    A step is given if runs of different budgets are compared. Each was evaluated at equal parts of its own
+    budget, so that their common range begins at the latest of their first evaluations.
     """
     since = 0.0 if at_step is None else data.latest_first_evaluation
     return RunView(data, run, min(run.budget, at_step or run.budget), since)
@@ -334,9 +334,9 @@ def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Run
 def common_step(data: StudyData) -> int | None:
     """Return the largest step that all runs were to reach; None if all budgets are equal.
 
-    Budgets that whole horizons put apart, by less than half the way to an evaluation, are the same. A run
-    that diverged was to reach its budget, and has its last values there. Imported logs do not tell what
-    their runs were to reach: of these it is what two thirds of them did reach.
+    Budgets that differ only by rounding to whole horizons, by less than half the distance between
+    evaluations, count as equal. A diverged run counts with its budget and its last values. Imported logs do
+    not contain their budget, so for them it is the step that two thirds of them reached.
     """
     budgets = sorted((run.budget for run in data.runs), reverse=True)
     if budgets[0] <= budgets[-1] * (1 + SLACK):

@@ -1,12 +1,10 @@
 """Estimates over runs, and their intervals.
 
-The seed is the unit. Estimates take finite values with the runs along the last axis and give one number for
-each row, NaN of no runs. A value that is not finite is refused, so that the caller drops it, counts it and
-says so.
+The unit is the seed. Estimates take finite values with runs along the last axis and give one number per row,
+NaN without runs. Values that are not finite are refused; callers must drop, count and report them.
 
-Every interval names its method. Where there are too few runs, or none that differ, there is none: its ends
-are NaN and its method is "none". What each covers at which number of runs is printed by
-`pneuma bench calibration` and told in docs/evidence.md.
+Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
+`pneuma bench calibration` prints the coverage of each, and docs/evidence.md shows it.
 """
 
 from __future__ import annotations
@@ -63,8 +61,8 @@ def median(values: ArrayLike) -> np.ndarray:
 def interquartile_mean(values: ArrayLike) -> np.ndarray:
     """Return the mean of the middle half over the last axis, (…, runs) to (…).
 
-    A quarter of the runs, rounded down, is left out at each end, as in rliable (Agarwal et al. 2021)
-    and SciPy's `trim_mean`: of three runs or fewer it is the mean.
+    A quarter of the runs, rounded down, is left out at each end, as in rliable (Agarwal et al. 2021) and
+    SciPy's `trim_mean`. With three runs or fewer it is the mean.
     """
     runs = finite(values)
     cut = int(TRIMMED * runs.shape[-1])
@@ -74,7 +72,7 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
 def deviation(values: ArrayLike) -> np.ndarray:
     """Return the sample standard deviation over the last axis; NaN for fewer than two runs.
 
-    Of equal runs it is 0, which the mean's last bit would hide.
+    For equal runs it is exactly 0, despite rounding of the mean.
     """
     runs = finite(values)
     if runs.shape[-1] < 2:
@@ -233,14 +231,14 @@ def bootstrap_interval(
 ) -> Interval:
     """Return the BCa bootstrap interval of a statistic over runs (Efron 1987).
 
-    None for fewer than three runs, or where both ends are the same, as of the median of runs most of which
-    are equal.
+    There is none for fewer than three runs, or if both ends are equal, as for the median of mostly equal
+    runs.
 
     Args:
         values: (runs,).
         statistic: works along the last axis, as `mean` and `median` do.
         generator: draws the resamples.
-        level: how often it is to cover. With few runs it covers less: see docs/evidence.md.
+        level: the nominal coverage. With few runs the coverage is smaller; see docs/evidence.md.
         resamples: how many to draw.
     """
     runs = finite(values)

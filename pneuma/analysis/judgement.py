@@ -2,16 +2,14 @@
 
     ClaimList and Store → [Verdict]
 
-Every claim is judged by the runs that it fixed beforehand, by their ids, and by no others, in each world for
-itself. All contrasts of all claims in all worlds, also of those without runs, are one family for the
-correction: whatever is asked for and whatever has been run, the chance of any false verdict stays at most the
-list's alpha.
+Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. All contrasts
+of all claims in all worlds, including those without runs, are one family for the correction. So the chance of
+any false verdict is at most the list's alpha, whichever claims are shown and whatever has been run.
 
-Each contrast enters with one p-value, the lesser of what can decide it, corrected by Bonferroni. Not by Holm,
-whose steps suppose that what was found leaves fewer hypotheses that could still be true: a contrast found
-equivalent leaves the list because its effect looked small, and those that are left look large. Most lists of
-60 true equivalences, judged in steps, can hold a false difference. Why the lesser p-value bounds the chance
-of any false verdict, whatever the truth, is in docs/evidence.md.
+Each contrast enters with the smallest p-value that can decide it, corrected by Bonferroni. Holm's steps would
+be wrong here: a contrast that is found equivalent would leave the list because its effect looked small, so
+that those with large ones remain. Most lists of 60 true equivalences, judged in steps, can contain a false
+difference. docs/evidence.md explains why the smaller p-value bounds the chance of any false verdict.
 """
 
 from __future__ import annotations
@@ -49,11 +47,10 @@ class Comparison:
     """One contrast of a claim, with its verdict.
 
     Attributes:
-        a, b: the arms' names; b is a number where a is held against one.
-        outcome: what is compared.
-        contrast: its reason is not empty where nothing can be concluded.
-        verdict: of `VERDICTS`.
-        p: corrected for the whole list.
+        a, b: the names of the arms; b may be a number.
+        outcome: the outcome that is compared.
+        contrast: the result; its reason is not empty if nothing can be concluded.
+        verdict: one of `VERDICTS`. p: corrected for the whole list.
     """
 
     a: str
@@ -72,7 +69,7 @@ class Verdict:
     Attributes:
         verdict: of `VERDICTS`.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
-        comparisons: its contrasts; none where its study is not run in the world.
+        comparisons: its contrasts; none if its study is not run in the world.
     """
 
     claim: Claim
@@ -95,8 +92,8 @@ class Verdict:
     def standing(self) -> str:
         """The kind of verdict, one of `STANDINGS`.
 
-        Decided by the letter alone is what is supported by an effect that lies within the margin, or refuted
-        though the claimed direction is borne out.
+        A claim is decided by the letter only if it is supported by an effect inside the margin, or refuted
+        although the effect is in the claimed direction.
         """
         if self.verdict == UNTESTABLE:
             return NOT_RUN if TRAIN_WITH in self.reason else UNDECIDABLE
@@ -114,7 +111,8 @@ class Verdict:
 def judge(claims: ClaimList, store: Store, stored: bool = True) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds.
 
-    Unless `stored`, by published tables alone. None can be judged without the others of the list.
+    With `stored = False` only published tables are used. No claim can be judged without the others of the
+    list.
     """
     refused = not_admitted(claims)
     return [
@@ -184,7 +182,7 @@ def _judge_contrast(
 ) -> Comparison:
     """Judge one contrast of a claim: of two arms, of one arm and a number, or of two effects.
 
-    It is untestable for a reason, or where so few runs cannot support it.
+    It is untestable for a reason, or if there are too few runs to support it.
     """
     claim, names = runs.claim, [name for name in (a, b, *runs.claim.c, *runs.claim.d) if name is not None]
     factor, alpha = claims.factor(claim, runs.world), claims.head.alpha
@@ -223,9 +221,9 @@ def _judge_contrast(
 def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
     """Return why arms cannot be compared, given how well they play; empty if they can.
 
-    An arm is at the floor if it is not shown to play better than the random player, whatever the number of
-    its runs is. Outcomes that tell only of runs that learned need every arm above it; what says how well an
-    arm plays, and any claim of no difference, needs one.
+    An arm is at the floor if it is not shown to play better than the random player, whatever its number of
+    runs. Outcomes that are meaningful only for runs that learned need every arm above the floor. Outcomes
+    that measure play, and claims of no difference, need one.
     """
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).supposes_rise for part in outcome.split(MINUS)):
@@ -239,8 +237,8 @@ def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
     """Return the reason if every run of both arms is at the outcome's least or greatest value.
 
-    As near as the margin counts as there; without one, what the outcome says. Of an outcome of play, arms at
-    the least value are at the floor or not by what they play like.
+    Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
+    For outcomes that measure play, the floor is decided by the comparison with the random player.
     """
     if len(arms) < 2 or claim.event or MINUS in outcome:
         return ""
@@ -266,13 +264,12 @@ def _is_of_play(outcome: str) -> bool:
 def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> tuple[str, float]:
     """Return the verdict on one contrast of a list, and its corrected p-value.
 
-    A claim that there is no difference is not refuted by one inside the margin, which counts as none: it
-    takes a difference beyond the margin, tested two-sided there.
+    A claim of no difference is refuted only by a difference beyond the margin, tested two-sided there.
 
     Args:
         contrast: the contrast.
-        claimed: the direction that is claimed of it.
-        factor: what its p-value is multiplied by: the number of contrasts in the list.
+        claimed: the claimed direction.
+        factor: the factor on its p-value, such as the number of contrasts in the list.
         alpha: the chance of any false verdict in the list.
     """
     if claimed == "equal":
@@ -287,8 +284,8 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
 def found(contrast: Contrast) -> str:
     """Return what a significant contrast shows: "greater", "less" or "equal".
 
-    It is what the lesser p-value says. To let the other one speak too would be a second test of the
-    same claim, which the correction did not count.
+    It follows from the smaller p-value only. To use the other one too would be a second test of the same
+    claim, which the correction does not count.
     """
     if contrast.p_equivalent < contrast.p_different:
         return "equal"
@@ -306,8 +303,9 @@ def together(verdicts: Sequence[str], need: str) -> str:
 def of_outcomes(verdicts: Sequence[str]) -> str:
     """Return the verdict on a claim, given those on its outcomes.
 
-    Supported where one outcome supports it and none refutes it, refuted the other way round, mixed where they
-    contradict each other; empty where none decides. Such a verdict is false only where that on an outcome is.
+    It is supported if one outcome supports it and none refutes it, refuted in the opposite case, mixed if
+    they contradict each other, and empty if none decides. Such a verdict is false only if that on one of the
+    outcomes is.
     """
     decided = {verdict for verdict in verdicts if verdict in (SUPPORTED, REFUTED)}
     return MIXED if len(decided) == 2 else "".join(decided)
@@ -316,7 +314,7 @@ def of_outcomes(verdicts: Sequence[str]) -> str:
 def smallest_p(contrast: Contrast, claimed: str) -> float:
     """Return the smallest p-value by which so many runs could support the claimed direction.
 
-    For equivalence it is a lower bound, but for shares, where it may be above what can be reached.
+    For equivalence it is a lower bound, except for shares, where smaller ones may be possible.
     """
     one_sided = {"greater": contrast.smallest_greater, "less": contrast.smallest_less}
     least = min(one_sided.values())

@@ -2,10 +2,10 @@
 
     StudyData, run and name → float; condition and name → (seeds,)
 
-A number is NaN where the run has none; `reason` says why. A diverged run counts with its last recorded
-values, in every outcome. Each can be had `at_step`, the largest step count that all conditions reached.
-"Final" is a run's last evaluation, or the last point of its training curve: the mean of the last 5 %
-of the budget. Runs and their published table give the same numbers.
+An outcome is NaN if the run has none; `reason` says why. A diverged run counts with its last recorded values
+in every outcome. `at_step` gives the outcome at an earlier step, which all conditions reached. "Final" is a
+run's last evaluation, or the last point of its training curve: the mean of the last 5 % of the budget. Runs
+and their published table give the same numbers.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class Outcome:
 
     Attributes:
         words: its description.
-        unit: of the number; empty for a plain one.
-        better: 'higher', 'lower', or empty where neither is.
-        bounds: least and greatest value that it can take, for a look at floor and ceiling.
-        source: what it is taken from: a table, a quantity, 'signs' of collapse, or 'times'.
-        measure: gives the number.
-        supposes_rise: whether it is 0 of a run that never learned anything, and tells of others alone.
-        alike: how near floor or ceiling a run counts as there, where a claim has no margin of its unit.
+        unit: of the number; may be empty.
+        better: 'higher', 'lower', or empty if neither is better.
+        bounds: least and greatest possible value, for the checks of floor and ceiling.
+        source: a table, a quantity, 'signs' of collapse, or 'times'.
+        measure: the function that computes it.
+        supposes_rise: whether it is 0 for a run that never learned, and meaningful only for others.
+        alike: how near the floor or ceiling a run counts as there, if a claim has no margin.
     """
 
     words: str
@@ -193,7 +193,7 @@ def _early_variance(seen: RunView) -> float:
 def _mean_height(series: Series, until: float) -> float:
     """Return the mean height of a curve, by trapezoids over its steps.
 
-    The last value is carried on to `until`, for a run that ended early; NaN without a value.
+    If a run ended early, its last value extends to `until`. NaN without a value.
     """
     step, values = series
     if not len(values):

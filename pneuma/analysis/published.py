@@ -1,12 +1,11 @@
 """A study's published table: its runs in one file, small enough to be kept under version control.
 
-results/published/STUDY.parquet holds a row for each run: what it was, how it ended, its curves on the
-study's grid, outcomes, its evaluations whole, and what produced it. The same runs give the same bytes.
-Nothing is ever trained from it.
+results/published/STUDY.parquet contains a row for each run: its fields, status, curves on the study's grid,
+outcomes, evaluations, and provenance. The same runs give the same bytes. Nothing is ever trained from it.
 
-The file's metadata holds the study's title and conditions, and a checksum over all other bytes,
-which is compared before anything else is read. STUDY.times.json beside it tells how long the runs trained, on
-what machine: the clock has no place in the table.
+The file's metadata contains the study's title and conditions, and a checksum over all other bytes, which is
+checked before anything else is read. STUDY.times.json beside it contains the training times and machines,
+because the table must not depend on them.
 """
 
 from __future__ import annotations
@@ -140,9 +139,9 @@ class PublishedTable:
     """The runs of a published table.
 
     Attributes:
-        head: what the file's metadata holds.
+        head: the file's metadata.
         rows: the table.
-        times: what the file of times beside it tells of each run.
+        times: the contents of the file of times, by run.
     """
 
     def __init__(self, head: Mapping[str, Any], rows: pa.Table, times: object) -> None:
@@ -253,7 +252,7 @@ def _check(table: PublishedTable) -> None:
     """Refuse a table, which may be untrusted, that `encode_study` could not have made.
 
     Raises:
-        ValueError: naming what is amiss.
+        ValueError: naming what is wrong.
     """
     head, rows = table.head, table.rows
     if not fits(head, _Head):

@@ -38,14 +38,14 @@ def encode_study(
 ) -> bytes:
     """Return the published table of a study; the same runs give the same bytes.
 
-    Curves are kept to a thousandth of their range, outcomes, signs and evaluations as they are. A table that
-    there is keeps its columns, and the runs of it that are not here. Runs of the selection that are finished
-    nowhere keep their place, without numbers.
+    Curves are rounded to a thousandth of their range; outcomes, signs and evaluations are exact. An existing
+    table keeps its columns, and its runs that are not here. Runs of the selection that are not finished
+    anywhere keep their row, without numbers.
 
     Args:
         data: the study, with no runs from other tables.
-        curves: of which quantities curves are kept; left out: those of the table, else `CURVES`.
-        before: the study's table as it is.
+        curves: the quantities whose curves are kept; default: those of the existing table, else `CURVES`.
+        before: the study's existing table.
 
     Raises:
         UserError: when runs or curves that are published would be lost.
@@ -190,7 +190,8 @@ def encode_times(data: StudyData) -> bytes:
 def rounded(values: np.ndarray) -> np.ndarray:
     """Round a curve to a thousandth of its range, to multiples of a power of two, which compress well.
 
-    One over several orders of size, none of it below zero, is rounded in proportion to each value instead.
+    A curve over several orders of magnitude, without negative values, is rounded in proportion to each value
+    instead.
     """
     known = values[np.isfinite(values)]
     if not len(known) or known.min() == known.max():

@@ -1,11 +1,10 @@
 """P-values of one or two arms of runs, for means and shares.
 
-Each test of two arms takes many samples at once, one a row, so that the verdicts on claims and their
-calibration (`pneuma bench calibration`) are the same code. Which test is used for what, and what it supposes,
-is in docs/evidence.md.
+Each test of two arms takes many samples at once, one per row, so that verdicts and their calibration (`pneuma
+bench calibration`) use the same code. docs/evidence.md explains which test is used when, and its assumptions.
 
-Relabelings are counted out where there are few and drawn at random where there are many. The one that was
-seen is always among them, so that no p-value is zero.
+If there are few relabelings all are enumerated, otherwise they are drawn at random. The observed one is
+always included, so that no p-value is zero.
 """
 
 from __future__ import annotations
@@ -47,8 +46,8 @@ class PValues(NamedTuple):
     """One-sided p-values, each (samples,).
 
     Attributes:
-        greater, less: the effect is above no difference, or below it.
-        equivalent: it is within the margin on both sides; 1 where there is no margin.
+        greater, less: the effect is above zero, or below it.
+        equivalent: it is within the margin on both sides; 1 without a margin.
         far_greater, far_less: it is beyond the margin, above or below; likewise.
     """
 
@@ -78,7 +77,7 @@ def shifts(margin: float | None) -> list[float]:
 def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int = DRAWS) -> np.ndarray:
     """Return which runs are relabeled as arm a, 1.0 or 0.0, (relabelings, runs); the observed one first.
 
-    All ways to call so many runs a and the others b; of too many, that many draws.
+    These are all ways to assign the runs to the arms, or random draws if there are too many.
     """
     if comb(size_a + size_b, size_a) <= (MOST_COUNTED if draws >= DRAWS else FEW_COUNTED):
         return _every(size_a, size_b)
@@ -112,7 +111,7 @@ def tails(statistics: np.ndarray) -> OneSided:
     """Return the shares of relabelings at least, and at most, as great as the observed one, each (samples,).
 
     Args:
-        statistics: (relabelings, samples), the seen one first.
+        statistics: (relabelings, samples), the observed one first.
     """
     seen = statistics[0]
     slack = _SLACK * (1 + np.abs(seen))
@@ -136,13 +135,14 @@ def scaled(samples: np.ndarray) -> np.ndarray:
 def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> PValues:
     """Test differences of means by Welch's t, with permutations and with Student's distribution.
 
-    The greater p-value counts. Relabelings are exact for arms alike but for a shift, and far off their
-    level where the smaller arm spreads more; Student's distribution allows for that, if means are normal.
+    The greater p-value counts. Relabeling is exact for arms that differ by a shift only, and far from its
+    level if the smaller arm has the larger spread. Student's distribution allows for that, if means are
+    normal.
 
     Args:
         a: (samples, runs) of arm a.
         b: (samples, runs) of arm b.
-        margin: within what a difference counts as none, or None.
+        margin: smaller differences count as none; or None.
         labels: of `relabel`.
     """
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
@@ -178,12 +178,11 @@ def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | f
 def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> PValues:
     """Test means against 0 by sign flips and by Student's distribution; the greater p-value counts.
 
-    Turned signs suppose that values lie alike to both sides of their mean, Student's distribution that they
-    are normal.
+    Sign flips assume that values are symmetric about their mean, Student's distribution that they are normal.
 
     Args:
         samples: (samples, runs).
-        margin: within what a mean counts as 0, or None.
+        margin: smaller means count as 0; or None.
         flips: (flips, runs) of `sign_flips`.
     """
     rows = np.concatenate([samples + shift for shift in shifts(margin)])
@@ -219,7 +218,7 @@ def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray
     """Return p-values that the share of a exceeds that of b by more, (runs_a + 1, runs_b + 1).
 
     The test is exact and unconditional (Barnard 1945): tables are ordered by a score, and the p-value is the
-    chance of one as extreme, at that common share which makes it greatest.
+    probability of a table at least as extreme, at the common share that maximizes it.
     """
     score = _score(runs_a, runs_b, difference).ravel()
     order = np.argsort(-score, kind="stable")
@@ -238,7 +237,7 @@ def share_table(runs_a: int, runs_b: int, difference: float = 0.0) -> np.ndarray
 def _score(runs_a: int, runs_b: int, difference: float) -> np.ndarray:
     """Return each table's distance beyond the difference, in standard errors, (runs_a + 1, runs_b + 1).
 
-    Half a run is added to either outcome in the error, so that no table has an error of zero.
+    Half a run is added to both outcomes in the error, so that no table has an error of zero.
     """
     a, b = np.arange(runs_a + 1)[:, None], np.arange(runs_b + 1)[None, :]
     error_a, error_b = ((k + 0.5) * (n - k + 0.5) / (n + 1) ** 2 / n for k, n in ((a, runs_a), (b, runs_b)))
@@ -274,9 +273,9 @@ def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: floa
 def holm(p: ArrayLike) -> np.ndarray:
     """Return p-values adjusted by Holm's method, (tests,), to compare with the list's error rate.
 
-    Of each test one p-value, against one hypothesis; where it is the lesser of two, only Bonferroni's holds
-    (`pneuma.analysis.judgement`). The least is multiplied by their number, the next by one less, and so on;
-    none is less than one before it (Holm 1979).
+    Each p-value must be against a single hypothesis; for the smaller of two, only Bonferroni's correction
+    holds (`pneuma.analysis.judgement`). The smallest is multiplied by their number, the next by one less, and
+    so on, and none is smaller than the one before it (Holm 1979).
     """
     p = np.asarray(p, dtype=float)
     order = np.argsort(p, kind="stable")

@@ -1,6 +1,6 @@
 """The records of one run, in a results folder or in imported logs.
 
-A run in a published table is the third kind (`pneuma.analysis.published`). All readers ask a `Records`, which
+The third kind is a run in a published table (`pneuma.analysis.published`). All readers use a `Records`, which
 `pneuma.analysis.run_index` finds by the run's id.
 """
 
@@ -68,12 +68,12 @@ class Records:
     Attributes:
         run_id: its id.
         status: its status; 'planned' if nothing is stored.
-        what: where the records are, for messages.
+        what: a description of their place, for messages.
         published: whether it is in a published table.
-        tables: those of `RECORD_TABLES` that it has.
-        windows: those of `WINDOWS` that its curves have, the usual one first.
-        averaged_over: episodes that every return was already averaged over when it was recorded; None
-            where each is one episode's.
+        tables: those of `RECORD_TABLES` that exist.
+        windows: those of `WINDOWS` that its curves have, the default first.
+        averaged_over: the number of episodes over which returns were averaged when they were recorded; None
+            if each is one episode's.
     """
 
     what = "the results folder"
@@ -100,7 +100,7 @@ class Records:
         """Return one of the run's `tables`. Do not modify it.
 
         Raises:
-            UserError: when its file is missing, damaged, or no such table.
+            UserError: when its file is missing, damaged, or not that table.
         """
         return _read(self, f"{name}.parquet")
 
@@ -121,7 +121,7 @@ class Records:
             quantity: one of them.
             window: one of its `windows`.
             grid: (points,).
-            slots: how many there are; a curve of episodes begins where each has finished one.
+            slots: number of slots; a curve of episodes begins when each has finished one.
         """
         step, values = self.series(quantity)
         if quantity in UPDATE_QUANTITIES:
@@ -177,8 +177,8 @@ class Records:
 class LoggedRecords(Records):
     """The records of an imported run.
 
-    What logs hold of returns and lengths are means of the last 100 episodes, as Stable-Baselines3 logs them.
-    They are shown as such, never averaged once more. CleanRL logs episodes, which are averaged here likewise.
+    Returns and lengths in logs are means of the last 100 episodes, as Stable-Baselines3 logs them, and are
+    not averaged again. CleanRL logs single episodes, which are averaged here in the same way.
     """
 
     what = "a study of imported TensorBoard logs"
@@ -195,8 +195,8 @@ class LoggedRecords(Records):
     def table(self, name: str) -> pd.DataFrame:
         """Return the only table, `metrics`: one row for each step at which something was logged.
 
-        Every point is there but those that a restart superseded, and wall-clock times. A tag that is no
-        quantity is a column of its own name; of several values at one step the last counts.
+        It contains every point, except those that a restart replaced, and times. Other tags are columns with
+        their own names. Of several values at one step the last one counts.
         """
         scalars = self._scalars.drop_duplicates(["step", "name"], keep="last")
         scalars = scalars[~scalars["name"].str.startswith(WALL_CLOCK)]
@@ -217,7 +217,7 @@ class LoggedRecords(Records):
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return the last logged value at each point of the grid, (points,), in single precision.
 
-        What updates have is averaged over a twentieth of the grid, as that of runs is.
+        Quantities of updates are averaged over a twentieth of the grid, as for runs.
         """
         step, values = self.series(quantity)
         if quantity in UPDATE_QUANTITIES:

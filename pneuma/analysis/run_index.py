@@ -1,8 +1,8 @@
 """From a run's id to what is held of it, and from a selection to its data: wherever the runs are.
 
-A results folder's own runs come first, trained there or imported; for those that it lacks, all of them in a
-fresh clone, published tables stand in: the study's own, then those of other studies, for a run is the same
-run in whichever study it was published. Tables are the folder's, and those that come with Pneuma.
+Runs in the results folder come first, whether trained or imported. Missing runs (in a fresh clone, all) are
+looked up in published tables: first the study's own, then those of other studies, because a run is the same
+in every study. These are the tables in the folder and those that come with Pneuma.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Tables = Literal["all", "own", "none"]
 class RunIndex:
     """What a results folder holds of runs, by their ids.
 
-    Unless `stored`, by published tables alone; unless `shipped`, without those that come with Pneuma.
+    With `stored = False` only published tables are used; with `shipped = False` not those that come with
+    Pneuma.
 
     Attributes:
-        damaged: of the tables of other studies that were asked for, what is wrong with those that cannot be
-            read.
+        damaged: messages on tables of other studies that cannot be read.
     """
 
     def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:

@@ -1,8 +1,8 @@
 """What one run's rows come to: curves on a grid of steps, and where signs of collapse hold.
 
-Every function takes values by the step at which they were had. A curve is (points,) values, NaN where there
-is none: nothing is taken from after a point, and nothing is extrapolated past the run's end. A sign of
-collapse is kept as the stretches of updates over which it holds, which is short enough to be published.
+Every function takes values with their steps. A curve is an array (points,) with NaN where there is no value.
+No point uses later values, and nothing is extrapolated past the run's end. A sign of collapse is stored as
+the stretches of updates in which it holds, which is short enough to be published.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def episode_curve(
     """Return, at each t of the grid, the mean of the episodes that ended in the window before t.
 
     Args:
-        step: (episodes,) where each ended, not decreasing.
-        values: (episodes,) what is averaged.
+        step: (episodes,) the steps at which they ended, not decreasing.
+        values: (episodes,) the values to average.
         grid: (points,).
-        trailing: whether the window is the last 100 episodes, in single precision as a logger has it,
-            and not the last twentieth of the grid.
-        from_step: where every slot has finished an episode; the curve is blank before.
-        end: agent steps that the run trained; blank after.
+        trailing: whether the window is the last 100 episodes (in single precision, as loggers have it)
+            instead of the last twentieth of the grid.
+        from_step: the step at which every slot has finished an episode; the curve is blank before it.
+        end: the agent steps that the run trained; the curve is blank after it.
     """
     first, last = _window(step, grid)
     if trailing:
@@ -58,9 +58,8 @@ def episode_curve(
 def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
     """Return, at each t, the mean of the updates in the last twentieth before t, or the last one's value.
 
-    An update stands for all steps since the one before it, so a window without any is no gap. An
-    update whose value is not finite counts as none. Values are in single precision, which is what a
-    published table keeps of them.
+    An update stands for all steps since the one before it, so that a window without updates is no gap. Values
+    that are not finite are ignored. All are in single precision, as in published tables.
     """
     step, values = step[np.isfinite(values)], values[np.isfinite(values)]
     first, last = _window(step, grid)
@@ -71,7 +70,7 @@ def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
 def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, take: np.ufunc) -> np.ndarray:
     """Return, at each t, the extreme of the updates since the point before, NaN where there was none.
 
-    Values that are not finite count as none; those past the grid's end belong to its last point.
+    Values that are not finite are ignored. Those past the grid's end belong to its last point.
     """
     curve = np.full(grid.shape, np.nan)
     finite = np.isfinite(values)
@@ -100,8 +99,8 @@ def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return the mean of the values of each window, NaN where it is not valid.
 
-    By differences of a running total; but beside a value that is huge, or not finite, that would lose all the
-    others from there on.
+    Differences of a running total are used, unless a value is huge or not finite, which would spoil all later
+    means.
     """
     if len(values) and not np.abs(values).max() <= HUGE:
         sums = np.array([values[a:b].sum() for a, b in zip(first, last, strict=True)])
@@ -134,9 +133,9 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
     """Return where each sign holds that the columns tell of.
 
     Args:
-        step: (updates,) rising.
-        columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`; a NaN is no sign, and one that is
-            NaN throughout, as entropy is where values of actions are learned, tells nothing.
+        step: (updates,) increasing.
+        columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`. NaN is no sign. A column of NaN
+            only, such as the entropy of learners of action values, is ignored.
     """
     columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
     holding: dict[str, np.ndarray] = {}

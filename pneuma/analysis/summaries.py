@@ -2,8 +2,8 @@
 
     outcomes of every run → a tidy table: condition, outcome, statistic, value, low, high, interval, runs
 
-Runs that have no value of an outcome are left out of its statistics; `runs` counts those that are in.
-Conditions of different budgets are compared at the largest step count that all reached.
+Runs without a value of an outcome are left out of its statistics; `runs` counts the others. Conditions with
+different budgets are compared at the largest step that all reached.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ Row = tuple[str, str, str, float, Interval, int]
 def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Summarise each condition of a study in `COLUMNS`, one row per outcome and statistic.
 
-    Steps to a threshold that a run never reaches are infinite, so that their median may be inf; `reached` is
-    the share of runs that reach it.
+    Steps to a threshold are infinite for a run that never reaches it, so that their median may be inf.
+    `reached` is the share of runs that reach it.
 
     The shares of runs that diverged and collapsed are included, whichever outcomes are named.
     """
@@ -138,7 +138,7 @@ def _improvement(
 def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
     """Return the percentile bootstrap interval of that probability, as rliable does.
 
-    None for fewer than three runs, or where the resamples do not differ: it would claim too much.
+    There is none for fewer than three runs, or if all resamples are equal.
     """
     if min(len(a), len(b)) < LEAST_RESAMPLED:
         return no_interval()
@@ -194,10 +194,10 @@ COMPARISON_COLUMNS = (
 def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Compare two conditions of a study in `COMPARISON_COLUMNS`, one row per outcome.
 
-    The interval of the difference of means is Welch's, at 95 %. `p_better` is the probability that a run
-    of a is better than one of b (ties count half), NaN for an outcome that has no better way. Runs that
-    have no value are left out and counted in `without_value`. Runs of unlike budgets are compared at the
-    last step that all reached.
+    The 95 % interval of the difference of means is Welch's. `p_better` is the probability that a run of a is
+    better than one of b (ties count half), NaN for an outcome without a better direction. Runs without a
+    value are left out and counted in `without_value`. Runs with different budgets are compared at the last
+    step that all reached.
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")

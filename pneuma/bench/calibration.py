@@ -1,8 +1,8 @@
 """Calibration: how often a list of claims has a false verdict, and how often intervals cover.
 
 Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
-claim are alike, or they differ by half the margin, which counts as no difference, or by exactly the margin,
-where a verdict of equivalence is hardest to hold back, or they lie far apart. Results: docs/evidence.md.
+claim are equal, or differ by half the margin (which counts as no difference), by exactly the margin (where a
+false verdict of equivalence is most likely), or by much more. docs/evidence.md has the results.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class Setting:
     """How the claims of a list are simulated.
 
     Attributes:
-        truths: what is true of them, in turn: alike, half, edge or far.
-        claimed: the direction that all claim.
-        sizes: how many of each kind.
+        truths: the differences of the arms, in turn: alike, half, edge or far.
+        claimed: the direction of all claims.
+        sizes: number of claims of each kind.
         errors: the margin of means in standard errors of the difference; None: that of `MARGINS`.
     """
 
@@ -113,8 +113,8 @@ def bench_calibration(lists: int = LISTS, seed: int = 0) -> Iterator[tuple[str, 
     """Yield rows of two tables as they come: ("coverage", row), then ("false_verdicts", row).
 
     Args:
-        lists: how many lists of claims to simulate in each setting.
-        seed: of the generators of everything that is drawn; each setting has its own.
+        lists: number of simulated lists in each setting.
+        seed: of all random generators; each setting has its own.
     """
     for row in coverages(lists * 10, np.random.default_rng(seed)):
         yield "coverage", row
@@ -222,7 +222,7 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
     """Yield how often each interval, or band of a figure, covers the truth.
 
     Args:
-        samples: how many times a band is drawn; a twentieth as often where each takes a while.
+        samples: number of simulated bands; a twentieth of it for slow methods.
         generator: draws the runs.
     """
     fewer = max(1, samples // 20)

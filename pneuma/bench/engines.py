@@ -1,6 +1,6 @@
 """Speed of the engines: the compiled one against Stable-Baselines3.
 
-Both train runs without evaluation on one thread, in rounds that alternate; compiling is done before.
+Both train runs without evaluation, on one thread, in alternating rounds, after compiling.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ Step = Callable[[int], None]
 def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[dict[str, Any]]:
     """Return the agent steps per second of each case: the median of alternating rounds.
 
-    Actions are uniformly random; an ended episode is reset within the measured time.
+    Actions are uniformly random. Resets at the end of episodes are included in the time.
     """
     cases: list[tuple[str, str, int, Step]] = [
         ("kernel", "kernel", 1, _kernel(1)),

@@ -1,7 +1,7 @@
 """Shell completion: names of studies, conditions, fields, outcomes and so on.
 
-Typer calls these while a line is half typed, so they load nothing heavy and never fail: what cannot be read
-is not offered. `pneuma --install-completion` sets a shell up.
+Typer calls these while the user types, so they load nothing heavy and never fail: what cannot be read is not
+offered. `pneuma --install-completion` sets up a shell.
 """
 
 from __future__ import annotations

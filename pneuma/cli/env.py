@@ -189,7 +189,7 @@ def _player(
 ) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
     """Return a player's own settings, and the function that chooses its actions.
 
-    The reward of a stored run is left out where it is code: no picture shows it.
+    A stored run's reward is left out if it is code, because pictures do not show it.
     """
     import numpy as np
 

@@ -279,7 +279,7 @@ _GROUPS: dict[str, Callable[..., Any]] = {"chosen": _chosen, "picked": _picked, 
 def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
     """Add to a command the options behind its parameters `chosen`, `picked` and `place`.
 
-    Typer makes a command's options from its signature, so they are put there.
+    Typer makes a command's options from its signature, so they are added to it.
     """
     signature = inspect.signature(command, eval_str=True)
     added = {
@@ -308,7 +308,7 @@ def most_workers(asked: int | None, place: Supervision = HERE) -> int:
     """Return how many runs train at once: `--workers`, or what the executor has room for.
 
     Raises:
-        UserError: where the place cannot be reached.
+        UserError: when the place cannot be reached.
     """
     room = load_executor(place).most_workers(place)
     return asked or room

@@ -31,7 +31,7 @@ WIDEST = 10_000
 def say(text: str, aside: bool = False, quiet: bool = False) -> None:
     """Print a line for the user; with `aside` on standard error, so that standard output is one document.
 
-    Nobody need read standard error for a command to go on.
+    A closed standard error does not stop a command.
     """
     if quiet:
         return
@@ -142,7 +142,7 @@ def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ..
 def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
     """Write figures into a folder given by the user, or into `figures` of the results.
 
-    In a results folder, which may be untrusted, no link is followed. Where drawing fails, nothing is written.
+    In a results folder, which may be untrusted, no link is followed. If drawing fails, nothing is written.
 
     Args:
         store: the results folder.
@@ -163,7 +163,7 @@ def draw_indexed(store: Store, out: Path | None, draw: Callable[[Path], list[dic
     Args:
         store: the results folder.
         out: where; None for the results.
-        draw: draws into a folder that is removed afterwards, and returns what `index_entries` tells of it.
+        draw: draws into a folder that is removed afterwards, and returns the results of `index_entries`.
     """
     from pneuma.figures.index import INDEX, encode_index, read_index
 

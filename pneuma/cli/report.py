@@ -1,6 +1,6 @@
 """The contents of the report: each study in a results folder, or what it lacks.
 
-The folder may be untrusted: no study's file that only a record names is loaded.
+The folder may be untrusted. Study files that only a record names are not loaded.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LONGEST_VALUE = 300
 def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> dict[str, Any]:
     """Return the contents of `report_page` for some studies, or for all that are shipped or were run here.
 
-    Where none of them is the thesis's, the page is theirs: it has their titles, and judges no claims.
+    If none of them is one of the thesis's, the page has their titles and judges no claims.
     """
     shipped, run_here = {*spec.list_studies()}, {_own_name(name) for name in known_studies(store)}
     for name in names:

@@ -237,7 +237,7 @@ def train(
     """Train the missing runs of trials, and print notes that are not in `noted` yet.
 
     Raises:
-        Unfinished: where a run did not come to its end.
+        Unfinished: when a run did not finish.
     """
     from pneuma.search.trials import Unfinished
 

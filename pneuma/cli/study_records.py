@@ -26,7 +26,7 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
     """Return the name or path by which a study is loaded, and its world.
 
     Raises:
-        UserError: where the file names a user's own code or files, as the record may be untrusted.
+        UserError: when the file names a user's own code or files, as the record may be untrusted.
     """
     own_name, asked = chosen_world(name, world)
     path = (store.selection(spec.name_in_world(own_name, asked)) or {}).get("path")
@@ -92,7 +92,7 @@ def each_study(names: Sequence[str], read: Callable[[str], Read]) -> list[Read]:
     """Read studies that the user did not name; print a note for those that cannot be read.
 
     Raises:
-        UserError: where none of several can be read: what hinders the first.
+        UserError: when none can be read; the error of the first.
     """
     found, errors = [], []
     for name in names:

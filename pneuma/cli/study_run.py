@@ -128,11 +128,11 @@ def train(
     Args:
         planned: the plan.
         store: where runs are kept.
-        how: where they are trained.
+        how: where and how they are trained.
         retry_failed: whether runs that crashed are tried again.
-        json: whether standard output is for a document.
-        quiet: whether to say nothing but mistakes.
-        document: whether that is this one, and not the caller's.
+        json: whether standard output is for a JSON document.
+        quiet: whether to print only mistakes.
+        document: whether to print the document here and not in the caller.
     """
     todo, notes = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *notes):

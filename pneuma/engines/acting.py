@@ -2,7 +2,7 @@
 
 policy and worlds → each world's return
 
-A step costs no Python, and worlds whose episode has ended cost nothing more.
+Steps run without Python, and worlds whose episode has ended cost nothing.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ def play_episodes(
     """Play until every world has ended its episode.
 
     Args:
-        worlds: reset, with rewards of the kernel's own; N of them, of P players.
-        policy: giving logits, one for all players.
-        sampled: in how many worlds, the first, actions are drawn; the others take the most probable one.
-        generator: for every player of those, a number in [0, 1) is drawn from it at every step.
+        worlds: N worlds of P players, just reset, with built-in rewards.
+        policy: a policy of logits, which plays all players.
+        sampled: the number of worlds, counted from the first, in which actions are drawn; the others take the
+            most probable ones.
+        generator: gives a number in [0, 1) for each player of these worlds at every step.
 
     Returns:
         (N,) the return of each, the mean over its players.

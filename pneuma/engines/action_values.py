@@ -1,7 +1,7 @@
 """Overestimation: estimated values of actions against the returns of their policy (thesis section 3.3).
 
-As van Hasselt, Guez and Silver (2015) measure it: the greatest estimated value, over the states that the
-greedy policy visits, beside the discounted return that it truly has from each of them on.
+As in van Hasselt, Guez and Silver (2015): the greatest estimated value, and the actual discounted return,
+averaged over the states that the greedy policy visits.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ WEIGHT_LEFT_OUT = 0.01
 class ActionValues:
     """Plays the greedy policy once from every start place, to measure the true value of its states.
 
-    A time limit that truncates is no end to a learner, which bootstraps there: episodes go on past it until
-    the last state that counts is followed by enough steps. One that terminates is an end.
+    Learners bootstrap at a time limit that truncates. So episodes continue past it until the last state that
+    counts is followed by enough steps. A time limit that terminates ends them.
     """
 
     def __init__(self, run: Run, starts: int) -> None:
@@ -37,7 +37,7 @@ class ActionValues:
     def measure(self, policy: Policy) -> dict[str, float]:
         """Return `q_estimate` and `q_true`, means over all visited states.
 
-        Both are NaN where nothing discounts a future that has no end, or hardly anything.
+        Both are NaN if an endless future is not discounted, or hardly at all.
         """
         estimates, rewards, counted = self._play(policy)
         if self.worlds.truncated.any() and not self._known:

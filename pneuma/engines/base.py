@@ -1,9 +1,9 @@
 """The contract between engines and studies.
 
-An engine module has one function, `train(runs, checkpoints, on_update)`. It takes complete runs of
-equal shapes and yields one `Result` for each as it ends. After every update it hands `on_update` a
-`Progress`; a false answer stops the training there. What a run ends with depends on the run alone:
-not on its neighbours in the group, on the number of workers, or on the order.
+An engine module has one function, `train(runs, checkpoints, on_update)`. It takes runs of equal shapes and
+yields one `Result` for each when it ends. After every update it calls `on_update` with a `Progress`; if that
+returns false, the training stops there. A run's result depends on the run alone, not on the other runs of the
+group, the number of workers, or the order.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Progress:
     Attributes:
         run: the run.
         step: agent steps trained, over all slots.
-        records: everything up to now; the engine goes on writing to it.
-        checkpoint: takes a checkpoint of this moment, if called before the next update.
+        records: all records so far; the engine continues to add to them.
+        checkpoint: a function that takes a checkpoint; call it before the next update.
     """
 
     run: Run
@@ -47,10 +47,10 @@ class Result:
 
     Attributes:
         run: the run.
-        status: 'done'; 'diverged' where a loss, gradient, parameter or logit was not finite; or 'stopped'
-            where `on_update` asked for it.
+        status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
+            `on_update`.
         step: agent steps trained, over all slots.
-        records: everything up to then.
+        records: all records of the run.
         policy: the last policy; None when it is not finite.
     """
 
@@ -73,7 +73,7 @@ class Engine(Protocol):
         """Train all runs of a group; `checkpoints` maps indices of `runs` to checkpoints to resume from.
 
         Raises:
-            CheckpointError: for a checkpoint that the engine cannot go on from.
+            CheckpointError: for a checkpoint from which the engine cannot resume.
         """
         ...
 
@@ -86,7 +86,7 @@ def load_engine(name: str) -> Engine:
 def evaluation_updates(run: Run) -> set[int]:
     """Return the updates, counted from 1, after which a run is evaluated.
 
-    Evenly spread, the last update among them; fewer than `EVALUATIONS` in a run of fewer updates.
+    They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer.
     """
     return _spread(run.updates, EVALUATIONS)
 
@@ -94,8 +94,8 @@ def evaluation_updates(run: Run) -> set[int]:
 def checkpoint_steps(run: Run, count: int) -> set[int]:
     """Return the agent steps at which a run's checkpoints are kept; none if `count` is 0.
 
-    That is after `count` updates, evenly spread, the last at its end; and after the first, so that a run
-    can be forked however early it collapses.
+    That is after `count` evenly spread updates with the last one, and after the first one, so that a run can
+    be forked even if it collapses early.
     """
     first = {1} if count else set()
     return {update * run.steps_per_update for update in first | _spread(run.updates, count)}

@@ -2,8 +2,8 @@
 
     run → check_environment; make_collector, make_vec_env, make_evaluation
 
-Pneuma's own worlds are one implementation, every other environment of Gymnasium's the second
-(`gymnasium_env.py`). What is heavy is imported when it is asked for: each engine needs but a part.
+There are two implementations: one for Pneuma's own worlds, and one for all other Gymnasium environments
+(`gymnasium_env.py`). Heavy modules are imported only when needed, as each engine needs a part of them.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ class Collects(Protocol):
     """Plays horizons for the engine `batched`, as `pneuma.engines.batched.rollout.Collector` does.
 
     Attributes:
-        features, actions: numbers in an observation, and how many actions there are.
+        features, actions: the length of an observation, and the number of actions.
         generator: draws the actions.
-        layout: changes where the arrays of `saved_state` are laid out otherwise.
+        layout: identifies the layout of the arrays of `saved_state`.
     """
 
     layout: str
@@ -50,7 +50,7 @@ class Collects(Protocol):
         """Resume from a saved state.
 
         Raises:
-            ValueError, KeyError: for a state that does not fit, or that cannot be reached again.
+            ValueError, KeyError: for a state that does not fit, or cannot be reached again.
         """
         ...
 
@@ -63,7 +63,7 @@ def check_environment(run: Run) -> None:
     """Make a run's environment once, to find mistakes.
 
     Raises:
-        UserError: where that fails, or the run's engine cannot train in it.
+        UserError: when that fails, or the run's engine cannot train in it.
     """
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_env import check_spaces

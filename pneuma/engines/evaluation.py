@@ -1,9 +1,8 @@
 """Evaluation of a frozen policy, with random streams that training never uses.
 
-Every engine evaluates here, in the same way: 50 episodes with sampled actions, and one with the
-most probable action from each distinct start place, also where training begins at the first alone. The
-primary outcome is the share of monsters killed; a score puts it on the scale from the random player (0)
-to the scripted hunter (1).
+All engines evaluate in the same way: 50 episodes with sampled actions, and one with the most probable actions
+from each distinct start place, even if training uses only the first. The primary outcome is the share of
+monsters killed. `score` scales it from the random player (0) to the scripted hunter (1).
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
     Attributes:
-        act: for play as in training.
-        choose: for play at its best, by what it sees alone; None where nobody looks at that. (These worlds
-            are played anyway: the random player draws for all of them.)
-        actions: how many there are to choose from.
+        act: chooses actions as in training.
+        choose: chooses the best actions from the observations alone; None if they are not evaluated. (These
+            worlds are played anyway, because the random player draws for all of them.)
+        actions: the number of actions.
     """
 
     act: Act
@@ -83,7 +82,7 @@ class Evaluation:
     def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
         """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
 
-        A policy of action values has `q_estimate` and `q_true` as well.
+        For a policy of action values it has `q_estimate` and `q_true` too.
         """
         returns = self._play_policy(policy, step)
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
@@ -144,7 +143,7 @@ class Evaluation:
         def act(worlds: Worlds) -> np.ndarray:
             """Choose the actions of a group of rows, always of all rows until the whole group has ended.
 
-            Asked for fewer rows, a policy would give other last bits.
+            With fewer rows a policy's results would differ in the last bits.
             """
             observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
             plays = worlds.worlds["ending"] == rules.RUNNING

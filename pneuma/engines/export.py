@@ -1,7 +1,7 @@
 """Export of a stored policy to other programs: Stable-Baselines3's .zip, and ONNX.
 
-Policy and its run → bytes of a file. Neither kind of file needs Pneuma to be read. Pneuma itself reads
-neither: loading a .zip of Stable-Baselines3's runs the code that is pickled in it.
+Policy and its run → bytes of a file, which can be read without Pneuma. Pneuma itself never reads them,
+because loading a .zip of Stable-Baselines3 runs the code that is pickled in it.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ _ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
 def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     """Encode a policy for the `load` of Stable-Baselines3's `PPO` or `A2C`, with its hyperparameters.
 
-    The optimizer starts afresh: a stored run keeps no state of it.
-    In place of UPGD, which only Pneuma knows, it is Adam with the same betas and epsilon, without a decay of
-    weights, which would be another. Where actor and critic were clipped each by itself, both are together.
+    The optimizer starts afresh, because a stored run does not contain its state. UPGD is replaced by Adam
+    with the same betas and epsilon, without weight decay, which works differently. Separate clipping of actor
+    and critic is replaced by joint clipping.
     """
     actor, critic = (
         tuple(len(bias) for _, bias in network[:-1]) for network in (policy.actor, policy.critic)
@@ -86,8 +86,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
     """Return a policy's observation space, so that the exported file loads with its environment.
 
-    A level or characters file of its owner's is opened with `trust` alone. Rewards do not matter to it and
-    are never imported.
+    A user's own level or characters file is opened only with `trust`. Rewards do not matter here and are
+    never imported.
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
@@ -117,10 +117,10 @@ class _Spaces(gymnasium.Env[np.ndarray, np.int64]):
 def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     """Return an ONNX model: observation (batch, features) → logits (batch, actions), value (batch,).
 
-    Of a network of action values, its one output is action_values (batch, actions).
+    For a network of action values, the only output is action_values (batch, actions).
 
-    The graph is written out layer by layer. `torch.onnx.export` would add a trace of its calls, with
-    paths of this machine, to every node, and takes seconds. `about` is noted in the model's metadata.
+    The graph is written layer by layer. `torch.onnx.export` takes seconds and would add a trace of its calls,
+    with local paths, to every node. `about` goes into the model's metadata.
 
     Raises:
         UserError: when the extra `onnx` is not installed.

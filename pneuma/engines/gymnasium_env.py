@@ -2,11 +2,12 @@
 
     run → modules imported, environment made, wrapped → Slots → collector, vec_env, evaluation
 
-Observations are flattened by Gymnasium's own rules to one row of numbers. An ended episode's slot begins the
-next at once, as a `SyncVectorEnv` does that resets in the same step.
+Observations are flattened to one row of numbers, by Gymnasium's rules. When an episode ends, its slot begins
+the next one at once, as in a `SyncVectorEnv` that resets in the same step.
 
-A slot is seeded once, at its first episode. So its state follows from that seed and the actions since, which
-is what a checkpoint keeps: nothing is unpickled, and whatever draws from its seed alone is back where it was.
+A slot is seeded once, at its first episode. So its state follows from the seed and all actions since, and
+these are what a checkpoint contains. Nothing is unpickled, and an environment that draws only from its seed
+returns to the same state.
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ class Slots:
     """Environments in parallel; each is reset as soon as its episode ends.
 
     Attributes:
-        observations: (S, features) float32, as they are now.
-        terminal: (S, features), what the last step of each slot's last episode showed.
+        observations: (S, features) float32, the current ones.
+        terminal: (S, features), the last observation of each slot's last finished episode.
         returns, lengths, episodes: (S,) of the episodes so far.
-        steps: how many were taken in each slot.
-        finished: episodes that have ended since someone last emptied the list.
+        steps: number of steps taken in each slot.
+        finished: episodes that ended since the list was last emptied.
     """
 
     def __init__(self, run: Run, seeds: Sequence[int], logged: bool = False) -> None:
@@ -99,7 +100,7 @@ class Slots:
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
 
-        Of what ended, `terminated` and `truncated`; never both.
+        `terminated` and `truncated` are never both set.
         """
         if self._logged:
             self._log += actions.astype(self._kind).tobytes()
@@ -179,7 +180,8 @@ class Slots:
         """Play all actions again from the first seeds.
 
         Raises:
-            ValueError: where that leads elsewhere, as where chance comes from elsewhere than the seed.
+            ValueError: when that leads to another state, because the environment's randomness does not come
+                from the seed alone.
         """
         first, *others = saved["seeds"].tolist()
         self.begin(first[1:])
@@ -271,7 +273,8 @@ def _importable(name: str) -> str:
 def module_files(name: str) -> list[Path]:
     """Return the source files of a user's module, and of the modules that it imports beside it.
 
-    It is not run, and where it is not found there are none: a run in it has a name, and can fail by it.
+    The module is not run. If it is not found there are none, so that its runs still have an id under which
+    they can fail.
     """
     spec = None
     with suppress(Exception, SystemExit):  # of a package that it is in

@@ -2,8 +2,8 @@
 
     trainer (an engine's) → update, judge, tell → result
 
-What an engine brings is a `Trainer`. When a run ends, diverges, is evaluated or may be stopped is the same
-of all engines.
+An engine provides a `Trainer`. Evaluation, divergence, stopping and the end of a run are the same for all
+engines.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Trainer(Protocol):
         """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
 
         Raises:
-            CheckpointError: for one that does not fit.
+            CheckpointError: for a checkpoint that does not fit.
         """
         ...
 
@@ -32,7 +32,7 @@ class Trainer(Protocol):
         """Do the update between two agent steps and record it.
 
         Returns:
-            Whether everything is still finite.
+            Whether all numbers are still finite.
         """
         ...
 

@@ -2,8 +2,8 @@
 
 weights, observations → outputs, an action
 
-A row of observations gives the same bits whoever else is asked: products are summed input by input, never in
-blocks of rows.
+A row of observations gives the same bits however many other rows there are, because products are summed input
+by input and not in blocks of rows.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any
         weights: of all layers, as `pneuma.engines.policy.flat` lays them out.
         widths: of all layers, as `pneuma.engines.policy.sizes` gives them.
         activation: of the hidden layers; its code.
-        count: how many rows.
-        scratch: (2, rows, greatest width) float32; it is overwritten, and the outputs lie in it too.
+        count: number of rows.
+        scratch: (2, rows, greatest width) float32, which is overwritten and contains the outputs.
     """
     at = 0
     inputs = scratch[0]

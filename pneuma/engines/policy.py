@@ -1,6 +1,6 @@
 """A stored policy: networks as plain arrays, independent of the engine that trained them.
 
-Written as safetensors plus JSON, so that reading an untrusted file runs no code.
+A policy is stored as safetensors with JSON, so that reading an untrusted file runs no code.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Policy:
         activation: of the hidden layers; one of `pneuma.config.ACTIVATIONS`.
         actor: weight (inputs, outputs) and bias (outputs,) of each layer, the last giving logits, or
             the values of actions.
-        critic: the same, the last giving one value; empty beside values of actions.
-        exploration: chance of a random action where the actor gives values of actions, and else the
-            action of the greatest value is taken (thesis Eq. 4.4); None where it gives logits.
-        deviation: (dimensions,) where actions are no choices but numbers, drawn from a normal distribution
-            of this standard deviation about what the actor gives.
+        critic: the same, the last layer giving one value; empty if the actor gives action values.
+        exploration: if the actor gives action values, the probability of a random action; otherwise the
+            action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
+        deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution
+            from which they are drawn; the actor gives its mean.
     """
 
     activation: str
@@ -117,7 +117,7 @@ def read_sound_policy(data: bytes) -> Policy:
     """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`.
 
     Raises:
-        UserError: when it is no policy, or its layers do not fit each other.
+        UserError: when it is no policy, or its layers do not fit together.
     """
 
     def layers(part: str) -> Layers:
@@ -209,7 +209,7 @@ def activate(activation: str, x: np.ndarray) -> np.ndarray:
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
     """Return the share of hidden units, of actor and critic, that are constant over a rollout.
 
-    Never above zero for the ReLU kinds; beyond 0.99 in size throughout for tanh.
+    A unit is dead if it is never above zero (ReLU and LeakyReLU), or always beyond 0.99 in size (tanh).
     """
     networks = [forward(part, policy.activation, observations) for part in (policy.actor, policy.critic)]
     hidden = np.concatenate([layer for outputs in networks for layer in outputs[:-1]], axis=1)  # (N, units)

@@ -56,8 +56,8 @@ Row = Mapping[str, Any]
 def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]:
     """Return the share of each action, as columns of the metrics.
 
-    In environments that are not Pneuma's, of more actions than there are columns the most frequent; none
-    where actions are no choices, which is where they are not whole numbers.
+    In other environments with more actions than columns, these are the most frequent ones. There are none for
+    continuous actions.
     """
     columns = len(ACTION_NAMES)
     if actions.dtype.kind not in "iu":
@@ -72,7 +72,7 @@ def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]
 class Records:
     """The records of a run: rows of `EPISODE_`, `METRIC_` and `EVALUATION_COLUMNS`, in order.
 
-    Every evaluation may have some of `VALUE_COLUMNS` as well.
+    Evaluations may also have some of `VALUE_COLUMNS`.
     """
 
     episodes: list[Row] = field(default_factory=list)
@@ -102,8 +102,8 @@ class Checkpoint:
 
     Attributes:
         step: agent steps trained, over all slots.
-        arrays: of the learner, its optimizer, its random generators and its worlds, by name.
-        numbers: what else there is, as JSON can hold it.
+        arrays: by name, of the learner, optimizer, random generators and worlds.
+        numbers: everything else, as JSON.
         records: everything up to `step`.
     """
 

@@ -1,9 +1,8 @@
 """The reference engine: Stable-Baselines3's learners, unchanged, one run after another.
 
-A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`), listens
-to its gradients and its log without touching its arithmetic, and evaluates between updates. An update of a
-learner from rollouts is one rollout and what is learned from it; of DQN, as many steps with the gradients
-between them.
+A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`), reads
+its gradients and log without changing its arithmetic, and evaluates between updates. An update is one rollout
+and the training on it; for DQN it is as many steps with the gradient steps between them.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def train_one(
 ) -> Result:
     """Train one run; see `pneuma.engines.loop`.
 
-    `env` stands in for the run's own environment in benchmarks; then nothing is evaluated.
+    With `env`, for benchmarks, that environment is used and nothing is evaluated.
     """
     model = make_model(run, env or make_vec_env(run))
     with GradientNorms(model, run) as norms:
@@ -130,8 +129,8 @@ class Sb3Trainer:
 def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:
     """Let a learner collect a rollout and train on it; return the metrics of both.
 
-    Where weights are huge, logits overflow, and torch refuses to draw: that is no crash but a run that
-    diverged.
+    If weights are huge, logits overflow, and torch refuses to draw actions. Such a run has diverged, not
+    crashed.
     """
     try:
         model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
@@ -147,8 +146,8 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
     """Let the learner train on its rollout; return what it logged.
 
-    Once a weight, the critic's too, or a logit is not a number, torch refuses the next minibatch; that run
-    diverged, and its losses are then not numbers either.
+    If a weight or logit is not a number, torch refuses the next minibatch. Such a run has diverged, and its
+    losses are NaN.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # it measures values that are about to overflow
@@ -184,7 +183,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
 def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     """Restore a learner from its parent's checkpoint, with random streams of its own.
 
-    What the run asks to reset is as it is at a run's start instead.
+    What the run resets starts as in a new run.
     """
     left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(run.fork_reset, ())
     restore_checkpoint(model, checkpoint, left_out)
@@ -200,8 +199,8 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
 class GradientNorms:
     """Measures the gradient norms of each minibatch before clipping; clips parts separately if asked.
 
-    Listens by torch's own hooks; the learner's code and arithmetic stay as they are. TRPO, whose actor
-    takes no steps of gradients, is not listened to.
+    It uses torch's hooks, so that the learner's code and arithmetic are unchanged. TRPO is left out, because
+    its actor takes no gradient steps.
     """
 
     def __init__(self, model: Learner, run: Run) -> None:
@@ -248,7 +247,7 @@ class GradientNorms:
     def take(self) -> dict[str, float]:
         """Return the mean norms over the minibatches since the last call.
 
-        A network of action values has neither actor nor critic; before its first gradient there is no norm.
+        A network of action values has no actor and critic. Before the first gradient there is no norm.
         """
         if not self._norms:
             return dict.fromkeys(NORMS, NAN)
@@ -302,7 +301,7 @@ def visited_metrics(
 def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     """Return dead units and action shares of the rollout just collected.
 
-    TRPO logs no entropy; it is that of the policy that collected.
+    TRPO logs no entropy, so that of the collecting policy is computed.
     """
     buffer = model.rollout_buffer
     observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
@@ -344,8 +343,8 @@ def _layers(hidden: nn.Module, *head: nn.Module) -> tuple[tuple[np.ndarray, np.n
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
     """Return whether losses, gradient norms and all parameters are finite.
 
-    The explained variance is left out: it is undefined where all returns are equal. So are losses that
-    a learner has none of, or none before its first gradient.
+    The explained variance is left out, because it is undefined if all returns are equal, and so are losses
+    that the learner does not have, or not before its first gradient.
     """
     watched = ["policy_loss", "value_loss", "entropy", "grad_norm"]
     if isinstance(model, DQN):

@@ -1,10 +1,10 @@
 """Learners of Stable-Baselines3 and sb3-contrib for a run: PPO, A2C, TRPO, DQN and Double DQN.
 
-Each is its library's own. What Pneuma adds is said in two classes: the target of Double DQN, and
-advantages from which no baseline is subtracted.
+The learners are the libraries' own. Pneuma adds two classes: the target of Double DQN, and advantages without
+a baseline.
 
-Their whole state between two updates is here too, as plain arrays. Their own `save` leaves out environment,
-random generators and last observation, and its `load` runs pickled code.
+This module also reads and restores their whole state between two updates, as plain arrays. Their own `save`
+leaves out environment, random generators and last observation, and their `load` runs pickled code.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ Learner = PPO | A2C | TRPO | DQN
 def make_model(run: Run, env: VecEnv) -> Any:
     """Set up a run's learner, one of `Learner`.
 
-    Each of torch's and NumPy's global generators has a stream of its own: torch's gives the initial
-    weights, then the actions, and where TRPO's conjugate gradient begins; NumPy's the minibatches.
+    The global generators of torch and NumPy have separate streams. Torch's gives the initial weights, then
+    the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
     kind, fields = LEARNERS[run.algorithm]
@@ -84,7 +84,8 @@ def make_model(run: Run, env: VecEnv) -> Any:
 def seed_streams(model: Learner, run: Run) -> None:
     """Seed the random streams of a run's actions and minibatches.
 
-    DQN draws from NumPy's both minibatches and whether to explore; what to do then from its action space's.
+    DQN uses NumPy's generator for minibatches and for whether to explore, and that of its action space for
+    random actions.
     """
     torch.manual_seed(stream_seed(run.stream, "actions"))
     np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
@@ -100,7 +101,7 @@ def joint_limit(run: Run) -> float:
 def optimizer_arguments(run: Run) -> dict[str, Any]:
     """Return all keyword arguments of the run's torch optimizer.
 
-    Stable-Baselines3 uses epsilon 1e-5 only when given none, torch's own 1e-8 otherwise.
+    Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8.
     """
     names = OPTIMIZER_FIELDS[run.optimizer]
     arguments = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
@@ -111,7 +112,7 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
 class DoubleDQN(DQN):
     """DQN with the target of Double DQN (thesis Eq. 3.10, van Hasselt et al. 2015).
 
-    The online network chooses the next action, the target network rates it.
+    The online network chooses the next action, and the target network values it.
     """
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
@@ -200,7 +201,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
 def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
     """Restore a learner, and torch's and NumPy's global generators, from a checkpoint.
 
-    Arrays whose names begin with one of `left_out` stay as the learner has them.
+    Arrays whose names begin with one of `left_out` are not restored.
     """
     env: Any = model.env
     numbers = checkpoint.numbers

@@ -1,10 +1,9 @@
 """The tabular engine: Q-learning and double Q-learning on `pneuma/Mailman-v0` (thesis chapter 3).
 
-Every step is learned from at once (Eq. 3.3). An update, after which a run may be stopped, is `horizon`
-steps. All that a run keeps is a few numbers, so that its checkpoints are small.
+Every step is learned from at once (Eq. 3.3). An update, after which a run may be stopped, is `horizon` steps.
 
-There are no monsters there: the return is the primary outcome. As the whole process is known, values
-have no sampling error of their own: the true ones, and the best, are computed.
+There are no monsters, so the return is the primary outcome. As the process is known, true and best values are
+computed exactly.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class TableTrainer:
     """Trains the tables of one run; implements `pneuma.engines.loop.Trainer`.
 
     Attributes:
-        tables: (1 or 2, places, actions) values of actions, 0 at first; two in double Q-learning.
+        tables: (1 or 2, places, actions) action values, 0 at first; two in double Q-learning.
     """
 
     def __init__(self, run: Run) -> None:
@@ -134,12 +133,12 @@ def temporal_difference(
 ) -> float:
     """Return the temporal-difference error of a step (thesis Eq. 3.2; with two tables Eq. 3.9).
 
-    The table that is updated chooses the next action; the other rates it. A single table does both.
+    The updated table chooses the next action, and the other one values it. A single table does both.
 
     Args:
         tables: (1 or 2, places, actions).
-        updated: which of them is.
-        step: place, action, reward, and the next place; None where there is none.
+        updated: the index of the table to update.
+        step: place, action, reward, and the next place; None at the end.
         gamma: discount.
     """
     place, action, reward, next_place = step
@@ -174,8 +173,8 @@ def _metrics(steps: Sequence[tuple[int, float]]) -> dict[str, float]:
 def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
     """Return one evaluation: returns and lengths by play with exploration, values by computation.
 
-    `argmax_return` is what the greedy route earns on average. `q_estimate` and `q_true` are means over
-    post office and letters, the latter of the greedy route's discounted value. Tables are (1 or 2, places,
+    `argmax_return` is the mean return of the greedy route. `q_estimate` and `q_true` are means over post
+    office and letters; the latter is the discounted value of the greedy route. Tables are (1 or 2, places,
     actions).
     """
     assert run.action_slip is not None
@@ -216,8 +215,8 @@ def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[in
 def estimated_values(tables: np.ndarray) -> np.ndarray:
     """Return the tables' estimate of each place's value, (places,).
 
-    Of double Q-learning, what one table says of the other's best action, the mean of both (Eq. 3.9): the
-    estimate that it learns from.
+    For double Q-learning, this is the value in one table of the other table's best action, averaged over both
+    tables (Eq. 3.9). It is the estimate from which it learns.
     """
     count = len(tables)
     rated = [

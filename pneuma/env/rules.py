@@ -4,8 +4,9 @@ They advance N worlds with P players and M monsters each by agent steps of sever
 the observations. The state lies in plain arrays (`state.py`) that `worlds.py` owns. Nothing here allocates
 memory. Sources: thesis sections 5.1 to 5.3 and the constants of the published code.
 
-In a tick every player acts; then every monster is struck, senses, bites and moves; then every player gets its
-rewards. Living bodies and terrain stop a moving body, first along x, then along y. Nothing is pushed.
+In a tick every player acts; then every monster is struck, senses, bites and moves; then every player gets the
+XP, healing and bites of the tick. Living bodies and terrain stop a moving body, first along x, then along y.
+Nothing is pushed.
 
 The dynamics use only + - * / and square root, without fast-math, so that every processor gives
 the same bits.

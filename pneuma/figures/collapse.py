@@ -49,8 +49,8 @@ def draw_collapse(
 ) -> list[Path]:
     """Draw a study's collapses and return the files written.
 
-    On the left, where any run collapsed, every one that did, its steps counted from its onset, in what is
-    held of its curves; on the right the share of each condition's runs that did, with its interval.
+    On the left are the curves of every run that collapsed, with steps counted from the onset. On the right is
+    the share of each condition's runs that collapsed, with its interval.
     """
     found, shares = diagnoses(data), incidence(data)
     known = shares[shares["runs"] > 0]

@@ -1,7 +1,7 @@
 """The curves of a study: one panel per quantity, or per condition if there are many.
 
-A line is the mean over runs; what its band is stands in the legend. Of more conditions than
-`MOST_IN_A_PANEL` each has a small panel, with the others' means behind it.
+A line is the mean over runs; the legend describes its band. With more conditions than `MOST_IN_A_PANEL`, each
+has a small panel with the other means behind it.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ def draw_study(
 ) -> list[Path]:
     """Draw the curves of a study's finished runs and return the files written.
 
-    `shown` is what the headline says; runs of `beside` are drawn as dashed lines, each its own.
+    `shown` is the end of the headline. Runs of `beside` are drawn as dashed lines.
 
     Raises:
-        UserError: for a quantity that the study's data does not have, or more than one quantity, or another
-            study beside it, where each condition has a panel.
+        UserError: for a quantity that the study's data does not have; and, if each condition has a panel, for
+            several quantities or another study beside it.
     """
     drawing = drawing or settle(data)
     many = len(data.conditions) > style.MOST_IN_A_PANEL
@@ -114,11 +114,11 @@ def settle(
 
     Args:
         data: the study.
-        band: one of `BANDS`; Student's interval when left out.
-        window: one of the study's windows; its first when left out.
-        quantities: of `curve_names`; when left out, the share killed and the return, or of these what there
-            is, and the first of them alone where each condition has a panel. Where returns are of unlike
-            rewards, the length of episodes stands in their place.
+        band: one of `BANDS`; default: Student's interval.
+        window: one of the study's windows; default: the first.
+        quantities: of `curve_names`; default: the share killed and the return, as far as recorded, and only
+            the first of them if each condition has a panel. If returns are of different rewards, the length
+            of episodes replaces them.
     """
     window = data.checked_window(window)
     names = tuple(dict.fromkeys(quantities))
@@ -269,7 +269,7 @@ def _draw_means(
 ) -> None:
     """Draw means and bands of a quantity, faint where some runs have no value.
 
-    On a logarithmic axis they are of logarithms. Conditions without a label are not in the legend.
+    On a logarithmic axis the means are of logarithms. Conditions without a label are not in the legend.
     """
     if QUANTITIES[name].log:
         curves = [replace(curve, log=True) for curve in curves]

@@ -35,8 +35,8 @@ PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 
 def stem_of(data: StudyData, *parts: str) -> str:
     """Return the name of a figure's files without its ending.
 
-    It carries a variant's name, or the fields that it changed, and the conditions and seeds that were picked.
-    So neither a variant nor a part of a study replaces the study's own figure.
+    It contains a variant's name or changed fields, and the selected conditions and seeds, so that neither a
+    variant nor a part of a study replaces the study's own figure.
     """
     named = {} if data.variant else data.changed
     slug = settings_name(named, *filter(None, [data.variant, *data.picked, *parts]))
@@ -58,7 +58,7 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
     Args:
         data: the study.
-        shown: where left out, the thesis's figure that it is the counterpart of, if it has one.
+        shown: the end of the headline; default: the thesis's figure to which it corresponds, if any.
     """
     counterpart = re.match(r"fig-(\d)-(\d)(?!\d|-all)", data.figure)
     shown = shown or (f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else "")
@@ -108,7 +108,7 @@ def put_texts(
 ) -> None:
     """Put the headline and legend above the panels and the caption below, and set the figure's size.
 
-    The figure has a constrained layout, a caption the sentences first that matter most.
+    The figure has a constrained layout. A caption's most important sentences come first.
     """
     points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / WIDTH
     heading = textwrap.wrap(headline, characters(1.2 * points))
@@ -160,9 +160,10 @@ def draw_players(axes: Axes, levels: Mapping[str, float], top: float, upright: b
     """Draw the levels of the random player and the hunter as grey lines.
 
     Args:
-        axes: where.
+        axes: the axes.
         levels: of each player, as shares.
-        top: the highest point that is drawn; one so far above it that its line would flatten all has none.
+        top: the highest point that is drawn; levels far above it get no line, as it would flatten everything
+            else.
         upright: whether levels are on the horizontal axis.
     """
     for name, level in levels.items():

@@ -2,9 +2,9 @@
 
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
-The environment's own figures, the thesis's tables of hyperparameters, and of every published study in
-RESULTS/published its curves, what they came to, collapses, maps and numbers; and the verdicts on all claims
-by them; and an index of the command and runs behind each file, as JSON and as a page.
+It draws the environment's own figures; the thesis's tables of hyperparameters; the curves, summaries,
+collapses, maps and numbers of every study in RESULTS/published; and the verdicts on all claims. An index, as
+JSON and as a page, has the command and runs of each file.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ Entries = list[dict[str, Any]]
 def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
     """Draw all figures and write all tables, the index and its page; return the files written.
 
-    What the index knew of and is not drawn any more is removed.
+    Files in the old index that are no longer drawn are removed.
 
-    `beside` are imported logs whose runs are drawn with a study's own, by the study's name.
+    `beside` gives for a study's name the imported logs to draw with it.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
     known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged one
@@ -133,7 +133,8 @@ def settings_table() -> pd.DataFrame:
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tuple[str, str]) -> Entries:
     """Draw all figures of a study and write its tables; return their index entries.
 
-    Figures have the name that is theirs among all that are drawn. They are made small, as they are committed.
+    The names of figures are unique among all that are drawn. Files are made small, because they are
+    committed.
     """
     study, figure = names
     (data,) = open_published(results, [study])
@@ -157,8 +158,8 @@ Drawn = tuple[StudyData, list[Path], dict[str, Any]]
 def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
     """Draw curves and a summary, and if there are any, collapses and maps.
 
-    Curves are of the conditions of the thesis's figure, also as it drew them; of all, where the study has
-    more; and of imported logs beside the study's own.
+    There are curves of the conditions in the thesis's figure, also drawn as there; of all conditions, if the
+    study has more; and with imported logs beside them.
     """
 
     def drawn(shown_data: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
@@ -195,7 +196,7 @@ def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> N
     """Draw everything and print what was written.
 
     Raises:
-        UserError: where there is no results folder: what was drawn of another would be removed.
+        UserError: when there is no results folder, because figures drawn from another one would be removed.
     """
     if not results.is_dir():
         raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")

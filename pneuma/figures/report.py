@@ -1,8 +1,8 @@
 """The report: one HTML page with everything, verdicts first, without external requests.
 
-`report.html.j2` is the page and `report.css` its style. Every text goes through the template's escaping. The
-page needs no script, its own policy forbids every request, and it tells no date and no place: the same
-results give the same bytes. Figures are drawn afresh, each in the smaller of two forms.
+`report.html.j2` is the page and `report.css` its style. All text is escaped by the template. The page needs
+no script, its policy forbids all requests, and it contains no date and no path, so that the same results give
+the same bytes. Figures are drawn again, each in the smaller of two formats.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Part:
     Attributes:
         where: its heading: in which world its runs are played.
         notes: important sentences, shown first.
-        mend: the command that would train what is missing.
-        extent: how much it is.
-        pictures: as `study_pictures` draws them.
-        conditions: `base`; of its fields `differing`, a table, and `alike`, by name.
+        mend: the command that trains what is missing.
+        extent: the number of conditions, runs and steps.
+        pictures: the result of `study_pictures`.
+        conditions: `base`; the `differing` fields, as a table; and those that are `alike`, by name.
         runs: of each its id, condition, seed, status and engine.
-        origins: what produced the runs: facts by name, and for how many runs they hold.
+        origins: the provenance of runs: facts by name, and the number of runs for which they hold.
     """
 
     record: str
@@ -81,12 +81,12 @@ def report_page(
     """Return the page's bytes.
 
     Args:
-        claims: the verdicts on each, in the order of the table.
+        claims: the verdicts on each claim, in the order of the table.
         studies: in the order of the page, as `cli/report.py` gathers them: `study`, `title`, `section`,
-            `about`, and in `parts` what there is of it in each world.
-        note: which list of claims was judged, with its checksum, and at which error rate.
-        unjudged: why no claim could be judged; empty where they were.
-        title: of the page; empty where it is about the thesis.
+            `about`, and `parts`, one for each world.
+        note: the list of claims with its checksum and error rate.
+        unjudged: why no claim could be judged; usually empty.
+        title: of the page; empty if it is about the thesis.
     """
     environment = Environment(
         loader=PackageLoader("pneuma.figures", ""),
@@ -154,9 +154,8 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
 def study_pictures(data: StudyData) -> list[dict[str, str]]:
     """Draw a study's figures for the report: curves, collapses if there are any, and maps.
 
-    Each is a data URI (an SVG is shown as an image: nothing in it runs), words for those who cannot see it,
-    and a caption with the command that draws it. Of more conditions than a page has room for the curves of,
-    it shows what their runs came to.
+    Each has a data URI (an SVG is shown as an image, so that nothing in it runs), a text alternative, and a
+    caption with the command that draws it. With too many conditions for curves, it shows their summaries.
     """
     study = quote(data.study)
     with TemporaryDirectory() as name:

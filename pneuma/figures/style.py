@@ -112,8 +112,8 @@ _OWN_PLACES = {
 def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the colour and marker of each condition, the same in all figures of a study.
 
-    Of more conditions than share a panel, those that differ in crossed factors alone look alike: each has
-    a panel or row of its own there, and `tanh` is to be seen as such under every limit.
+    If there are too many conditions for one panel, those that differ only in crossed factors look alike,
+    because each has its own panel or row, and `tanh` should look the same under every limit.
     """
     many = len(conditions) > MOST_IN_A_PANEL
     kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
@@ -143,7 +143,7 @@ def split_name(condition: str) -> tuple[dict[str, str], str]:
 def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
     """Return the names of conditions in a figure, and what the names consist of if it is not said.
 
-    Conditions that all have the same factors go by their levels alone, if these tell them apart.
+    If all conditions have the same factors, their levels alone are used, if they are unique.
     """
     split = {name: split_name(name) for name in conditions}
     short = {
@@ -181,8 +181,8 @@ def clean(text: str) -> str:
 def _fix_places(figure: Figure) -> None:
     """Lay out a figure once for all formats, and round the positions of its panels.
 
-    What the layout's solver gives differs in its last bits from call to call, and names of clip paths in
-    an SVG are hashes of these places.
+    The results of the layout solver differ in their last bits from call to call, and the names of clip paths
+    in an SVG are hashes of these positions.
     """
     if figure.get_layout_engine() is None:
         return
@@ -199,8 +199,8 @@ _LONG_NUMBER = re.compile(rb"-?\d+\.\d{3,}")
 def shrink(path: Path) -> None:
     """Compress a picture without a visible difference; other files stay unchanged.
 
-    A PNG gets a palette that covers all colours, however few dots have them: one made by their number would
-    spend itself on the greys of letters. Paths of an SVG lie on hundredths of a point.
+    A PNG gets a palette that covers all colours, even rare ones; a palette by frequency would contain mostly
+    the greys of letters. Paths of an SVG are rounded to hundredths of a point.
     """
     if path.suffix == ".png":
         with Image.open(path) as image:

@@ -1,7 +1,6 @@
 """The summary figure: final outcomes of all runs, means with intervals, profiles, improvement.
 
-It shows the share of monsters killed at the end, or the return where nobody could be killed or no
-evaluations are held.
+It shows the share of monsters killed at the end, or the return if there are no monsters or no evaluations.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ def draw_comparison(
 ) -> list[Path]:
     """Draw differences of means with intervals: a panel per outcome, a row per comparison.
 
-    The table is `compare_conditions` of several pairs, one below another.
+    The table contains the results of `compare_conditions` for several pairs.
     """
     outcomes = list(dict.fromkeys(table["outcome"]))
     with style.house_style():

@@ -1,7 +1,7 @@
 """All verdicts, as tables and as a picture: one row per claim, one column per world.
 
-In a cell stand the effect and its simultaneous interval in units of the margin, turned so that right is what
-the thesis says; its marker is filled by the verdict. An empty cell says why in a word.
+A cell shows the effect and its simultaneous interval in units of the margin, with the sign such that right is
+what the thesis says. The verdict decides its marker. An empty cell says why in a word.
 """
 
 from __future__ import annotations
@@ -84,9 +84,8 @@ def judged_claims(
 ) -> tuple[Verdicts, str]:
     """Return the verdicts on claims about some studies, or all, with a sentence on the list.
 
-    The whole list is judged, whichever claims are shown: that is what the verdicts are corrected for.
-
-    Unless `stored`, by published tables alone: every clone says the same.
+    The whole list is judged, whichever claims are shown, because the correction is for the whole list. With
+    `stored = False` only published tables are used, so that every clone gives the same result.
     """
     known = load_claims()
     verdicts: Verdicts = {}
@@ -279,7 +278,7 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
 def in_margins(claim: Claim, comparison: Comparison) -> tuple[float, float, float] | None:
     """Return the effect and its simultaneous interval in units of the margin, positive as claimed.
 
-    None without a margin, or without a number.
+    None without a margin or an effect.
     """
     margin, contrast = claim.of("margin", comparison.outcome), comparison.contrast
     if margin is None or not math.isfinite(contrast.effect):

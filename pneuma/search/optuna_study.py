@@ -1,8 +1,8 @@
 """The part of a search that Optuna does: suggesting trials, and finding the best.
 
-The study that asks lives in memory. Before each ask the sampler is made anew with a seed of the trial's
-own, so that what is suggested depends on the trials told before and on nothing else: not on the number
-of workers, nor on how often the search was stopped (Akiba et al. 2019 describe ask and tell).
+The Optuna study is in memory. Before each ask, the sampler is made again with a seed of the trial, so that a
+suggestion depends only on the trials before it, and not on the number of workers or on how often the search
+was stopped (Akiba et al. 2019 describe ask and tell).
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | 
     """Return a study in memory of trials that have ended, with the values of the first so many objectives.
 
     Raises:
-        ValueError: for a parameter or a value that the search cannot have had.
+        ValueError: for a parameter or value that is not in the search space.
     """
     study = create_study(search, objectives)
     parameters = {parameter.name: _distribution(parameter) for parameter in search.space.parameters}

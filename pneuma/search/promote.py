@@ -1,8 +1,8 @@
 """Promotion: a study of the best trials of searches, each beside its base, on fresh seeds.
 
-The best of many trials looks better than it is, because it was picked by the same seeds that it is judged
-by. Seeds that no search saw judge it fairly. Whether one method beats another can be told only where both
-were tuned alike, so searches that stand side by side must have had the same trials, seeds and steps.
+The best of many trials looks better than it is, because it was selected by the same seeds. Fresh seeds judge
+it fairly. Two methods can be compared only if both were tuned alike, so searches that are promoted together
+must have the same trials, seeds and steps.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Gain:
     Attributes:
         seen: the winner's value in the search.
         fresh, fresh_baseline: its value and the base's over the fresh seeds.
-        difference: of the means over the fresh seeds; NaN where some run has no finite value.
-        interval: of that difference, 95 %; NaN there, and where the seeds are too few.
-        luck: by how much the search's seeds had flattered the winner; NaN where that cannot be told.
+        difference: of the means over the fresh seeds; NaN if a run has no finite value.
+        interval: its 95 % interval; NaN in the same case, and with too few seeds.
+        luck: how much better the winner was on the search's seeds; NaN if unknown.
     """
 
     seen: float
@@ -69,8 +69,8 @@ def find_winners(
     """Return the trials to promote: the best of each search, or a given one of a single search.
 
     Raises:
-        UserError: where one has none, or no best among several objectives; where searches were not tuned
-            alike; where they have seen some of the seeds.
+        UserError: when a search has no winner, or several objectives and no `--trial`; when searches were not
+            tuned alike; when they used some of the seeds.
     """
     names = [split_world(searched.task.search.name)[0] for searched in searches]
     if len({*names}) < len(names):
@@ -198,8 +198,8 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     """Return a winner's gain in each objective, by name.
 
     Args:
-        winner: one of those of the study.
-        planned: that study, all of whose runs have ended.
+        winner: a winner in the study.
+        planned: the plan of the study; all runs have ended.
         store: the results folder.
     """
     task = winner.searched.task

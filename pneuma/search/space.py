@@ -1,6 +1,7 @@
 """The search space: the values of each parameter, and how they become fields of a run.
 
-A parameter is a field of the run. It may hang on another: a momentum counts only where the optimizer has one.
+A parameter is a field of the run. It may depend on another: momentum is searched only for optimizers that
+have it.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ class Parameter(Table):
 
     Attributes:
         name: of the field.
-        low, high: of a range, which holds both; `log` where ratios count.
-        choices: the values of a list, by what they are called in trials.
-        when: names of parameters before it, or of fields, with the values at which it counts.
+        low, high: the ends of a range, which includes both; `log` for a logarithmic scale.
+        choices: the values of a list, by their names in trials.
+        when: earlier parameters or fields, with the values for which this one is searched.
     """
 
     name: str
@@ -174,8 +175,8 @@ class Space:
     """The parameters of a search, in the order in which they are suggested.
 
     Attributes:
-        parameters: each after those that it hangs on.
-        fixed: what every trial sets besides, over the base.
+        parameters: each after those that it depends on.
+        fixed: other fields that every trial sets, on top of the base.
         base: name of the fields to start from.
     """
 
@@ -231,7 +232,7 @@ class Space:
         """Refuse a space whose corners make no valid run, or that has parameters without effect.
 
         Args:
-            unread: keys of `fixed` of which one that no run reads is refused.
+            unread: keys of `fixed` that are refused if no run reads them.
 
         Raises:
             UserError: naming the parameters, their values, and what a run allows.
@@ -251,7 +252,7 @@ class Space:
         """Yield trials at the ends of ranges, always the same ones, each with its run.
 
         Raises:
-            UserError: where one makes no run.
+            UserError: when one makes no valid run.
         """
         draw = random.Random(0)
         for _ in range(CORNERS):

@@ -4,7 +4,7 @@
 [space.betas]          choices = [[0.9, 0.999], [0.9, 0.9]]
 [space.momentum]       when = { optimizer = ["sgd", "rmsprop"] }
 
-A file is checked here once; what reads a `Search` trusts it.
+Files are checked here once; readers of a `Search` rely on it.
 """
 
 from __future__ import annotations
@@ -106,16 +106,16 @@ class Search:
     """A search.
 
     Attributes:
-        name: of the file; in another world than the text's it ends so.
+        name: the file's name; in another world than the text's it ends with the world.
         title, section, about: shown to users.
-        space: what is searched, and what is fixed.
+        space: the searched parameters and the fixed fields.
         objectives: one; several for a search of the Pareto front.
-        start: bases to begin with a trial of each.
-        generation: trials that are suggested before any of them is reported.
+        start: bases; the search begins with a trial of each.
+        generation: number of trials that are suggested before their results are reported.
         sampler, pruner: with all their options.
         presets: by name.
         world: of `pneuma.worlds.WORLDS`.
-        file: its path, where it is not a shipped one.
+        file: its path; None for a shipped search.
     """
 
     name: str
@@ -142,10 +142,10 @@ class Search:
 
         Args:
             over: fields of the run.
-            unread: those of which one that no run reads is refused.
+            unread: fields that are refused if no run reads them.
 
         Raises:
-            UserError: for what is searched, and what does not go with the space.
+            UserError: for fields that are searched, or do not fit the space.
         """
         space = replace(self.space, fixed={**self.space.fixed, **over})
         try:
@@ -158,11 +158,10 @@ class Search:
     def in_world(self, world: str) -> Search:
         """Return the search in one of `WORLDS`, with a name of its own there.
 
-        There all trials share the world's environment, and its other fields where the search sets none
-        itself.
+        All trials get the world's environment, and its other fields unless the search sets them itself.
 
         Raises:
-            UserError: for a world that there is not, or an environment that is not Pneuma's own.
+            UserError: for an unknown world, or an environment that is not Pneuma's own.
         """
         check_world(world)
         if world == self.world:

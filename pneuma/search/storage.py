@@ -1,7 +1,7 @@
 """A search in a results folder: its record, and the lock that keeps other processes out.
 
-The record results/searches/NAME.json is rewritten after every generation. It holds trials; what was searched
-stands in the search's file, which must still say the same.
+The record results/searches/NAME.json is rewritten after every generation. It contains the trials. The search
+itself stands in its file, which must not have changed.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTri
     Args:
         task: the search with its budget.
         store: the results folder, whose record is written as it goes.
-        train: trains what a plan lacks.
+        train: trains the missing runs of a plan.
 
     Raises:
-        UserError: before anything is trained, for a search that cannot be done here.
-        Unfinished: where a run crashed; what ended before is stored.
+        UserError: before anything is trained, for a search that cannot be run here.
+        Unfinished: when a run crashed; trials that ended before are stored.
     """
     search = task.search
     check_budget(search, task.budget)
@@ -107,7 +107,7 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
     """Load a search by its path, or by its name if it is shipped or was run by its path before.
 
     Raises:
-        UserError: where it is none, or a file that only the record names would use code of a user's own.
+        UserError: for an unknown search, or if a file that only the record names would use a user's own code.
     """
     own_name, named_world = split_world(name)
     if name.endswith(".toml") or own_name in list_searches():
@@ -133,7 +133,7 @@ def read_record(store: Store, name: str, world: str | None = None) -> RecordedSe
         world: of `pneuma.worlds.WORLDS`; the text's when neither this nor the name says so.
 
     Raises:
-        UserError: where it was never run here, its record is damaged, or its file says something else now.
+        UserError: when it was never run here, its record is damaged, or its file has changed.
     """
     check_world(world)
     file = name if name.endswith(".toml") else ""
@@ -153,7 +153,7 @@ def _recorded_file(store: Store, name: str) -> str:
     """Return the path by which a search was run, in any world.
 
     Raises:
-        UserError: where it was not.
+        UserError: when it was not.
     """
     for world in WORLDS:
         file = (read_sealed(record_path(store, in_world(name, world))) or {}).get("file")

@@ -1,8 +1,8 @@
 """The loop of a search: generations of trials are suggested together, trained, and reported in order.
 
-A search is a function of its file, its budget and its runs' outcomes. It is replayed from its first
-trial at every call: runs that are stored are read, the others trained. So it goes on after a kill with
-the suggestions that it would have made, and needs nothing that a kill could have spoiled.
+A search is a function of its file, its budget and the outcomes of its runs. Every call replays it from the
+first trial: stored runs are read, the others are trained. So after a kill it continues with the same
+suggestions, and needs no state that a kill could damage.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Task:
     Attributes:
         search: its file.
         budget: trials, seeds and steps.
-        over: fields of the run that are set over the file's.
+        over: fields that replace those of the file.
     """
 
     search: Search
@@ -85,13 +85,13 @@ class EndedTrial:
     """A trial that has ended.
 
     Attributes:
-        number: from 0, in the order of asking.
-        params: what was suggested.
-        state: 'complete'; 'pruned', where it was given up early; 'failed', where it has no value.
-        values: one for each objective; of a pruned trial, what it had come to.
+        number: from 0, in the order of suggestion.
+        params: the suggested values.
+        state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
+        values: one for each objective; for a pruned trial, those at its last rung.
         run_ids: of its runs, those at its rungs first.
-        rungs: the value that it was compared by at each of them; NaN where it had none.
-        note: why it failed, or that a run of it diverged.
+        rungs: the value by which it was compared at each rung; NaN if it had none.
+        note: why it failed, or that one of its runs diverged.
     """
 
     number: int
@@ -125,8 +125,8 @@ class _PendingTrial:
 class Outcomes:
     """Reads outcomes of stored runs as a search counts them.
 
-    A diverged run cannot play: it counts with the worst that its outcome can be for what is sought, where
-    there is such a bound, and with its last recorded value where there is none.
+    A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the
+    outcome has no bound.
     """
 
     def __init__(self, task: Task, store: Store) -> None:
@@ -167,10 +167,10 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
     Args:
         task: the search and its budget.
         train: trains the runs of a plan that are not stored.
-        outcomes: reads what the runs came to.
+        outcomes: reads the outcomes of the runs.
 
     Raises:
-        Unfinished: where a run crashed.
+        Unfinished: when a run crashed.
     """
     search, budget = task.search, task.budget
     rungs, first_trials = rung_steps(getattr(search.pruner, "rungs", 1), budget), search.first_trials
@@ -195,7 +195,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
 def rung_steps(count: int, budget: Budget) -> dict[int, int]:
     """Return the steps of the trainings after which trials are compared, by rung from 1 on.
 
-    Each is a training of its own with all seeds; the last has the whole budget.
+    Each rung is a separate training with all seeds; the last has the whole budget.
     """
     return {rung: max(1, round(rung / count * budget.steps)) for rung in range(1, count + 1)}
 
@@ -279,7 +279,7 @@ def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int]
     """Return the number of the best trial, the first of equals; with several objectives, the Pareto front.
 
     Raises:
-        ValueError: for trials that the search cannot have had.
+        ValueError: for trials that do not fit the search.
     """
     front = [trials[trial.number].number for trial in ended_study(trials, search).best_trials]
     return front if len(search.objectives) > 1 else min(front, default=None)
@@ -288,7 +288,7 @@ def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int]
 def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
     """Return the value of a trial's runs in one objective.
 
-    Runs that diverge alike have no spread, which is no merit: theirs is the greatest that there can be.
+    Runs that all diverge have no spread, which would look good. They count with the greatest possible spread.
     """
     if objective.over_seeds == "deviation" and any(map(outcomes.diverged, cells)):
         low, high = find_outcome(objective.outcome).bounds

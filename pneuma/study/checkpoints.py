@@ -2,8 +2,8 @@
 
     results/runs/ID/checkpoints/STEP-CHECKSUM.safetensors
 
-A file's name tells the checksum of its contents, so that one damaged or cut short is never taken for
-whole. The latest two are kept while a run trains, and those that a study asks to keep for forks.
+A file's name contains the checksum of its contents, so that a damaged or truncated file is never used. While
+a run trains, its latest two are kept, and those that the study keeps for forks.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations":
 class RunCheckpoints:
     """The checkpoints of one run: the latest two while it trains, and `keep` of them afterwards.
 
-    Only the process that holds the run's lock may use it.
+    Only the process that holds the run's lock may use this class.
 
     Attributes:
-        attempts: what is recorded of earlier attempts, up to the checkpoint from which this one goes on.
+        attempts: the records of earlier attempts, up to the checkpoint from which this one resumes.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class RunCheckpoints:
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
         """Write a checkpoint if it is time, if this one is to be kept, or if asked for `at_once`.
 
-        If it cannot be written, that is reported, and it is tried again later; training goes on.
+        If it cannot be written, this is reported and tried again later. Training goes on.
         """
         now = time.monotonic()
         if now < self._next and not at_once and progress.step not in self._steps_to_keep:
@@ -122,7 +122,7 @@ class RunCheckpoints:
         """Return the parent's checkpoint that a fork begins with.
 
         Raises:
-            UserError: when the parent keeps it no more.
+            UserError: when the parent no longer has it.
         """
         parent, step = self._run.parent, self._run.fork_step
         for file in checkpoint_files(self._store.run_folder(parent)):
@@ -166,7 +166,7 @@ def file_name(step: int, data: bytes) -> str:
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and the attempts recorded in it; return None if it is damaged or of another run.
 
-    That is a file that is damaged, no checkpoint at all, or one of another step or run.
+    Such a file is damaged, no checkpoint, or of another step or run.
     """
     try:
         data = read_whole(file.path)

@@ -2,7 +2,8 @@
 
     claims.toml beside a study's file → ClaimedRuns, one for each claim → the preset `claims` of the study
 
-`plan.py` plans by it; `pneuma.analysis.claims` reads beside it what is claimed of these runs.
+`plan.py` uses this preset. `pneuma.analysis.claims` reads from the same file what is claimed about these
+runs.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ class ClaimedRuns(BaseModel):
     """What a claim says about its runs. `pneuma.analysis.claims` reads its other keys.
 
     Attributes:
-        study: what tests it: a shipped study's name, or the path of a file beside the claims.
-        a, b, c, d: conditions; all but a may be none.
-        seeds, steps: of each condition, once `fix_runs` has spread them.
-        worlds: those of `WORLDS` that the claim is about; all of the study's, where it names none.
+        study: the name of a shipped study, or the path of a file beside the claims.
+        a, b, c, d: conditions; all but a may be empty.
+        seeds, steps: of each condition, after `fix_runs`.
+        worlds: those of `WORLDS` that the claim is about; default: all of the study's.
     """
 
     model_config = {**CONFIG, "extra": "ignore"}
@@ -129,7 +130,7 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
     claims fix several budgets, `steps` selects one; any other number selects the conditions of all.
 
     Raises:
-        UserError: where no claim is about the study, or the budget is not told.
+        UserError: when no claim is about the study, or several budgets are possible.
     """
     found = fixed_amounts(study)
     if not found:

@@ -26,7 +26,7 @@ _CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, even if the process is killed meanwhile.
 
-    A link is followed. What is no ordinary file, such as a pipe or a terminal, is written to directly.
+    Links are followed. A pipe, a terminal or the like is written to directly.
     """
     path = path.resolve()
     if path.exists() and not path.is_file():
@@ -38,7 +38,7 @@ def write_whole(path: Path, data: bytes) -> None:
 def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Put new files into a folder in this order, each whole or not at all.
 
-    All are on the disk before the first one replaces another.
+    All are on the disk before the first one replaces an existing file.
     """
     written = {name: folder / f".{name}.{uuid.uuid4().hex}" for name in files}
     try:
@@ -83,7 +83,7 @@ def names_in(folder: Path) -> list[str]:
     """Return the names in a folder, sorted; none if there is no folder.
 
     Raises:
-        UserError: where something else is in its place.
+        UserError: when something else is in its place.
     """
     try:
         return sorted(os.listdir(folder))

@@ -58,10 +58,10 @@ def plan_fork(
 ) -> Plan:
     """Plan forks, and their control, from the parent's last checkpoint before step `at`.
 
-    Each seed starts fresh random streams. Files and code that the run names are read only with `trust`.
+    Each seed starts fresh random streams. Files and code that the run names are used only with `trust`.
 
     Raises:
-        UserError: for a parent without such a checkpoint, or a change that is none or cannot be made.
+        UserError: for a parent without such a checkpoint, or an empty or impossible change.
     """
     control = _control_run(store, parent, at, trust)
     changed, step = _changed_run(control, change), control.fork_step
@@ -78,12 +78,12 @@ def plan_cause_forks(
 ) -> Plan:
     """Plan forks of several runs of a study: a condition for each of `CAUSES` that all runs can have.
 
-    A condition's runs are numbered in one order in every condition, so that run i of a change and run i of
-    the control begin with the same weights, worlds and optimizer. `parents` tells before what step each run
-    is to be forked; one that cannot be is left out, and said.
+    Runs have the same order in every condition, so that run i of a change and run i of the control start with
+    the same weights, worlds and optimizer. `parents` gives the step before which each run is forked. Runs
+    that cannot be forked are left out, with a note.
 
     Raises:
-        UserError: where no parent can be forked, or no change can be made.
+        UserError: when no parent can be forked, or no change is possible.
     """
     controls: list[Run] = []
     notes: dict[str, None] = {}
@@ -141,10 +141,10 @@ def _plan(
 def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
     """Return the fork of a parent from the checkpoint nearest before `at` with nothing changed.
 
-    Nothing that the parent names is touched unless it is trusted.
+    Files and code that the parent names are used only with `trust`.
 
     Raises:
-        UserError: for a parent without such a checkpoint, or one that must not or cannot be forked.
+        UserError: for a parent that has no such checkpoint, needs `trust`, or cannot be forked.
     """
     status = store.status(parent)
     if not status.finished:
@@ -185,7 +185,7 @@ def _changed_run(control: Run, change: Change) -> Run:
     """Return a control run with changed fields or a reset.
 
     Raises:
-        UserError: for a change that is none or cannot be made.
+        UserError: for an empty or impossible change.
     """
     if change.reset and change.reset not in FORK_RESETS:
         raise unknown_name("reset", change.reset, FORK_RESETS)

@@ -28,10 +28,9 @@ _DEEDS = {REWARD: "run the reward", MODULE: "run the module", WRAPPERS: "run the
 def run_id(run: Run) -> str:
     """Return 16 hexadecimal digits, which two runs share only if they end with the same bits.
 
-    Hashed are the resolved configuration with its seed and budget, the contents of the user's own
-    files (not their paths), and the versions of rules and engine; not the study's name. A field at
-    its default is left out, so that a new field leaves old names alone; a default that changes
-    must therefore raise a version.
+    The hash covers the resolved configuration with seed and budget, the contents of the user's own files (not
+    their paths), and the versions of rules and engine, but not the study's name. Fields at their defaults are
+    left out, so that a new field does not change old ids. Changing a default must therefore raise a version.
     """
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key]}

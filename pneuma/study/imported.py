@@ -58,8 +58,8 @@ class ImportedRun:
 
     Attributes:
         log: where it was found.
-        steps: the last agent step that was logged.
-        points: tag, step, value and superseded (by a restart) of every scalar, in the order of writing.
+        steps: the last logged agent step.
+        points: tag, step, value and superseded (by a restart) of every scalar, as written.
         provenance: when it was logged, and its files.
         new: whether this call stored it.
     """
@@ -77,12 +77,12 @@ def import_tensorboard(
 ) -> tuple[str, list[ImportedRun], list[str]]:
     """Import all runs below some folders as one study; return its name, its runs, and notes for the user.
 
-    Each folder holds NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The study is
-    called as the folder that holds all that are given, where no name is.
+    Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The
+    study's default name is that of the folder that contains all of them.
 
     Raises:
-        UserError: before anything is written, where no log is found, the name is taken or unfit, a file
-            cannot be read or is too large, or the `tensorboard` package is not there.
+        UserError: before anything is written, when no log is found, the name is taken or invalid, a file
+            cannot be read or is too large, or the `tensorboard` package is not installed.
     """
     study = _study_name(folders, name, store)
     logs, notes = find_logs(folders)
@@ -129,7 +129,7 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
         The logs by condition and seed, and notes on seeds that were not as the name says.
 
     Raises:
-        UserError: where a folder is none, or holds no event files.
+        UserError: for a folder that does not exist, or contains no event files.
     """
     files: set[Path] = set()
     for folder in folders:
@@ -215,8 +215,8 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
 def read_event_file(path: Path) -> list[Scalar]:
     """Return every scalar of an event file in the order of writing; a damaged file up to the damage.
 
-    With the reader of TensorBoard's own EventAccumulator, which itself forgets the order of tags, by which
-    restarts are known.
+    It uses the reader inside TensorBoard's EventAccumulator, which itself does not keep the order of tags
+    that shows restarts.
 
     Raises:
         UserError: without the `tensorboard` package.
@@ -248,9 +248,9 @@ def read_event_file(path: Path) -> list[Scalar]:
 def find_superseded(points: pd.DataFrame) -> pd.Series:
     """Return which scalars of a log were replaced by later ones, after a restart.
 
-    A logger that was restarted goes back in steps and writes anew. Where a tag goes back, what it had
-    from there on is replaced. A file that begins before the end of the files before it replaces, of all
-    tags whose steps are agent steps, what they hold from there on.
+    A restarted logger goes back in steps and writes them again. If a tag goes back, its values from that step
+    on are replaced. If a file begins before the end of earlier files, it replaces their values from there on,
+    for all tags that count agent steps.
     """
     of_agent = points["tag"].str.startswith(AGENT_STEPS)
     begins = points[of_agent].groupby("file")["step"].first()

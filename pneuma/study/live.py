@@ -2,7 +2,7 @@
 
     records of an update → events in DIR/STUDY/CONDITION_SEED, beside what the run itself leaves
 
-It reads what the run wrote down and changes nothing of it; TensorBoard's writer has a thread of its own.
+It reads the run's records and changes nothing. TensorBoard's writer has its own thread.
 """
 
 from __future__ import annotations

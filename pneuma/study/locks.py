@@ -1,8 +1,8 @@
 """Locks on runs, which end with the process that holds them.
 
-Two `study run` on one results folder share the work: a run that another process holds is left to it. Where a
-lock keeps nobody out (some file systems have none, or keep them to one machine), two processes may train one
-run: to the same bits, in files that are put in place whole, so nothing is lost but time.
+Two `study run` on one results folder share the work: a run that another process holds is left to it. On file
+systems without locks, or with locks for one machine only, two processes may train the same run. Both give the
+same bits, and files are written whole, so that only time is lost.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def run_lock(folder: Path) -> Iterator[bool]:
         with run_lock(store.run_folder(name)) as mine:
             if mine: ...
 
-    The operating system lets go of it when the process ends, however it ends.
+    The operating system releases the lock when the process ends, however it ends.
 
     Raises:
-        OSError: where it cannot be made, or something lies there that is no file.
+        OSError: when it cannot be created, or its path is not a file.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, mine = folder / ".lock", True
@@ -66,7 +66,7 @@ def _open(path: Path, flags: int) -> int:
     """Open a lock file without following a link or waiting for a pipe.
 
     Raises:
-        OSError: where it cannot be opened, or is no ordinary file.
+        OSError: when it cannot be opened, or is not an ordinary file.
     """
     descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):

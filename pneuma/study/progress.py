@@ -34,9 +34,9 @@ class ProgressDisplay:
     """Shows on standard error how far a plan's runs are. A context manager.
 
     Args:
-        plan: what is executed.
+        plan: the plan.
         to_train: the runs that are missing, by id.
-        store: where some of them may have begun.
+        store: the store, in which some of them may have begun.
         quiet: whether to show nothing but notes.
     """
 

@@ -47,8 +47,8 @@ class Attempt:
     def so_far(self, step: int) -> dict[str, Any]:
         """Return the record of this attempt up to a step.
 
-        `training_seconds` is its time without start-up: of all updates at the pace that those after the
-        first had. `processor_share` is how much of a core those had; None on a GPU.
+        `training_seconds` is the time without start-up: the number of updates times the pace of all updates
+        after the first. `processor_share` is the share of a core that these had; None on a GPU.
         """
         now = time.perf_counter()
         training, share = now - self._begun, None
@@ -162,7 +162,7 @@ def _cpu() -> str:
 def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield run ids with their provenance, which may be untrusted, for runs that have one.
 
-    One at a time: a run that was requeued every hour tells of hundreds of machines.
+    They are read one at a time, because a run that was requeued every hour names hundreds of machines.
     """
     for name in run_ids:
         if (origin := store.read_document(name, "provenance.json")) and "imported" not in origin:

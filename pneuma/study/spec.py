@@ -49,7 +49,7 @@ class Preset:
 
     Attributes:
         seeds, steps: of every condition.
-        conditions: exceptions, such as networks that take too long.
+        conditions: exceptions for single conditions, such as large networks.
     """
 
     seeds: tuple[int, ...]
@@ -75,10 +75,11 @@ class Study:
         shared: fields of every condition on top of the base.
         conditions: what each condition sets on top.
         presets: by name.
-        keep_checkpoints: number kept of each run, evenly spread, beside that of its first update; for forks.
+        keep_checkpoints: number of checkpoints kept of each run for forks, evenly spread, besides that of its
+            first update.
         levels: for each condition of a crossed study, its value of each factor.
         world: one of `WORLDS`.
-        worlds: those of `WORLDS` in which it can be run, the usual one first.
+        worlds: those of `WORLDS` in which it can be run, the default first.
     """
 
     name: str
@@ -104,11 +105,10 @@ class Study:
     def in_world(self, world: str) -> Study:
         """Return the study as it runs in one of its worlds, with a name and figure for that world.
 
-        There all conditions share the world's environment, and its other fields where the study sets none
-        itself.
+        All conditions get the world's environment, and its other fields unless the study sets them itself.
 
         Raises:
-            UserError: for a world that there is not, or that the study is not run in.
+            UserError: for an unknown world, or one in which the study is not run.
         """
         check_world(world)
         if world not in self.worlds:
@@ -147,7 +147,7 @@ def read_seeds(value: object) -> tuple[int, ...]:
     """Read seeds: a count n, for 0 … n - 1, or a list.
 
     Raises:
-        ValueError: for anything else, a repeated seed among them.
+        ValueError: for anything else, including repeated seeds.
     """
     if type(value) is int and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
@@ -248,7 +248,7 @@ def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Pa
     """Return the path of a study or search, and the world that its name or `world` gives, if any.
 
     Raises:
-        UserError: for a name that there is not in the folder of the shipped ones, or two worlds.
+        UserError: for an unknown name, or two different worlds.
     """
     if name.endswith(".toml"):
         refuse_taken_name(Path(name), folder / Path(name).name, what)

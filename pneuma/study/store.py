@@ -9,9 +9,9 @@
                             checkpoints/     where a run that has not ended goes on from
     results/studies/NAME.json  what was selected of a study, and its run ids
 
-Every file appears whole or not at all, and status.json comes last: a run that it does not vouch
-for, checksum by checksum, is not there. An untrusted folder is safe to read: names that would lead
-out of it are refused, and nothing in it is ever run.
+Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
+status.json are right. An untrusted folder is safe to read: names that would lead out of it are refused, and
+nothing in it is ever run.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Status:
     """The status of a run, and the agent steps trained.
 
     Attributes:
-        name: planned where nothing is stored; running while a process trains it, or its group; partial where
-            only checkpoints are; damaged where a file is not what was written.
+        name: planned if nothing is stored; running while a process trains it or its group; partial if there
+            are only checkpoints; damaged if a file is not what was written.
         step: agent steps of the records, or of the latest checkpoint.
         detail: the file that is damaged.
     """
@@ -95,7 +95,7 @@ class Store:
         """Create the folder if needed and check that it can be written.
 
         Raises:
-            UserError: when that fails, or a part of it is a link out of it or no folder.
+            UserError: when that fails, or a part of it is no folder, or a link that leads out.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ class Store:
         """Return the folder of a run.
 
         Raises:
-            UserError: for what is no run's id.
+            UserError: for an invalid id.
         """
         if not _RUN_ID.fullmatch(run_id):
             raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
@@ -133,7 +133,7 @@ class Store:
         """Return the lock that a process must hold to train the run.
 
         Raises:
-            OSError: where the run's folder is a link, which may lead elsewhere.
+            OSError: when the run's folder is a link, which may lead elsewhere.
         """
         folder = self.run_folder(run_id)
         for part in (folder, folder / CHECKPOINTS):
@@ -170,7 +170,7 @@ class Store:
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that lists their checksums; remove its other files.
 
-        A finished run is never replaced by one that is not: another process may have trained it.
+        A finished run is never replaced by an unfinished one, because another process may have trained it.
 
         Raises:
             UserError: when the folder cannot be written.
@@ -274,10 +274,10 @@ class Store:
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.
 
-        A file may have moved: one that is there no more stands in nobody's way.
+        If the recorded file no longer exists, it may have moved, and the new one is accepted.
 
         Raises:
-            UserError: for such a file.
+            UserError: for another file.
         """
         other = record.get("path")
         if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
@@ -311,7 +311,7 @@ class Store:
     def write(self, path: Path, data: bytes) -> None:
         """Write a file into the results folder, whole or not at all, and create its folder if needed.
 
-        A link in its place is replaced, never followed.
+        A link at its path is replaced, never followed.
 
         Raises:
             UserError: when that fails, or leads out of the results folder.

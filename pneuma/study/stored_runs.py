@@ -1,7 +1,7 @@
 """What is in a results folder, run by run: which run is meant, what produced it, whether it is sound.
 
-The folder may be untrusted. Nothing in it is run, no path out of it is followed, and any of its
-files may be missing, damaged or nonsense.
+The folder may be untrusted. Nothing in it is run, no path out of it is followed, and its files may be
+missing, damaged or invalid.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class StoredRun:
     """A stored run.
 
     Attributes:
-        studies: that hold it, each with its condition and seed there.
-        recorded: its configuration as the last of them recorded it.
+        studies: the studies that contain it, each with its condition and seed.
+        recorded: its configuration in the record of the last of these studies.
     """
 
     store: Store
@@ -62,7 +62,7 @@ def find_run(store: Store, text: str) -> str:
     """Return the id of the stored run that the user names by its id or a unique prefix.
 
     Raises:
-        UserError: when there is none, or several.
+        UserError: when there is no such run, or several.
     """
     names, where = store.runs(), store.root / "runs"
     meant = [name for name in names if text and name.startswith(text.lower())]
@@ -81,7 +81,7 @@ def find_run(store: Store, text: str) -> str:
 def list_runs(store: Store) -> list[StoredRun]:
     """Return all stored runs: first those of studies, in the studies' order, then the others by id.
 
-    Of finished ones no checksum is compared, which for a thousand runs takes seconds.
+    Checksums of finished runs are not compared, as that takes seconds for a thousand runs.
     """
     stored = {*store.runs()}
     recorded = {name: run for name, run in _held(store).items() if name in stored}

@@ -34,12 +34,11 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
 def from_parquet(data: bytes) -> pa.Table:
     """Read a Parquet file from memory, in this thread only.
 
-    Arrow's `read_table`, and reading from a file of Python's, start threads whatever they are told, with
-    which a command now and then aborts as it ends. The footer tells how much the file unpacks to, and that
-    is looked at first.
+    Arrow's `read_table`, and reading from a Python file, always start threads, because of which a command may
+    abort when it ends. The footer gives the unpacked size, which is checked first.
 
     Raises:
-        ValueError: for what is no such file, or would be too large.
+        ValueError: for an invalid file, or one that would be too large.
     """
     try:
         file = pq.ParquetFile(pa.BufferReader(data))
@@ -60,7 +59,7 @@ def record_table(data: bytes, name: str) -> pa.Table:
     """Read one of a run's record tables and check the names and types of its columns.
 
     Raises:
-        ValueError: for what is no such table.
+        ValueError: for an invalid table.
     """
     table = from_parquet(data)
     for column in _EVERYWHERE.get(name, ()):

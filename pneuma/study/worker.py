@@ -2,10 +2,10 @@
 
     python -m pneuma.study.worker < job
 
-The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out
-as lines of JSON: `step` at the start and now and then, `note` for users, `passing` for those who watch,
-`busy` where another process holds a run, `end` for every run. Standard input stays open: a line `stop` asks
-for a checkpoint and an end, and when it closes, because the parent has gone, the worker goes.
+The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out as
+lines of JSON: `step` at the start and now and then, `note` for users, `passing` for those who watch, `busy`
+if another process holds a run, `end` for every run. Standard input stays open: after a line `stop` the worker
+goes on to a checkpoint and ends. When it closes, because the parent has ended, the worker ends at once.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class Job:
         store: the results folder.
         runs: by id; of equal shapes, so that they share compiled programs.
         checkpoint_seconds: time between two checkpoints of a run.
-        keep: how many checkpoints of each run to keep when it has ended.
-        last_try: whether a crash counts, and is stored.
-        logs: folders of TensorBoard logs by run, of those that are to have one.
+        keep: number of checkpoints to keep of each run after its end.
+        last_try: whether a crash is final and stored.
+        logs: folders of TensorBoard logs, by run.
     """
 
     store: Store
@@ -99,7 +99,7 @@ class Reporter:
 def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
     """Train runs one after another; return the exit code.
 
-    Runs that another process holds or has finished meanwhile are left out.
+    Runs that another process holds, or has finished meanwhile, are left out.
     """
     code = 0
     with ExitStack() as locks:
@@ -138,7 +138,7 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
     """Train a run to its end, discarding checkpoints that its engine cannot use.
 
     Raises:
-        CheckpointError: when there is none left to give up.
+        CheckpointError: when there is no checkpoint left to discard.
     """
     if run_id(run) != name:
         raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")

@@ -1,9 +1,9 @@
 """The compiled engine: PPO with Stable-Baselines3's arithmetic, many times as fast.
 
 A rollout is one compiled call (`rollout.py`) and an update two (`learner.py`, `update.py`); Python only
-passes arrays from one to the other. A group's runs are trained one after another by the same programs,
-which are compiled once: on a processor's core nothing is gained by computing them side by side, and
-this way no run can depend on its neighbours.
+passes arrays from one to the other. The runs of a group are trained one after another by the same programs,
+which are compiled once. Computing them at the same time would not be faster on one core, and this way no run
+can depend on another.
 """
 
 from __future__ import annotations

@@ -37,13 +37,13 @@ class Learner:
     """The networks, optimizer and minibatch order of one policy.
 
     Args:
-        run: how it learns.
-        features: numbers in an observation.
-        actions: how many there are.
+        run: the run.
+        features: the length of an observation.
+        actions: the number of actions.
 
     Attributes:
         networks: actor and critic, NumPy arrays.
-        optimizer: state of the run's optimizer, by name.
+        optimizer: the optimizer's state.
         generator: draws the order of minibatches.
     """
 

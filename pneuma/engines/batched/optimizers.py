@@ -1,8 +1,8 @@
 """Optimizers with the arithmetic of torch's, as pure functions over trees of arrays.
 
-Each takes gradients, parameters, its own state and the run's numbers, and returns new parameters and
-state. Bias corrections are computed by expm1 of t log(beta), because 1 - beta**t in float32 loses
-most of its digits at first.
+Each takes gradients, parameters, its own state and the run's numbers, and returns new parameters and state.
+Bias corrections use expm1 of t log(beta), because 1 - beta**t in float32 loses most of its digits in the
+first steps.
 """
 
 from __future__ import annotations

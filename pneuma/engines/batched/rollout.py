@@ -2,9 +2,9 @@
 
 worlds, actor and random numbers → observations, actions, rewards, ends, finished episodes
 
-Everything but the learning happens in here, so that a step costs no Python; unless a reward of a user's own
-must be asked in between. Slot i is player i % P of world i // P; episodes are told apart, idle slots shown
-and rewards rounded as the slots of Stable-Baselines3 do it (`pneuma.env.slots`, `pneuma.env.sb3`).
+A whole rollout runs without Python, unless a user's own reward must be called after each step. Slot i is
+player i % P of world i // P. Episodes, idle slots and the rounding of rewards are as in the environment for
+Stable-Baselines3 (`pneuma.env.slots`, `pneuma.env.sb3`).
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class Rollout:
     Attributes:
         observations: (S, T, features) float32, before each step.
         actions: (S, T) int64.
-        rewards: (S, T) float32, without what a time limit cut off.
-        starts: (S, T) float32, 1 where the step before ended an episode.
-        last_observations: (S, features), after the last step.
+        rewards: (S, T) float32, without the value after a time limit.
+        starts: (S, T) float32, 1 if the step before ended an episode. last_observations: (S, features), after
+            the last step.
         last_ends: (S,) float32, 1 where the last step ended an episode.
         ended: (K,) `ENDED`, in order.
-        terminal_observations: (K, features), what the last step of each showed.
+        terminal_observations: (K, features), the last observation of each ended episode.
     """
 
     observations: np.ndarray
@@ -83,10 +83,10 @@ class Collector:
     """The worlds of a run's slots, with the episodes in progress.
 
     Attributes:
-        worlds: as many as the run's `slots`; each of their players is a slot here.
+        worlds: as many as the run's `slots`; each of their players is one slot.
         returns, lengths, episodes: (S,) of the episodes so far.
-        begins: (S,) float32, 1 where the last step ended an episode, or none was before.
-        idle: (S,) whose players died before the last step, in a world that goes on.
+        begins: (S,) float32, 1 if the last step ended an episode, or there was none.
+        idle: (S,) whether the slot's player died earlier in an episode that still runs.
         generator: draws the actions.
     """
 
@@ -311,7 +311,7 @@ def advantages(
     """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 4.14).
 
     Args:
-        rewards: (S, T) float32, as all that follows.
+        rewards: (S, T) float32, like all other arrays.
         values: (S, T), of the states before each step.
         starts: (S, T), 1 where the step before ended an episode.
         last_values: (S,), after the last step.

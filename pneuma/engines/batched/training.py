@@ -21,8 +21,8 @@ class BatchedTrainer:
     """Trains one run by compiled programs; implements `pneuma.engines.loop.Trainer`.
 
     Attributes:
-        collector: the worlds and the actions' stream.
-        learner: of the policy of all players.
+        collector: the worlds, and the random stream of actions.
+        learner: the learner of the policy that all players share.
     """
 
     def __init__(self, run: Run) -> None:
@@ -70,7 +70,7 @@ class BatchedTrainer:
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from a checkpoint; a fork starts from its parent's, with random streams of its own.
 
-        A fork begins anew with what it is to reset.
+        A fork resets what its run says.
         """
         run = self.run
         begins = begins_fork(run, checkpoint)

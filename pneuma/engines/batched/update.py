@@ -1,13 +1,13 @@
 """One update: everything that a run learns from a rollout, in two compiled calls.
 
 The arithmetic is that of Stable-Baselines3's PPO (Schulman et al. 2017; thesis section 4.4): advantages
-normalised in each minibatch by the sample deviation, a value loss without one half, one norm limit
-over actor and critic or one for each. What is only a number is data, so that runs that differ in
-numbers alone share one compiled program; shapes, activation and optimizer make another.
+normalised in each minibatch by the sample deviation, a value loss without one half, one norm limit over actor
+and critic or one for each. Hyperparameters that are numbers are passed as data, so that runs which differ
+only in them share one compiled program. Another shape, activation or optimizer makes another program.
 
-A small network's time goes into starting operations, so there are to be few: inside a program its layers
-are one matrix each (`joined`), and a step's metrics are one array. A large one's goes into moving
-weights, which are left where they are and not read for a decay of zero.
+With small networks most time goes into starting operations, so there are few: each layer is one matrix
+(`joined`), and a step's metrics are one array. With large ones it goes into moving weights, which are left in
+place and not read for a decay of zero.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ METRICS = (
 def run_numbers(run: Run) -> dict[str, Any]:
     """Return the run's numeric fields, float32; an absent limit is infinite.
 
-    Beside them, the key of UPGD's noise, (2,) uint32.
+    They include the key of UPGD's noise, (2,) uint32.
     """
     b1, b2 = run.betas or (0.0, 0.0)
     limit = math.inf if run.gradient_limit is None else run.gradient_limit
@@ -82,7 +82,7 @@ def look_back(parameters: Tree, observations: Any, actions: Any, activation: str
 
     Args:
         parameters: of actor and critic.
-        observations: (N, features); beyond the N actions, observations of which only the value counts.
+        observations: (N, features), of which those after the n actions are only valued.
         actions: (n,), n <= N.
         activation: of the hidden layers.
 
@@ -105,14 +105,14 @@ def learn(
     """Take all gradient steps of an update.
 
     Args:
-        parameters: of actor and critic; their memory is used again.
+        parameters: of actor and critic; their memory is reused.
         state: of the optimizer; likewise.
         batch: observations (N, features), actions, log_probabilities, advantages and returns (N,).
         orders: (epochs, N) permutations, cut into minibatches in order; the last one may be smaller.
         numbers: `run_numbers`.
         activation: of the hidden layers.
         optimizer: its name.
-        minibatch: (minibatch,) of anything: its length is the size.
+        minibatch: an array whose length is the size of a minibatch.
 
     Returns:
         Parameters, state, and `METRICS`.
@@ -152,7 +152,7 @@ def _learn(
 def joined(tree: Tree) -> Tree:
     """Return networks, or a tree of that form, with each small layer as one matrix, (inputs + 1, outputs).
 
-    Its last row is the bias: the weights of an input that is always one.
+    Its last row is the bias, as the weights of an input that is always one.
     """
 
     def join(node: Any) -> Any:

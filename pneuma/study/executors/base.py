@@ -45,11 +45,11 @@ class Supervision:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
         keep_checkpoints: how many of each run to keep for forks.
-        logs: folders of TensorBoard logs by run, of those that are to have one.
+        logs: folders of TensorBoard logs, by run.
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
-        slurm: what each job asks Slurm for, as pairs of an option of sbatch and its value.
-        detach: whether to leave once jobs are submitted, where they go on by themselves.
+        slurm: options of sbatch for each job, as pairs of a name and a value.
+        detach: whether to leave once jobs are submitted.
     """
 
     workers: int = 1
@@ -69,7 +69,7 @@ class Detached(KeyboardInterrupt):
     """The command ends while runs go on without it; the message says how to find them.
 
     Attributes:
-        asked: whether it was left by --detach, and not by Ctrl-C.
+        asked: whether the command was left by --detach and not by Ctrl-C.
     """
 
     def __init__(self, message: str, asked: bool = False) -> None:
@@ -84,7 +84,7 @@ class Executor(Protocol):
         """Return how many runs train at once unless the user says otherwise.
 
         Raises:
-            UserError: within ten seconds, where the place cannot be reached or cannot train.
+            UserError: within ten seconds, if the place cannot be reached or cannot train.
         """
 
     def run_groups(
@@ -101,7 +101,7 @@ class Executor(Protocol):
         here; one that could not be stored a `reason`.
 
         Raises:
-            KeyboardInterrupt: after Ctrl-C, when every worker has gone; `Detached` where they go on.
+            KeyboardInterrupt: after Ctrl-C, when all workers have ended; `Detached` if they go on.
         """
 
 

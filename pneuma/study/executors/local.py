@@ -3,10 +3,10 @@
     groups of runs → `Supervisor` → processes of `pneuma.study.worker` → store
                                   ← their events
 
-A process of its own can be killed alone and shares no state with its neighbours. It is pinned to one thread,
-so that workers do not fight over cores and results do not depend on their number. What crashes is tried once
-more, what another process trains is waited for, and after Ctrl-C every run comes to a checkpoint. On a node
-of a cluster the other executors train by the same `Supervisor`.
+Each worker is a process, which can be killed alone and shares no state with others. It uses one thread, so
+that workers do not compete for cores and results do not depend on their number. Runs that crash are tried
+once more, runs that another process trains are waited for, and after Ctrl-C every run goes on to a
+checkpoint. The other executors use the same `Supervisor` on the nodes of a cluster.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def run_groups(
     """Train each group of runs in a process of its own; see `base.Executor`.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, when every worker has gone.
+        KeyboardInterrupt: after Ctrl-C, when all workers have ended.
     """
     with Interrupts() as interrupts:
         Supervisor(groups, store, how, on_event, interrupts).work()
@@ -73,12 +73,13 @@ class Interrupts:
     """Collects signals within a `with` block instead of letting them end it; of the main thread alone.
 
     Args:
-        signals: which.
-        most: how many of them count.
+        signals: the signals to catch.
+        most: how many of them are counted.
 
     Attributes:
-        seen: the signals that came; of SIGHUP, which a closed terminal's shell sends again, at most one.
-        wakeup: a file descriptor that can be read from once one has come, for a selector.
+        seen: the signals that came, with at most one SIGHUP, which the shell of a closed terminal sends
+            again.
+        wakeup: a file descriptor, for a selector, that becomes readable when a signal comes.
     """
 
     def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
@@ -97,8 +98,8 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         """Begin to collect.
 
-        The kernel may hand a signal to a thread of a mathematical library, which does not interrupt the main
-        thread's wait: the interpreter's own wake-up does.
+        The kernel may deliver a signal to a thread of a mathematical library, which does not interrupt the
+        main thread's wait. The interpreter's own wake-up does.
         """
         if threading.current_thread() is threading.main_thread():
             for number in self._signals:
@@ -142,7 +143,7 @@ class _Task:
 class Supervisor:
     """Keeps workers busy until every group of runs, by id, has ended.
 
-    The first of `interrupts` lets every run come to a checkpoint, the second ends all at once.
+    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
 
     def __init__(
@@ -280,8 +281,8 @@ class _Worker:
     """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
     Attributes:
-        task: what it was started for.
-        ended, crashed, busy: its runs of which it said so.
+        task: the group of runs that it trains.
+        ended, crashed, busy: runs for which it sent such an event.
         events: its lines.
     """
 
@@ -355,8 +356,8 @@ def one_thread_environment() -> dict[str, str]:
 def prepare_node(gpu: bool = False) -> None:
     """Prepare this process, on a node of a cluster, to start workers.
 
-    Compiled programs are kept apart by processor: nodes differ, and often share a home. GPUs are hidden
-    where none was asked for, which neither Ray nor every Slurm does.
+    Compiled programs are cached by processor, because nodes differ and often share a home folder. GPUs are
+    hidden if none was requested, which Ray and some Slurm clusters do not do.
     """
     processor = hashlib.sha256(machine()["cpu"].encode()).hexdigest()[:8]
     os.environ["XDG_CACHE_HOME"] = str(_cache() / "nodes" / processor)

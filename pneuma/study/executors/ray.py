@@ -1,10 +1,10 @@
 """The Ray executor: groups of runs are tasks of a Ray cluster, on a results folder that all nodes share.
 
     groups → Ray → `train_here` on a node: the local executor → results folder
-    this command ← what the results folder tells of runs
+    this command ← the state of runs in the results folder
 
-Pneuma's code goes to the nodes with the task; the packages that it computes with must be there, in the same
-versions. Without an address, a cluster of this machine's own is started for the command.
+Pneuma's code is sent to the nodes with the task. The packages that it computes with must be installed there
+in the same versions. Without an address, a cluster is started on this machine for the command.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def most_workers(how: Supervision) -> int:
     """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out.
 
     Raises:
-        UserError: where Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
+        UserError: when Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
     """
     if find_spec("ray") is None:
         raise UserError(f"--executor ray needs Ray: {install_extra('ray')}")
@@ -62,8 +62,8 @@ def run_groups(
     """Train each group of runs on a node of the cluster; see `base.Executor`.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
-        UserError: when a node is not fit for them.
+        KeyboardInterrupt: after Ctrl-C, when every run has reached a checkpoint.
+        UserError: when runs cannot be trained on a node.
     """
     join(how.address)
     import ray
@@ -134,7 +134,7 @@ def join(address: str | None) -> None:
     """Join the cluster at an address, or start one on this machine; once per process.
 
     Raises:
-        UserError: when no cluster answers there in time.
+        UserError: when no cluster answers in time.
     """
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # all this before Ray, which reads it when it is loaded
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
@@ -183,14 +183,14 @@ def train_here(
     Args:
         runs: by id.
         store: the shared results folder.
-        how: they are looked after.
+        how: how they are supervised.
         wanted: versions that the node must have.
         source: the version of the code that was sent.
-        folder: that of the command, from which people's own rewards and levels are read.
+        folder: the current folder of the command, from which users' rewards and levels are read.
         mark: a file in the results folder.
 
     Raises:
-        UserError: where runs cannot be trained on this node.
+        UserError: when runs cannot be trained on this node.
     """
     installed, node = versions(), socket.gethostname()
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]

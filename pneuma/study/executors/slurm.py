@@ -3,8 +3,8 @@
     groups → arrays of jobs, by submitit → `Training` on a node: the local executor → results folder
     this command ← what the queue tells of jobs, and the results folder of runs
 
-The command only submits and watches. It can be left at any moment, and jobs go on; the same command watches
-them again, and submits none twice, as is noted beside the results what was submitted:
+The command only submits and watches. It can be left at any moment, and jobs go on. The same command watches
+them again, and submits none twice, because a folder beside the results records what was submitted:
 
     RESULTS-slurm/NAME/groups.json   the runs of each of the jobs of that name
                        jobs/         submitit's files: pickled jobs, and what they printed
@@ -64,7 +64,7 @@ def run_groups(
     """Train each group of runs in a job of its own; see `base.Executor`.
 
     Raises:
-        Detached: when the command is to be left, or after Ctrl-C; jobs go on.
+        Detached: with --detach, or after Ctrl-C; jobs go on.
         UserError: when jobs are refused.
     """
     wanted = [dict(group) for group in groups]
@@ -91,13 +91,13 @@ def run_groups(
 class Training:
     """A job, in the form that submitit asks for: it is pickled, and called on a node.
 
-    Before its time is over Slurm sends USR2, upon which submitit puts a job back into the queue; TERM tells
-    that its node is taken away, or that it is cancelled. Before either, runs come to a checkpoint.
+    Before a job's time is over Slurm sends USR2, and submitit puts the job back into the queue. TERM means
+    that its node is taken away, or that it is cancelled. In both cases runs first go on to a checkpoint.
 
     Attributes:
         runs: by id.
         store: the shared results folder.
-        how: they are looked after.
+        how: how they are supervised.
     """
 
     runs: Mapping[str, Run]
@@ -129,7 +129,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
     """Submit groups, without runs that are in the queue already.
 
     Raises:
-        UserError: when the queue cannot be asked, or refuses them.
+        UserError: when the queue does not answer, or refuses the jobs.
     """
     live = queued(store)
     _put_away(store, live)
@@ -209,7 +209,7 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     """Return a submitit executor for jobs of this name.
 
     Raises:
-        UserError: where submitit or srun is missing, or for an option that users cannot set.
+        UserError: when submitit or srun is missing, or for an option that users cannot set.
     """
     options = {key: True if text == "true" else text for key, text in how.slurm}
     if taken := [key for key in OWN if key in options]:
@@ -233,7 +233,7 @@ def _ask(*command: str) -> list[str]:
     """Return the lines that a Slurm program prints.
 
     Raises:
-        UserError: with its own words, when it fails or does not answer in time.
+        UserError: with its message, when it fails or does not answer in time.
     """
     try:
         answer = subprocess.run(
