@@ -195,7 +195,7 @@ def read_toml(path: Path) -> TomlFile:
     text = read_text(path)
     try:
         return TomlFile(path, text, plain(tomllib.loads(text)))
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets without end
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None
 
 

@@ -116,7 +116,7 @@ class ClaimRuns:
             if not runs:
                 reasons.append(f"no run of {condition} counts: {claim.only} is 0 in all")
         values = _values(data, runs, name, at_step)
-        # What is never reached is endless: no number to compare, but one to count.
+        # A threshold that is never reached gives inf: not a number to compare, but one to count.
         for run, value in zip(runs, values, strict=True):
             if np.isnan(value) or (np.isinf(value) and not claim.event):
                 why = next(filter(None, (reason(data, run, part, at_step) for part in name.split(MINUS))), "")

@@ -83,7 +83,7 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
     alone = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
         alone = both(alone, found[ONE_ACTION])
-    # Single updates that come again and again are joined, but are no collapse: most updates must show it.
+    # Repeated single updates are joined, but are no collapse: most updates must show the sign.
     stuck = [part for part in _lasting(alone, gap, shortest) if share_held(alone, part, distance or 1) > MOST]
     judged = {*found, *([LOSS] if losses is not None else [])}
     if falls or (len(steps) and not run.begun):  # a fork's best was its parent's

@@ -215,12 +215,12 @@ def _test(
     residuals = runs - reduced @ (reduced.T @ runs)
     if np.abs(residuals).max() <= 1e-12 * max(1.0, np.abs(runs).max()):
         return degrees, np.nan, 1.0, np.nan
-    # What is fitted lies in both models, and so takes no part in what either leaves.
+    # The fitted part lies in both models, so it does not change their residuals.
     samples = np.vstack([residuals, residuals[shuffles]])  # (1 + draws, runs)
     tiny = 1e-12 * (residuals**2).sum()
     before = (samples**2).sum(axis=1) - ((samples @ reduced) ** 2).sum(axis=1)
     after = np.maximum((samples**2).sum(axis=1) - ((samples @ full) ** 2).sum(axis=1), tiny)
-    taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is no effect
+    taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is not counted
     statistic = taken / gained / (after / left)
     p_value = float((statistic >= statistic[0] * (1 - 1e-9)).mean())
     return degrees, float(statistic[0]) if after[0] > tiny else np.inf, p_value, float(taken[0] / before[0])

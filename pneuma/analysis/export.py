@@ -48,7 +48,7 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
-    if form == "csv":  # in which a spreadsheet runs no text: names may be untrusted
+    if form == "csv":  # so that spreadsheets run no text: names may be untrusted
         texts = frame.select_dtypes(include=["object", "string"])
         safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
         return safe.to_csv(index=False, lineterminator="\n").encode()

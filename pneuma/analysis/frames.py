@@ -108,7 +108,7 @@ class StudyData:
                 )
         name, self.world = split_world(self.study)
         self.own_name, _, self.variant = name.partition(VARIANT)
-        self.figure = in_world(record["figure"], self.world)  # each has figures
+        self.figure = in_world(record["figure"], self.world)  # each world has its own
         self.picked: list[str] = record.get("picked", [])
         self.same: list[list[str]] = record["same"]
         planned = record["runs"]

@@ -251,7 +251,7 @@ def bootstrap_interval(
     z = special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
     low, high = np.quantile(drawn, shares)
-    if low == high:  # most runs are equal; an interval of no width would claim that all ever will be
+    if low == high:  # mostly equal runs: an interval without width would claim too much
         return no_interval()
     return Interval(float(low), float(high), "BCa bootstrap")
 

@@ -193,7 +193,7 @@ def _judge_contrast(
     reason = reason or _at_floor(claim, outcome, arms) or _at_an_end(claim, outcome, [*arms.values()])
     values, margin = [arm.values for arm in arms.values()], claim.of("margin", outcome)
     generator = np.random.default_rng(stream_seed(f"{claim.name}/{runs.world}", f"{a}/{other}"))
-    level = 1 - alpha / factor  # of intervals that hold all at once
+    level = 1 - alpha / factor  # of the simultaneous intervals
     if reason:
         sizes = [counted.size for counted in values] + [0, 0]
         contrast = undecided(claim.kind, reason, (sizes[0], sizes[1]))
@@ -203,7 +203,7 @@ def _judge_contrast(
         against = (claim.value or 0.0) if b is None else values[1]
         contrast = compare(claim.kind, values[0], against, margin, generator, level)
     verdict, p = decide(contrast, claim.direction, factor, alpha)
-    if verdict == INCONCLUSIVE:  # equivalence may be shown by fewer runs than a difference takes
+    if verdict == INCONCLUSIVE:  # equivalence may need fewer runs than a difference
         smallest = smallest_p(contrast, claim.direction)
         if not contrast.reason and smallest * factor > alpha:
             few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"

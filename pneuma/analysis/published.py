@@ -82,7 +82,7 @@ def column_types(column: str) -> tuple[pa.DataType, ...]:
     if column in (*NAMING, SIGNS):
         return (pa.string(),)
     if first in TRAINING_QUANTITIES and second in ("", *WINDOWS, PEAKS):
-        return (SINGLE, WIDE)  # older tables hold some of them in full width
+        return (SINGLE, WIDE)  # older tables have wider types
     return (pa.float64(),) if first == OUTCOME else ()
 
 

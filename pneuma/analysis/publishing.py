@@ -92,7 +92,7 @@ def encode_study(
         metadata={"pneuma": json.dumps(head), "pneuma.checksum": published.NO_SUM},
     )
     sink = io.BytesIO()
-    pq.write_table(  # numbers that hardly repeat are no dictionary's
+    pq.write_table(  # a dictionary does not help if numbers hardly repeat
         table,
         sink,
         compression="zstd",

@@ -90,7 +90,7 @@ def relabel(size_a: int, size_b: int, generator: np.random.Generator, draws: int
     return in_a
 
 
-@lru_cache(maxsize=8)  # 30 MB of ten runs against ten
+@lru_cache(maxsize=8)  # 30 MB for ten runs against ten
 def _every(size_a: int, size_b: int) -> np.ndarray:
     chosen = np.array(list(combinations(range(size_a + size_b), size_a)))
     in_a = np.zeros((len(chosen), size_a + size_b))
@@ -186,7 +186,7 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
         flips: (flips, runs) of `sign_flips`.
     """
     rows = np.concatenate([samples + shift for shift in shifts(margin)])
-    size = np.abs(rows).max() or 1.0  # so that units do not matter to what counts as equal
+    size = np.abs(rows).max() or 1.0  # so that units do not matter for equality
     deviation = samples.std(axis=1, ddof=1)
     deviation[deviation <= ROUNDING * np.abs(samples).max(axis=1)] = 0  # equal but for rounding
     errors = np.tile(deviation, len(rows) // len(samples)) / np.sqrt(samples.shape[1]) / size

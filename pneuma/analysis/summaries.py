@@ -163,7 +163,7 @@ def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) 
     interval = incidence_interval(reached, len(steps))
     yield condition, name, "reached", reached / len(steps), interval, len(steps)
     low, high = steps[(len(steps) - 1) // 2], steps[len(steps) // 2]
-    between = float(high if np.isinf(high) else (low + high) / 2)  # an end and none: endless
+    between = float(high if np.isinf(high) else (low + high) / 2)  # one end infinite, the other not
     yield condition, name, "median", between, no_interval(), len(steps)
 
 
@@ -218,7 +218,7 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
         first, second = (values[~np.isnan(values)] for values in every)
         means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
         comparable = min(len(first), len(second)) > 0
-        finite = comparable and np.isfinite(means).all()  # steps to a threshold may be endless
+        finite = comparable and np.isfinite(means).all()  # steps to a threshold may be infinite
         interval = difference_interval(first, second) if finite else no_interval()
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
         ranks = [np.searchsorted(np.unique([*first, *second]), values) * sign for values in (first, second)]

@@ -162,7 +162,7 @@ def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: 
         effects = {"alike": 0.0, "half": margin / 2, "edge": margin, "far": FAR[kind]}
         each = np.tile([effects[truth] for truth in setting.truths_of(size)], lists)[:, None]
         shape = (lists * size, seeds)
-        narrow = np.sqrt(2 / (1 + setting.spread**2))  # what the difference of means varies by stays
+        narrow = np.sqrt(2 / (1 + setting.spread**2))  # the standard error of the difference stays the same
         if kind in ("incidence", "one share"):
             arms[kind] = generator.random(shape) < EVENT_SHARE + each, generator.random(shape) < EVENT_SHARE
         else:

@@ -65,7 +65,7 @@ def _searches(typed: Mapping[str, Any]) -> list[str]:
 
 
 def _outcomes(typed: Mapping[str, Any]) -> Iterable[str]:
-    found = find_spec("pneuma.analysis.outcomes")  # whose libraries take seconds to load
+    found = find_spec("pneuma.analysis.outcomes")  # not imported, as its libraries take seconds to load
     text = Path(found.origin).read_text(encoding="utf-8") if found and found.origin else ""
     return re.findall(r'^    "([\w-]+)": Outcome\(', text, re.MULTILINE)
 

@@ -13,7 +13,7 @@ from pneuma.cli.study_records import nothing_yet
 from pneuma.study.store import Store
 
 logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
-logs.callback()(lambda: None)  # keeps the command's name, though it is alone
+logs.callback()(lambda: None)  # keeps the name of a group's only command
 bench = typer.Typer(
     help="Measure speed on this machine, and calibrate the statistics.",
     no_args_is_help=True,

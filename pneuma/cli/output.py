@@ -37,7 +37,7 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
         return
     try:
         print(plain(text), file=sys.stderr if aside else sys.stdout, flush=aside)
-    except OSError:  # nobody reads any more, or the terminal was closed
+    except OSError:  # the reader has gone, or the terminal was closed
         if not aside:
             raise
 

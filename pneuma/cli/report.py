@@ -141,7 +141,7 @@ def _add_data(store: Store, part: Part, record: Mapping[str, Any]) -> None:
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
         part.pictures = study_pictures(data)
-    except (UserError, UnicodeError) as error:  # a name in a record may be no text that can be written
+    except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         part.notes.append(_without_folder(store, error))
 
 

@@ -61,7 +61,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     )
     if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
         raise UserError("policy.safetensors: is not of the shape that its run.json says")
-    # clipped apart, or without a baseline, it would need Pneuma's own classes to be read
+    # separate clipping, or no baseline, would need Pneuma's classes to read the file
     run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)

@@ -94,7 +94,7 @@ class Slots:
 
     def reseed(self, seeds: Sequence[int]) -> None:
         """Give each slot's next episode a seed."""
-        self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # the most that all take
+        self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # all environments take these
         self._seedings.append([self.steps, *self._seeds])  # type: ignore[list-item]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -224,7 +224,7 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     arguments = json.loads(run.env_kwargs or "{}")
     mend = "; else install its package, or name the module that registers it as env_module"
     try:
-        with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # which is no place for a document
+        with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # stdout is for a document
             if run.env not in gymnasium.registry:
                 _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)

@@ -130,7 +130,7 @@ def read_sound_policy(data: bytes) -> Policy:
         optional = about.get("exploration"), arrays.get("deviation")
         policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
         sound = _is_sound(policy)
-    except Exception:  # safetensors, JSON and shapes each fail in their own way
+    except Exception:  # safetensors, JSON and shapes raise different errors
         sound = False
     if not sound:
         raise UserError(f"{POLICY_FILE}: is no policy, or its layers do not fit each other")
@@ -201,7 +201,7 @@ def activate(activation: str, x: np.ndarray) -> np.ndarray:
         return np.tanh(x)
     if activation == "relu":
         return np.maximum(x, 0)
-    from pneuma.engines.mlp import LEAKY_SLOPE  # numba: not for whoever only reads policies
+    from pneuma.engines.mlp import LEAKY_SLOPE  # imports numba, which reading policies does not need
 
     return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
 

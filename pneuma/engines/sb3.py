@@ -150,7 +150,7 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
     losses are NaN.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # it measures values that are about to overflow
+        with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
             model.train()
     except (ValueError, RuntimeError):
         met = model.rollout_buffer.observations
@@ -189,7 +189,7 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
     restore_checkpoint(model, checkpoint, left_out)
     env: Any = model.env
     seen = env.fork(slot_seeds(run), run.fork_reset == "xp")
-    model._last_obs = seen.copy()  # as this run sees it: its scale and order may be others
+    model._last_obs = seen.copy()  # the fork may observe other scales or orders
     seed_streams(model, run)
 
 

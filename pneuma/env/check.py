@@ -53,7 +53,7 @@ def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, st
             warnings.simplefilter("error")
             try:
                 check(env_id, settings)
-            except Exception as error:  # whatever it is, a warning among it
+            except Exception as error:  # any error or warning is a finding
                 problem = " ".join(str(error).split()) or type(error).__name__
         yield name, problem
 

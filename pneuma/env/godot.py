@@ -101,7 +101,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
                 reason = f"{type(error).__name__}: {error}"
                 raise UserError(f"port {port}: the trainer sent what is no message: {reason}") from None
             kind = message.get("type")
-            connection.settimeout(None)  # it may learn for long
+            connection.settimeout(None)  # learning may take long
             if kind == "close":
                 return steps
             if kind == "env_info":

@@ -287,7 +287,7 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
         if (body.low < (left, top)).any() or (body.high > (right, bottom)).any():
             raise body.refusal(level, "reaches beyond the grid")
     side = 2 * float(max(players["half_width"].max(), players["half_height"].max()))
-    open_tiles = ~np.isin(level.terrain, (*trees, rules.COAST))  # who could walk into a deadly sea drowns
+    open_tiles = ~np.isin(level.terrain, (*trees, rules.COAST))  # players drown in a deadly sea
     lost = first_cut_off(level, open_tiles, side, len(stopped))
     if lost is not None:
         who = [*starts[:: len(shapes)], *others][lost].who

@@ -127,7 +127,7 @@ def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: l
         monster["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
     settings["ray_scale"] = monsters["distance_scale"].min(initial=1.0)
     angles = 2 * np.pi * np.arange(rays) / max(rays, 1)
-    settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounded, they are the same on any machine
+    settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
     settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
 
 

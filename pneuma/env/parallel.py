@@ -48,7 +48,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
         low = np.concatenate([space.low for space in self.worlds.spaces])
         high = np.concatenate([space.high for space in self.worlds.spaces])
-        self.state_space = spaces.Box(low, high, dtype=np.float32)  # of `state`
+        self.state_space = spaces.Box(low, high, dtype=np.float32)  # the space of `state`
         self._keyed = False
         self._set_up_rendering(self.worlds, render_mode, camera)
 

@@ -112,7 +112,7 @@ class Ways:
         enough = max(first - 2 * self._tile, self._tile)
         came: dict[Spot, tuple[Spot, int]] = {spot(place): (spot(place), -1)}
         best, nearest = spot(place), first
-        queue = [(first, first, 0, 0, place)]  # A*: first by the whole way, then by what is left of it
+        queue = [(first, first, 0, 0, place)]  # A*: by the whole length, then by the remaining one
         while queue and nearest > enough and len(came) < MOST_PLACES:
             _, length, _, steps, current = heappop(queue)
             if length < nearest:

@@ -73,7 +73,7 @@ class Hunter:
         walks = free & ~strike
         on_foot = self._lengths(worlds)
         order = np.where(np.isfinite(on_foot), on_foot, FARTHEST + np.hypot(x, y))
-        order = np.where(meets.any(axis=0), order - 2 * FARTHEST, order)  # first whom a turn is enough for
+        order = np.where(meets.any(axis=0), order - 2 * FARTHEST, order)  # first those that a turn meets
         nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
         dx, dy, length = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (x, y, on_foot))
         within_reach = np.take_along_axis(meets, nearest[None], -1)[..., 0]  # (4, N, P)

@@ -36,7 +36,7 @@ PANEL_GAP = 6  # art pixels between two things, and around all
 PANEL_LINE = 7
 PANEL_WIDTH = 360
 """Gap between items in the strip, in art pixels."""
-STRIDE = 40.0  # pixels that a body walks between two poses: a player's way in one agent step
+STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
 
@@ -82,7 +82,7 @@ class Renderer:
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
         self._size = width * self._factor, height * self._factor
         self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
-        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos want even sides
+        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos need even sides
         self._panel = (strip, self._size[0], 3) if panel else None
         self.size = self._size[0], self._size[1] + (strip if panel else 0)
 

@@ -57,7 +57,7 @@ entry: Any = cached(error_model="numpy")
 opening: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 part: Any = njit(**_UNCOUNTED, forceinline=True)
-merged: Any = njit(**_UNCOUNTED, inline="always")  # by numba, before compiling: for the few large ones
+merged: Any = njit(**_UNCOUNTED, inline="always")  # inlined by numba before compiling: for the few large ones
 typed_intrinsic: Any = intrinsic
 
 
@@ -1020,11 +1020,11 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     s.masks[w, p, ATTACK] = 1
     dash = s.settings[0].dash
     if dash >= 0:
-        ready = free and player.rest < s.settings[0].ticks  # at the latest in the step's last tick
+        ready = free and player.rest < s.settings[0].ticks  # possible up to the step's last tick
         s.masks[w, p, dash] = ready and (not hemmed_in or _may_walk(s, w, p, player.facing))
     if s.masks.shape[2] > HEAL:
         energy = player.energy
-        for _ in range(s.settings[0].ticks - 1):  # a spell may begin as late as the step's last tick
+        for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick
             energy = min(energy + stats.energy_gain, stats.energy)
         s.masks[w, p, FLAME] = free and energy >= stats.flame_cost
         s.masks[w, p, HEAL] = free and energy >= stats.heal_cost

@@ -142,7 +142,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
         if slots.world_over.any():
             self.state.reset(slots.world_over)
-            self._lengths[np.repeat(slots.world_over, slots.players)] = 0  # idle slots begin again as well
+            self._lengths[np.repeat(slots.world_over, slots.players)] = 0  # idle slots start again too
         self._show()
         return slots.observations, rewards, dones.copy(), infos
 

@@ -167,6 +167,6 @@ def parts_space(state: Worlds) -> spaces.Box:
     least, most = (-MOST_XP, MOST_XP) if config.xp_scope == "forever" else (-config.ending_cost, worth)
     circles = float(state.monsters.shape[1] * TICKS_PER_STEP)
     hp = max(most_hp(row, state.monster_stats, config) / float(row["hp"]) for row in state.player_stats)
-    lost = hp * TICKS_PER_STEP  # who is healed in between may lose all HP at every tick
+    lost = hp * TICKS_PER_STEP  # a player that is healed in between may lose all HP in every tick
     low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
     return spaces.Box(low, np.array([most, hp, worth, lost, circles, circles], np.float32), dtype=np.float32)

@@ -45,7 +45,7 @@ class Slots:
         given = np.asarray(actions)
         if given.dtype.kind in "iu" and given.size == self.count:
             whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
-            if whole.view(np.uint64).max() < self._action_count:  # below zero is huge without its sign
+            if whole.view(np.uint64).max() < self._action_count:  # negative numbers are huge as unsigned ones
                 return whole
         raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
 
@@ -69,7 +69,7 @@ class Slots:
             self.terminated = self.truncated = self._none
             self.world_over = self._none
             return False
-        present = worlds.present  # nobody is, in a world that had ended before
+        present = worlds.present  # none in a world that had already ended
         self.world_over = (worlds.worlds["ending"] != rules.RUNNING) & present.any(axis=1)
         died = present & (worlds.players["hp"] <= 0)
         over = present & self.world_over[:, None]

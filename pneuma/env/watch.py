@@ -62,7 +62,7 @@ class Window:
         asked = os.environ.get("SDL_VIDEODRIVER") or os.environ.get("SDL_VIDEO_DRIVER")
         try:
             pygame.display.init()
-            # Where there is no display SDL falls back to one that nobody sees, or could close.
+            # Without a display SDL falls back to an invisible one.
             if pygame.display.get_driver() in ("offscreen", "dummy") and not asked:
                 pygame.display.quit()
                 raise UserError("no window can be opened: there is no display here")
@@ -113,7 +113,7 @@ def _load_pygame() -> Any:
     """Import pygame-ce without its greeting and without looking for a sound card."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland complains aloud
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # avoids a warning of Wayland
     try:
         return importlib.import_module("pygame")
     except ImportError:
@@ -274,7 +274,7 @@ def fight_worlds() -> Worlds:
 
 
 # --- Videos ---------------------------------------------------------------------------------------
-# Frame by frame, so that a long video needs no more memory than a short one.
+# Frames are written one by one, so that long videos need no more memory than short ones.
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
@@ -324,7 +324,7 @@ def _write_mp4(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
         writer.close()
     try:
         ffmpeg.count_frames_and_secs(str(path))
-    except RuntimeError:  # nobody else tells that ffmpeg was cut short
+    except RuntimeError:  # ffmpeg does not report a truncated file
         raise OSError("ffmpeg did not come to its end: is the disk full?") from None
 
 
@@ -348,7 +348,7 @@ def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: floa
                 size = b"".join(side.to_bytes(2, "little") for side in (right, bottom))
                 file.write(b"GIF89a" + size + bytes(3) + b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
             start, end = (round(100 * edge / frames_per_second) for edge in (number, number + 1))
-            # Where there are no more than 256 colours anyway, this changes none.
+            # With at most 256 colours this changes none.
             piece = Image.fromarray(frame[top:bottom, left:right]).quantize(256, dither=Image.Dither.NONE)
             image = getdata(
                 piece, (left, top), duration=10 * (end - start), disposal=1, include_color_table=True

@@ -270,7 +270,7 @@ class Worlds:
         players["x"], players["y"] = self.level.starts[places].T
         players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
         for name, function, _ in self._custom:
-            with redirect_stdout(sys.stderr):  # where a command's document is no place for what it prints
+            with redirect_stdout(sys.stderr):  # standard output is for a command's document
                 custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
 
     @property

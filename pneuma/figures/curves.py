@@ -128,7 +128,7 @@ def settle(
         names = tuple(name for name in wanted if name in known) or (*known[:1],) or ("return",)
         names = names[:1] if len(data.conditions) > style.MOST_IN_A_PANEL else names
     if not set(names) & set(EPISODE_QUANTITIES):
-        window = data.windows[0]  # nothing that is drawn is read in a window of one's choice
+        window = data.windows[0]  # no drawn quantity depends on the window
     return Drawing(names, band or BAND_NAMES[0], window)
 
 
@@ -281,7 +281,7 @@ def _draw_means(
         whole = curve.count == len(curve.runs)
         if _shows_band(curve, band):
             low, high = curve.band(band)
-            if band in LEAST_COVERAGE:  # those that are left where others diverged are no sample
+            if band in LEAST_COVERAGE:  # the remaining runs are no fair sample
                 low = np.where(whole, low, np.nan)
             axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
         if _shows_runs(curve, band):
@@ -312,7 +312,7 @@ def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]
     if QUANTITIES[name].log and highest > 0:
         axes.set_yscale("log", nonpositive="clip")
         low, high = axes.get_ylim()
-        if high < 10 * low:  # within a decade powers of ten alone would label one place or none
+        if high < 10 * low:  # within a decade, powers of ten would label one tick or none
             axes.yaxis.set_major_locator(MaxNLocator(4))
             axes.yaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -83,7 +83,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     `beside` gives for a study's name the imported logs to draw with it.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged one
+    known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged index
     entries = [*_draw_environment(folder), *_write_settings(folder)]
     studies = open_published(results)
     stems = Counter(data.figure for data in studies)

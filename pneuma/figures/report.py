@@ -104,7 +104,7 @@ def report_page(
         )
         for place in verdicts.PLACES
     }
-    run_places: dict[str, tuple[str, int]] = {}  # the record and row where a run has its place: the first
+    run_places: dict[str, tuple[str, int]] = {}  # the record and row that show a run: the first
     for study in studies:
         for part in study["parts"]:
             for row, (run_id, *_) in enumerate(part.runs):

@@ -34,7 +34,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 INK, GREY = "#222222", "#777777"
 
 _RC: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that words are as wide everywhere
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that text has the same width everywhere
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.spines.top": False,

@@ -210,7 +210,7 @@ def _read(path: Path, name: str, file: str) -> RecordedSearch:
         searched = RecordedSearch(
             task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"]))
         )
-        ended_study(searched.trials, search)  # refuses parameters and values that the search cannot have had
+        ended_study(searched.trials, search)  # refuses parameters and values that do not fit the search
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError(
             f"{path}: damaged; without it `pneuma search run` writes it anew, and trains nothing twice"

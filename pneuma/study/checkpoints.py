@@ -173,7 +173,7 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)
-    except Exception:  # whatever untrusted bytes lead the readers of JSON, safetensors and Parquet to
+    except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
     run, history = file.path.parent.parent.name, about["history"]
     whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and fits(history, History)

@@ -197,7 +197,7 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
     points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
     steps = points["step"][points["tag"].str.startswith(AGENT_STEPS) & ~points["superseded"]]
-    seconds = points["second"][points["second"].between(1, 1e11)]  # later is no clock's: the year 5138
+    seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
     first, last = (seconds.min(), seconds.max()) if len(seconds) else (0.0, 0.0)
     provenance = {
         "imported": SOURCE,
@@ -230,7 +230,7 @@ def read_event_file(path: Path) -> list[Scalar]:
         raise UserError(needed) from None
     scalars: list[Scalar] = []
     plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
-    with suppress(Exception):  # whatever a length or a message that was made up leads to is damage
+    with suppress(Exception):  # any error from an invalid length or message means damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
             for value in event.summary.value:

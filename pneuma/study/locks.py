@@ -37,7 +37,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
     descriptor = _open(path, os.O_RDWR | os.O_CREAT)
     try:
         while (mine := _take(descriptor)) and not _is_there(path, descriptor):
-            os.close(descriptor)  # its holder let go, and removed the file, after it was opened here
+            os.close(descriptor)  # its holder released and removed it after it was opened here
             descriptor = _open(path, os.O_RDWR | os.O_CREAT)
         yield mine
     finally:

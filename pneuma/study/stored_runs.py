@@ -110,7 +110,7 @@ def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
         return as_fields(make_run(chosen))
-    except UserError:  # of another version of Pneuma's
+    except UserError:  # from another version of Pneuma
         return as_fields(make_run({}))
 
 

@@ -67,7 +67,7 @@ def main() -> int:
     stop = threading.Event()
     threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # whatever a library prints is no event
+    os.dup2(2, 1)  # what libraries print is no event
     runs = {name: make_run(settings) for name, settings in job.pop("runs").items()}
     store = Store(Path(job.pop("results")))
     return train_group(Job(store, runs, **job), Reporter(events), stop)
@@ -216,11 +216,11 @@ def _listen(lifeline: TextIO, stop: threading.Event) -> None:
 def die_with(parent: int) -> None:
     """Let the system kill this process when its parent ends, even during a long computation."""
     if sys.platform != "linux":
-        return  # the lifeline must do
+        return  # only the lifeline works there
     parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
     ctypes.CDLL(None).prctl(parent_death_signal, signal.SIGKILL)
     if os.getppid() != parent:
-        os._exit(1)  # it went before
+        os._exit(1)  # the parent had already ended
 
 
 if __name__ == "__main__":

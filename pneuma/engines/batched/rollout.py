@@ -295,7 +295,7 @@ def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chos
             count += 1
             tape.episodes[i] += 1
             tape.returns[i] = 0.0
-        if ended or over[w]:  # slots that idled begin again as well
+        if ended or over[w]:  # idle slots start again too
             tape.lengths[i] = 0
         tape.idle[i] = not present and not over[w]
     if any_over:

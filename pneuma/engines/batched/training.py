@@ -42,7 +42,7 @@ class BatchedTrainer:
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         if not self.learner.is_finite(metrics):
             return False
-        is_last = after == self.run.updates * self.run.steps_per_update  # what overflows shows in the next
+        is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
         return not (is_last and overflows(self.policy(), self.collector.observations))
 
     def evaluate(self, step: int) -> Row:

@@ -212,14 +212,14 @@ class Supervisor:
             name, kind = event["run_id"], event["event"]
             worker.task.group[name]
         except (ValueError, KeyError, TypeError):
-            worker.kill()  # it has gone astray; reading on finds its end
+            worker.kill()  # it sends invalid events; reading on finds its end
             return
         if kind == "busy":
             worker.busy.add(name)
             if not worker.task.busy:
                 lock = self._store.run_folder(name) / ".lock"
                 self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
-        elif kind == "end" and event["status"] == "crashed":  # judged when the worker's lock has gone
+        elif kind == "end" and event["status"] == "crashed":  # judged after the worker has released its lock
             worker.crashed[name] = event
         else:
             if kind == "end":
@@ -231,7 +231,7 @@ class Supervisor:
         code, words = worker.bury()
         group, tries = worker.task.group, worker.task.tries
         silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
-        begun = {*silent[:1], *worker.crashed}  # a group is trained in its order
+        begun = {*silent[:1], *worker.crashed}  # groups are trained in order
         if not self._interrupts.count:
             self._tasks += [_Task({name: group[name]}, tries, busy=True) for name in worker.busy]
         for name in (*silent, *worker.crashed):
@@ -240,7 +240,7 @@ class Supervisor:
                 self._on_event(crash or end_event(name, Status("stopped")))
             elif name not in begun:
                 self._tasks.append(_Task({name: group[name]}, tries))
-            elif tries < TRIES:  # alone: one that crashes takes no other along again
+            elif tries < TRIES:  # alone, so that a crash affects no other run
                 self._tasks.append(_Task({name: group[name]}, tries + 1))
                 why = f"crashed ({crash['reason']})" if crash else _reason(code)
                 self._note(name, f"{why}; tried once more")
@@ -291,7 +291,7 @@ class _Worker:
         self.ended, self.busy = set[str](), set[str]()
         self.crashed: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
-        signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # which it inherits
+        signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # inherited by the worker
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pneuma.study.worker"],
@@ -320,7 +320,7 @@ class _Worker:
 
     def tell(self, line: str) -> None:
         """Send the worker a line: the job, or `stop`."""
-        with suppress(BrokenPipeError):  # it is gone already: reading from it will tell
+        with suppress(BrokenPipeError):  # it has ended; reading from it will show that
             self._orders.write(line.encode() + b"\n")
 
     def kill(self) -> None:

@@ -150,7 +150,7 @@ def join(address: str | None) -> None:
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # it lies here, compiled
+        code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
         ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
     else:
@@ -159,7 +159,7 @@ def join(address: str | None) -> None:
             socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
             code = {"py_modules": [str(CODE)], "excludes": ["__pycache__"]}
             ray.init(address, runtime_env=code, **quiet)
-        except Exception as error:  # of Ray's there are many kinds
+        except Exception as error:  # Ray raises many kinds of errors
             raise UserError(
                 f"--address {address}: no cluster can be joined there ({error}); give the address that "
                 "`ray start --head` printed, on a machine of the cluster"

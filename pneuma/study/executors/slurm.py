@@ -143,7 +143,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
             folder.mkdir(parents=True, exist_ok=True)
             replace_files(folder, {NOTE: to_json([list(group) for group in array])})  # none is forgotten
             executor.submit_array([Training(group, shared, how) for group in array])
-        except Exception as error:  # submitit has many kinds; it has printed what sbatch said
+        except Exception as error:  # submitit raises many kinds; it has printed sbatch's message
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
 
@@ -159,7 +159,7 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
 
     printed = f"what it printed lies in {_folder(store)}, the same command submits it again"
     watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}")
-    with suppress(UserError):  # what is not put away now will be next time
+    with suppress(UserError):  # remaining files are removed next time
         _put_away(store, queued(store))
 
 
