@@ -9,15 +9,28 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from pneuma import __version__
 from pneuma.cli import env, misc, runs, search, study
 from pneuma.errors import UserError, plain
 
+COMMANDS = ("study", "run", "search", "env", "report", "import", "bench", "doctor")
+"""In the order of the help; Typer's own puts groups last."""
+
+
+class _Ordered(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands in the order of the help."""
+        return [*COMMANDS]
+
+
 app = typer.Typer(
     name="pneuma",
+    cls=_Ordered,
     help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
     no_args_is_help=True,
     add_completion=True,
