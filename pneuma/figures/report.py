@@ -98,7 +98,7 @@ def report_page(
     )
     counts = {
         place: Counter(
-            verdicts_by_place[place].verdict
+            verdicts_by_place[place].standing
             for verdicts_by_place in claims.values()
             if place in verdicts_by_place
         )

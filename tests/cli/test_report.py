@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from pneuma.analysis.judgement import STANDINGS
 from pneuma.config import as_fields, make_run
-from pneuma.figures.verdicts import MEANINGS
 from pneuma.study import spec
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
@@ -60,9 +60,9 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
             assert (f"pneuma study run {name} --world {world}" in words) is (world in known)
     assert page.all("img") == []
     document = described("study", "verify", "--results", store.root, "--json")
-    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: len(MEANINGS) * len(WORLDS)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in WORLDS for word in MEANINGS]
+    counted = Counter((claim["world"], claim["standing"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: len(STANDINGS) * len(WORLDS)]
+    assert [int(cell) for cell in rows] == [counted[place, word] for place in WORLDS for word in STANDINGS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
     assert document["claims_hash"] in words
