@@ -21,7 +21,7 @@ from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError, counted, plain
 from pneuma.figures.report import Part, numbers_table, study_pictures
 from pneuma.figures.verdicts import Verdicts, judged_claims
-from pneuma.study import execute, plan, spec
+from pneuma.study import execute, spec
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import default_settings
 from pneuma.values import shown_settings, shown_value
@@ -86,9 +86,7 @@ def _part(store: Store, study: str, world: str) -> Part:
     name, shipped = in_world(study, world), study in spec.list_studies()
     part, train = Part(name, f"In {WORLDS[world].title}"), spec.run_command(name)
     if name not in known_studies(store):
-        record = execute.selection_record(plan.make_plan(spec.load_study(study, world), plan.Selection()))
         part.notes, part.mend = ["No runs yet."], train
-        part.conditions = _conditions(study, name, record)
         return part
     try:
         record = study_record(store, name)
