@@ -13,7 +13,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 from annotated_types import Interval, Len
@@ -386,7 +386,7 @@ def evaluation_config(run: Run) -> EnvConfig:
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:
     """Return a configuration as a flat dictionary for JSON, which `make_run` reads."""
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(config).items()}
+    return {key: list(v) if isinstance(v, tuple) else v for key, v in vars(config).items()}
 
 
 def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:

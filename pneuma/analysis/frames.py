@@ -231,11 +231,13 @@ class StudyData:
             known = ", ".join((*self.tables, "curves"))
             raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {known}")
         naming = ("condition", "seed", "run_id")
-        frames = [
-            run.records.table(name).assign(**{key: getattr(run, key) for key in naming}) for run in self.runs
-        ]
-        frame = pd.concat(frames, ignore_index=True)
-        return frame[[*naming, *(column for column in frame if column not in naming)]]
+        tables = [run.records.table(name) for run in self.runs]
+        frame = pd.concat(tables, ignore_index=True)
+        runs = pd.DataFrame({key: [getattr(run, key) for run in self.runs] for key in naming})
+        named = runs.loc[np.repeat(np.arange(len(tables)), [len(table) for table in tables])]
+        return pd.concat(
+            [named.reset_index(drop=True), frame.drop(columns=[*naming], errors="ignore")], axis=1
+        )
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
