@@ -26,10 +26,10 @@ CAPTION = 0.78
 LINE_INCHES = TYPE_POINTS * 1.5 / 72
 """Height of a line of text in inches."""
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230", "#4D4D4D")
 """After Okabe and Ito, for colour-blind readers; distinct from the greys of references."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""One marker per colour, so that lines can be told apart in grey."""
+"""So that lines can be told apart in grey."""
 
 INK, GREY = "#222222", "#777777"
 
@@ -91,7 +91,7 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
 
 # --- Conditions --------------------------------------------------------------------------------------
 
-MOST_IN_A_PANEL = len(COLOURS)
+MOST_IN_A_PANEL = len(MARKERS)
 """Most conditions in one panel; with more, each has a panel of its own."""
 
 _OWN_PLACES = {
@@ -123,9 +123,11 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
             places[kind] = _OWN_PLACES[kind]
     free = (place for place in range(len(kinds)) if place not in places.values())
     places |= {kind: next(free) for kind in dict.fromkeys(kinds.values()) if kind not in places}
-    count = len(COLOURS)
     return {
-        name: {"color": COLOURS[places[kind] % count], "marker": MARKERS[places[kind] % count]}
+        name: {
+            "color": COLOURS[places[kind] % len(COLOURS)],
+            "marker": MARKERS[places[kind] % len(MARKERS)],
+        }
         for name, kind in kinds.items()
     }
 
