@@ -51,5 +51,6 @@ def _commands() -> str:
 def _modules() -> str:
     """Return a page of the modules that docs/python.md calls."""
     calls = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    names = sorted({*re.findall(r"^from (pneuma[\w.]*) import", calls, re.MULTILINE)})
+    found = {*re.findall(r"^from (pneuma[\w.]*) import", calls, re.MULTILINE)}
+    names = sorted(found, key=lambda name: (name != "pneuma.api", name))
     return "# Modules\n\n" + "\n".join(f"::: {name}\n" for name in names)
