@@ -49,13 +49,13 @@ class Finding:
     Attributes:
         check: what was looked at.
         state: good; note, for what is worth knowing and stops nothing; or broken.
-        told: what was found.
+        found: what was found.
         mend: what to do about it, if anything.
     """
 
     check: str
     state: str
-    told: str
+    found: str
     mend: str = ""
 
 

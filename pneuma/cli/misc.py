@@ -56,7 +56,7 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     if json:
         print_json({"ok": sound, "checks": findings})
     else:
-        rows = [(each.check, each.state, each.told, each.mend and f"-> {each.mend}") for each in findings]
+        rows = [(each.check, each.state, each.found, each.mend and f"-> {each.mend}") for each in findings]
         print_table([""] * 4, rows)
         begin = "All that Pneuma needs is here. Begin with: pneuma study run activation"
         print(f"\n{begin}" if sound else "\nSomething that Pneuma needs is broken: mend it, then ask again.")

@@ -245,7 +245,7 @@ def blamed(what: str) -> Iterator[None]:
     except UserError:
         raise
     except (Exception, SystemExit) as error:
-        raise UserError(f"{what}: {told(error)}") from None
+        raise UserError(f"{what}: {one_line(error)}") from None
 
 
 def _register_installed(namespace: str) -> None:
@@ -287,7 +287,7 @@ def wrapper_files(names: Sequence[str]) -> list[Path]:
     return [path for name in names for path in module_files(name.rpartition(":")[0])]
 
 
-def told(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """Return an error as one line."""
     lines = str(error).strip().splitlines()
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -76,10 +76,10 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             ResetNeeded: when the first reset leaves out some worlds.
         """
-        told = options or {}
-        starts = chosen_starts(self.state, told.get("start"))
+        given = options or {}
+        starts = chosen_starts(self.state, given.get("start"))
         seeds = self._seeds(seed)
-        mask = self._reset_mask(told.get("reset_mask"))
+        mask = self._reset_mask(given.get("reset_mask"))
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=None if seeds is None else seeds[0])
