@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -40,28 +40,12 @@ HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
 # --- Effects ---------------------------------------------------------------------------------------
 
 
-class Effect(NamedTuple):
-    """A main effect of one factor, or an interaction of two.
-
-    Attributes:
-        degrees: of freedom, of the effect and of the errors.
-        statistic: its F; inf without errors.
-        p_value: by permutation; NaN if the design cannot separate it from other effects.
-        share: of the variance that the other effects leave (partial R²).
-    """
-
-    factors: tuple[str, ...]
-    degrees: tuple[int, int]
-    statistic: float
-    p_value: float
-    share: float
-
-
 @dataclass(frozen=True)
 class Effects:
     """All main effects and two-way interactions of a crossed study.
 
     Attributes:
+        table: of `factorial`, with p-values also corrected over all effects by Holm's method.
         means: the means of each factor's levels, with equal weight for each cell.
         cells: number of combinations of levels.
         runs: number of runs with a value of the outcome.
@@ -69,30 +53,11 @@ class Effects:
     """
 
     outcome: str
+    table: pd.DataFrame
     means: Mapping[str, Mapping[str, float]]
     cells: int
     runs: int
     without: int
-    effects: Sequence[Effect]
-
-    def table(self) -> pd.DataFrame:
-        """Return one row per effect, with its p-value also corrected over all effects by Holm's method."""
-        corrected = holm([effect.p_value for effect in self.effects])
-        return pd.DataFrame(
-            {
-                "effect": " × ".join(effect.factors),
-                "levels": " × ".join(str(len(self.means[factor])) for factor in effect.factors),
-                "outcome": self.outcome,
-                "df": effect.degrees[0],
-                "df_error": effect.degrees[1],
-                "f": effect.statistic,
-                "partial_r2": effect.share,
-                "p": effect.p_value,
-                "p_holm": p,
-                "runs": self.runs,
-            }
-            for effect, p in zip(self.effects, corrected, strict=True)
-        )
 
 
 def study_effects(data: StudyData, name: str | None = None) -> Effects:
@@ -104,32 +69,31 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
     """
     name = name or primary(data)
     refuse_unlike_returns(data, name)
-    factors, levels = find_crossing(data)
-    found: dict[tuple[str, ...], dict[str, float]] = {}
-    for condition, cell in levels.items():  # a run that two conditions share counts once
-        ids = [run.run_id for run in data.of_condition(condition)]
-        found.setdefault(cell, {}).update(zip(ids, _values(data, condition, name), strict=True))
-    every = [(cell, value) for cell, outcomes in found.items() for value in outcomes.values()]
-    known = [(cell, value) for cell, value in every if not np.isnan(value)]
-    means_of = {cell: [value for of, value in known if of == cell] for cell in found}
-    if empty := next((cell for cell, outcomes in means_of.items() if not outcomes), None):
+    factors, cells = find_crossing(data)
+    runs = {  # one that two conditions share counts once
+        run.run_id: (cell, value)
+        for condition, cell in cells.items()
+        for run, value in zip(data.of_condition(condition), _values(data, condition, name), strict=True)
+    }
+    known = [(cell, value) for cell, value in runs.values() if not np.isnan(value)]
+    values, index = [value for _, value in known], [cell for cell, _ in known]
+    if empty := next((cell for cell in cells.values() if cell not in index), None):
         raise UserError(f"outcome {name}: no finished run of {', '.join(empty)} has it; every cell needs one")
-    columns = {factor: [cell[i] for cell, _ in known] for i, factor in enumerate(factors)}
-    generator = np.random.default_rng(stream_seed("effects", name))
-    effects = factorial([value for _, value in known], columns, generator)
-    if any(effect.degrees[1] < 1 for effect in effects):
+    levels = {factor: [cell[i] for cell in index] for i, factor in enumerate(factors)}
+    table = factorial(values, levels, np.random.default_rng(stream_seed("effects", name)))
+    if (table["df_error"] < 1).any():
         raise UserError(
-            f"study {data.study}: {len(known)} runs in {len(found)} cells leave nothing to tell an effect "
+            f"study {data.study}: {len(known)} runs in {len({*index})} cells leave nothing to tell an effect "
             "from chance; run it with more --seeds"
         )
-    cells = {cell: float(np.mean(outcomes)) for cell, outcomes in means_of.items()}
+    table.insert(2, "outcome", name)
+    table = table.assign(p_holm=holm(table["p"]), runs=len(known))
+    by_cell = pd.Series(values, pd.MultiIndex.from_tuples(index)).groupby(level=[*range(len(factors))]).mean()
     means = {
-        factor: {
-            level: float(np.mean([cells[cell] for cell in cells if cell[i] == level])) for level in levels
-        }
-        for i, (factor, levels) in enumerate(factors.items())
+        factor: {level: float(by_cell.xs(level, level=i).mean()) for level in names}
+        for i, (factor, names) in enumerate(factors.items())
     }
-    return Effects(name, means, len(cells), len(known), len(every) - len(known), effects)
+    return Effects(name, table, means, len(by_cell), len(known), len(runs) - len(known))
 
 
 def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
@@ -168,8 +132,8 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
 
 def factorial(
     values: ArrayLike, factors: Mapping[str, Sequence[str]], generator: np.random.Generator
-) -> list[Effect]:
-    """Return all main effects and two-way interactions.
+) -> pd.DataFrame:
+    """Return all main effects and two-way interactions, one a row.
 
     Each effect is tested with the others in the model, by permuting the residuals of the model without it
     (Freedman and Lane 1983). The test is exact if there are no other effects, and close otherwise. Levels are
@@ -180,6 +144,11 @@ def factorial(
         values: (runs,) finite numbers.
         factors: by name, the (runs,) levels of each run; balanced or not.
         generator: draws the permutations.
+
+    Returns:
+        Columns effect and levels (the factors, and how many levels each has), df and df_error (degrees of
+        freedom of the effect and of the errors), f (inf without errors), partial_r2 (share of the variance
+        that the other effects leave) and p (NaN if the design cannot separate the effect from others).
     """
     runs = finite(values)
     coded: dict[tuple[str, ...], np.ndarray] = {
@@ -190,11 +159,12 @@ def factorial(
         coded[one, other] = both.reshape(runs.size, -1)
     shuffles = np.argsort(generator.random((DRAWS, runs.size)), axis=1)
     constant = np.ones((runs.size, 1))
-    found = []
+    rows = []
     for names, columns in coded.items():
         others = np.hstack([constant, *(each for term, each in coded.items() if term != names)])
-        found.append(Effect(names, *_test(runs, others, columns, shuffles)))
-    return found
+        levels = " × ".join(str(len({*factors[name]})) for name in names)
+        rows.append((" × ".join(names), levels, *_test(runs, others, columns, shuffles)))
+    return pd.DataFrame(rows, columns=["effect", "levels", "df", "df_error", "f", "partial_r2", "p"])
 
 
 def _deviations(levels: Sequence[str]) -> np.ndarray:
@@ -205,16 +175,16 @@ def _deviations(levels: Sequence[str]) -> np.ndarray:
 
 def _test(
     runs: np.ndarray, others: np.ndarray, columns: np.ndarray, shuffles: np.ndarray
-) -> tuple[tuple[int, int], float, float, float]:
-    """Return degrees of freedom, F, p-value and partial R² of an effect's columns, given the others."""
+) -> tuple[int, int, float, float, float]:
+    """Return degrees of freedom, F, partial R² and p-value of an effect's columns, given the others."""
     reduced, full = (linalg.orth(each, rcond=1e-9) for each in (others, np.hstack([others, columns])))
     gained, left = full.shape[1] - reduced.shape[1], runs.size - full.shape[1]
     degrees = columns.shape[1], left
     if gained < columns.shape[1] or left < 1:
-        return degrees, np.nan, np.nan, np.nan
+        return *degrees, np.nan, np.nan, np.nan
     residuals = runs - reduced @ (reduced.T @ runs)
     if np.abs(residuals).max() <= 1e-12 * max(1.0, np.abs(runs).max()):
-        return degrees, np.nan, 1.0, np.nan
+        return *degrees, np.nan, np.nan, 1.0
     # The fitted part lies in both models, so it does not change their residuals.
     samples = np.vstack([residuals, residuals[shuffles]])  # (1 + draws, runs)
     tiny = 1e-12 * (residuals**2).sum()
@@ -223,51 +193,33 @@ def _test(
     taken = np.where(before - after > tiny, before - after, 0.0)  # rounding is not counted
     statistic = taken / gained / (after / left)
     p_value = float((statistic >= statistic[0] * (1 - 1e-9)).mean())
-    return degrees, float(statistic[0]) if after[0] > tiny else np.inf, p_value, float(taken[0] / before[0])
+    f = float(statistic[0]) if after[0] > tiny else np.inf
+    return *degrees, f, float(taken[0] / before[0]), p_value
 
 
 # --- The robustness map ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One combination of the factors' levels.
-
-    Attributes:
-        levels: of every field in which the cells differ.
-        better, worse: the condition that is claimed to do better, and the other one.
-        contrast: the first minus the second, with the sign such that above 0 is as claimed.
-        p: Holm-corrected over the map, two-sided.
-    """
-
-    levels: Mapping[str, Any]
-    better: str
-    worse: str
-    contrast: Contrast
-    p: float
-
-    @property
-    def label(self) -> str:
-        """'holds', 'reversed' or 'open'."""
-        if self.p > LEVEL or not np.isfinite(self.contrast.effect):
-            return OPEN
-        return HOLDS if self.contrast.effect > 0 else REVERSED
-
-
-@dataclass(frozen=True)
 class Map:
-    """A contrast in all its cells, in the study's order.
+    """A contrast in all combinations of the other factors' levels.
 
     Attributes:
         setting: the field in which the two conditions of a cell differ.
         values: the value that is claimed to be better, and the other one.
         outcome: by which they are compared.
+        factors: the fields in which cells differ.
+        cells: one row each, in the study's order: levels, both conditions, and their difference, which is
+            above 0 if it is as claimed. P-values are two-sided and Holm-corrected over the map.
+        runs: number of runs of each arm.
     """
 
     setting: str
     values: tuple[Any, Any]
     outcome: str
-    cells: Sequence[Cell]
+    factors: tuple[str, ...]
+    cells: pd.DataFrame
+    runs: tuple[int, ...]
 
     @property
     def label(self) -> str:
@@ -276,30 +228,10 @@ class Map:
         Robust if every cell holds; conditional if some hold and some are reversed; partial if some hold and
         the others are open; reversed if some are reversed and none holds; otherwise undecided.
         """
-        labels = {cell.label for cell in self.cells}
+        labels = {*self.cells["label"]}
         if HOLDS in labels:
             return "robust" if labels == {HOLDS} else "conditional" if REVERSED in labels else "partial"
         return "reversed" if REVERSED in labels else "undecided"
-
-    def table(self) -> pd.DataFrame:
-        """Return one row per cell."""
-        return pd.DataFrame(
-            {
-                **{key: shown_value(level) for key, level in cell.levels.items()},
-                "better": cell.better,
-                "worse": cell.worse,
-                "outcome": self.outcome,
-                "value": cell.contrast.effect,
-                "low": cell.contrast.interval.low,
-                "high": cell.contrast.interval.high,
-                "interval": cell.contrast.interval.method,
-                "p": cell.p,
-                "runs": f"{cell.contrast.seeds[0]} and {cell.contrast.seeds[1]}",
-                "label": cell.label,
-                "reason": cell.contrast.reason,
-            }
-            for cell in self.cells
-        )
 
 
 def robustness_map(
@@ -344,12 +276,32 @@ def robustness_map(
         refuse_unlike_returns(data, outcome, pair)
     factors = _differing([settings[one] for one, _ in pairs])
     contrasts = [_contrast(data, *pair, outcome, direction) for pair in pairs]
-    corrected = map(float, holm([contrast.p_different for contrast in contrasts]))
+    corrected = holm([contrast.p_different for contrast in contrasts])
     cells = [
-        Cell({key: settings[pair[0]].get(key) for key in factors}, *pair, contrast, p)
+        {
+            **{key: shown_value(settings[pair[0]].get(key)) for key in factors},
+            "better": pair[0],
+            "worse": pair[1],
+            "outcome": outcome,
+            "value": contrast.effect,
+            "low": contrast.interval.low,
+            "high": contrast.interval.high,
+            "interval": contrast.interval.method,
+            "p": float(p),
+            "runs": f"{contrast.seeds[0]} and {contrast.seeds[1]}",
+            "label": _label(contrast.effect, p),
+            "reason": contrast.reason,
+        }
         for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)
     ]
-    return Map(setting, values, outcome, cells)
+    runs = tuple(count for contrast in contrasts for count in contrast.seeds)
+    return Map(setting, values, outcome, tuple(factors), pd.DataFrame(cells), runs)
+
+
+def _label(effect: float, p: float) -> str:
+    if p > LEVEL or not np.isfinite(effect):
+        return OPEN
+    return HOLDS if effect > 0 else REVERSED
 
 
 def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction: float) -> Contrast:

@@ -296,10 +296,9 @@ def effects(
     from pneuma.analysis.frames import common_step
 
     found = study_effects(data, outcome)
-    table = found.table()
     if json:
         document = {key: getattr(found, key) for key in ("outcome", "cells", "runs", "means")}
-        more = {"runs_without_outcome": found.without, "at_step": common_step(data), "effects": table}
+        more = {"runs_without_outcome": found.without, "at_step": common_step(data), "effects": found.table}
         return print_json({"study": data.study, **document, **more})
     from pneuma.analysis.intervals import decimals, shown
 
@@ -307,7 +306,7 @@ def effects(
     say(f"{data.title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
     print()
     rows = []
-    for row in table.to_dict("records"):
+    for row in found.table.to_dict("records"):
         f = "endless" if math.isinf(row["f"]) else shown(row["f"], 2)
         tested = f, shown(row["partial_r2"], 3), f"{row['p']:.4f}", f"{row['p_holm']:.4f}"
         rows.append((row["effect"], row["levels"], f"{row['df']}, {row['df_error']}", *tested))
@@ -372,7 +371,7 @@ def robustness(
     if json:
         values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
         document = {"study": data.study, "contrast": values, "outcome": found.outcome, "label": found.label}
-        more = {"turned": turned, "at_step": common_step(data), "cells": found.table(), "figures": files}
+        more = {"turned": turned, "at_step": common_step(data), "cells": found.cells, "figures": files}
         return print_json({**document, **more})
     from pneuma.analysis.intervals import shown_with_interval
 
@@ -380,11 +379,10 @@ def robustness(
     of = found.outcome + (" (turned, as less is better)" if turned else "")
     say(f"{data.title}: {found.setting} {against}, {of}: {found.label}")
     rows = []
-    for cell in found.cells:
-        levels = ", ".join(f"{key} {shown_level(level)}" for key, level in cell.levels.items()) or cell.better
-        interval = cell.contrast.interval
-        effect = shown_with_interval(cell.contrast.effect, interval.low, interval.high)
-        rows.append((levels, effect, f"{cell.p:.3f}", cell.label))
+    for cell in found.cells.to_dict("records"):
+        levels = ", ".join(f"{key} {shown_level(cell[key])}" for key in found.factors) or cell["better"]
+        effect = shown_with_interval(cell["value"], cell["low"], cell["high"])
+        rows.append((levels, effect, f"{cell['p']:.3f}", cell["label"]))
     print_table(("cell", f"difference of {_with_unit(found.outcome)}", "p (Holm)", ""), rows)
     print("Each interval is at 95 % by itself; p and the label are corrected over the map (Holm).")
     _tell_step(data)

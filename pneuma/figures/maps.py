@@ -67,7 +67,7 @@ def draw_robustness(
         for axes in panels[len(maps) :]:
             axes.remove()
         inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
-        cells = [cell.label for found in maps for cell in found.cells]
+        cells = [label for found in maps for label in found.cells["label"]]
         entries = {
             f"{label} ({cells.count(label)})": Line2D([], [], linestyle="", markersize=4.5, **look)
             for label, look in LOOKS.items()
@@ -80,14 +80,15 @@ def draw_robustness(
 def _draw_map(axes: Axes, found: Map) -> None:
     """Draw one row per cell, named by its levels; the axis names their factors."""
     axes.axvline(0, color=INK, linewidth=0.8)
-    for place, cell in enumerate(found.cells):
-        look, interval = LOOKS[cell.label], cell.contrast.interval
-        if np.isfinite([interval.low, interval.high]).all():
-            axes.plot([interval.low, interval.high], [place, place], color=look["color"], linewidth=1.3)
-        axes.plot([cell.contrast.effect], [place], linestyle="", markersize=4.5, **look)
-    labels = [", ".join(shown_level(level) for level in cell.levels.values()) for cell in found.cells]
+    rows = found.cells.to_dict("records")
+    for place, cell in enumerate(rows):
+        look, ends = LOOKS[cell["label"]], [cell["low"], cell["high"]]
+        if np.isfinite(ends).all():
+            axes.plot(ends, [place, place], color=look["color"], linewidth=1.3)
+        axes.plot([cell["value"]], [place], linestyle="", markersize=4.5, **look)
+    labels = [", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in rows]
     label_rows(axes, labels, ROW_INCHES)
-    factors = ", ".join(found.cells[0].levels)
+    factors = ", ".join(found.factors)
     axes.text(
         -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
     )
@@ -114,7 +115,7 @@ def _read(field: str) -> str:
 def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     outcome = find_outcome(maps[0].outcome)
     turned = " (turned, as less is better)" if outcome.better == "lower" else ""
-    runs = runs_told(runs for found in maps for cell in found.cells for runs in cell.contrast.seeds)
+    runs = runs_told(runs for found in maps for runs in found.runs)
     step = common_step(data)
     return [
         f"Differences of means in {outcome.words}{turned}, {runs} runs an arm, with 95 % intervals.",

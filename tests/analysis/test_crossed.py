@@ -11,7 +11,6 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.crossed import (
-    Effects,
     Map,
     factorial,
     find_crossing,
@@ -60,25 +59,17 @@ def two_by_two() -> Conditions:
 # --- Effects --------------------------------------------------------------------------------------
 
 
-def told(found: Effects) -> dict[tuple[str, ...], tuple[float, ...]]:
-    return {
-        tuple(sorted(effect.factors)): (effect.statistic, effect.share, effect.p_value, corrected)
-        for effect, corrected in zip(found.effects, found.table()["p_holm"], strict=True)
-    }
-
-
 def test_effects_of_a_two_by_two_design_by_hand(tmp_path: Path) -> None:
     """Of 8 runs an effect e has the sum of squares 8 e²; the errors, of 4 degrees, 8 d²: F = 4 e²/d²."""
     found = study_effects(stored(tmp_path, two_by_two()))
-    assert [effect.degrees for effect in found.effects] == [(1, 4)] * 3
-    (f_x, share_x, p_x, _), (f_xy, share_xy, p_xy, _), (f_y, share_y, p_y, _) = (
-        told(found)[names] for names in (("learning_rate",), ("learning_rate", "scale"), ("scale",))
-    )
-    assert (f_x, f_xy, f_y) == pytest.approx((16, 4, 0))
-    assert (share_x, share_xy, share_y) == pytest.approx((0.8, 0.5, 0))  # e² / (e² + d²)
-    assert p_x < 0.05 < p_xy < p_y == pytest.approx(1)
-    assert told(found)["learning_rate",][3] == pytest.approx(3 * p_x)
-    assert told(found)["learning_rate", "scale"][3] == pytest.approx(2 * p_xy)
+    effects = found.table.set_index("effect")
+    assert (*effects["df"], *effects["df_error"]) == (1, 1, 1, 4, 4, 4)
+    x, xy, y = "learning_rate", "learning_rate × scale", "scale"
+    assert effects["f"][[x, xy, y]].tolist() == pytest.approx([16, 4, 0])
+    assert effects["partial_r2"][[x, xy, y]].tolist() == pytest.approx([0.8, 0.5, 0])  # e² / (e² + d²)
+    p = effects["p"]
+    assert p[x] < 0.05 < p[xy] < p[y] == pytest.approx(1)
+    assert effects["p_holm"][[x, xy]].tolist() == pytest.approx([3 * p[x], 2 * p[xy]])
     assert (found.cells, found.runs, found.without) == (4, 8, 0)
     assert found.means["learning_rate"] == pytest.approx({"0.0001": 0.4, "0.001": 0.6})
     assert found.means["scale"] == pytest.approx({"unit": 0.5, "raw": 0.5})
@@ -101,8 +92,8 @@ def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_
         "scale": SCALES,
         "activation + betas": ("tanh + 0.9, 0.9", "relu + 0.9, 0.9", "tanh + 0.9, 0.999"),
     }
-    degrees = {effect.factors: effect.degrees for effect in study_effects(data).effects}
-    assert degrees["activation + betas",] == (2, 6)
+    effects = study_effects(data).table.set_index("effect")
+    assert effects.loc["activation + betas", ["df", "df_error"]].tolist() == [2, 6]
 
 
 # --- The robustness map ---------------------------------------------------------------------------
@@ -138,18 +129,18 @@ def test_a_map_is_labelled_by_its_cells(
     tmp_path: Path, gains: tuple[float, ...], labels: list[str], label: str
 ) -> None:
     found = mapped(crossed(tmp_path, *gains))
-    table = found.table()
-    assert table["label"].tolist() == labels
+    assert found.cells["label"].tolist() == labels
     assert found.label == label
-    assert table["value"].tolist() == pytest.approx(list(gains))
+    assert found.cells["value"].tolist() == pytest.approx(list(gains))
 
 
 def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_path: Path) -> None:
     """Six against six without overlap: 2 / 924, four times for the least of four equal ones."""
     found = mapped(crossed(tmp_path, 0.2, 0.2, 0.2, 0.2))
-    assert found.cells[1].levels == {"learning_rate": 1e-4, "scale": "raw"}
-    assert (found.cells[1].better, found.cells[1].worse) == ("tanh 0.0001 raw", "relu 0.0001 raw")
-    assert [cell.p for cell in found.cells] == pytest.approx([4 * 2 / 924] * 4)
+    assert found.factors == ("learning_rate", "scale")
+    assert found.cells.loc[1, ["learning_rate", "scale"]].tolist() == ["0.0001", "raw"]
+    assert found.cells.loc[1, ["better", "worse"]].tolist() == ["tanh 0.0001 raw", "relu 0.0001 raw"]
+    assert found.cells["p"].tolist() == pytest.approx([4 * 2 / 924] * 4)
 
 
 def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> None:
@@ -161,11 +152,11 @@ def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> Non
         if run["condition"] == "relu 0.001 raw":
             run["run_id"] = run["run_id"][::-1]
     part = mapped(open_study(store, record))
-    assert [cell.label for cell in part.cells] == ["holds", "holds", "holds", "open"]
-    assert (part.label, part.cells[-1].contrast.reason) == ("partial", "an arm has no runs")
-    assert [cell.p for cell in part.cells[:3]] == pytest.approx([4 * 2 / 924] * 3)
+    assert part.cells["label"].tolist() == ["holds", "holds", "holds", "open"]
+    assert (part.label, part.cells["reason"][3]) == ("partial", "an arm has no runs")
+    assert part.cells["p"][:3].tolist() == pytest.approx([4 * 2 / 924] * 3)
     save_collapse(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
-    assert mapped(open_study(store, whole.record)).cells[0].contrast.reason == "1 run without a value"
+    assert mapped(open_study(store, whole.record)).cells["reason"][0] == "1 run without a value"
 
 
 def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
@@ -195,30 +186,27 @@ def two_factors(runs: int, **effects: float) -> tuple[np.ndarray, dict[str, list
 def test_a_single_factor_is_the_analysis_of_variance() -> None:
     generator = np.random.default_rng(5)
     values, levels = generator.normal(size=21), ["a"] * 5 + ["b"] * 9 + ["c"] * 7
-    (effect,) = factorial(values, {"x": levels}, generator)
+    (effect,) = factorial(values, {"x": levels}, generator).itertuples()
     theirs = stats.f_oneway(values[:5], values[5:14], values[14:])
-    assert effect.statistic == pytest.approx(theirs.statistic)
-    assert effect.p_value == pytest.approx(theirs.pvalue, abs=0.03)
+    assert effect.f == pytest.approx(theirs.statistic)
+    assert effect.p == pytest.approx(theirs.pvalue, abs=0.03)
 
 
 def test_effects_are_found_where_they_are_and_only_there() -> None:
     values, factors = two_factors(8, x=1.0, xy=-1.0)
-    found = {effect.factors: effect for effect in factorial(values, factors, np.random.default_rng(6))}
-    assert found["x",].p_value < 0.001 and found["x", "y"].p_value < 0.001
-    assert found["y",].p_value > 0.05
+    found = factorial(values, factors, np.random.default_rng(6)).set_index("effect")
+    assert found["p"]["x"] < 0.001 and found["p"]["x × y"] < 0.001
+    assert found["p"]["y"] > 0.05
     cells = values.reshape(4, 8)
     error = cells.var(axis=1, ddof=1).mean()  # by hand: F = 32 (contrast of cell means / 4)² / error
     contrast = cells.mean(axis=1) @ [1, -1, -1, 1] / 4
-    assert found["x", "y"].statistic == pytest.approx(32 * contrast**2 / error)
+    assert found["f"]["x × y"] == pytest.approx(32 * contrast**2 / error)
 
 
 def test_unequal_cells_do_not_lend_one_factors_effect_to_another() -> None:
     generator = np.random.default_rng(7)
     x, y = [1] * 12 + [0] * 12, [1] * 10 + [0] * 2 + [1] * 2 + [0] * 10
     values = 3.0 * np.array(x) + generator.normal(size=24)
-    found = {e.factors: e for e in factorial(values, {"x": map_text(x), "y": map_text(y)}, generator)}
-    assert found["x",].p_value < 0.01 < found["y",].p_value
-
-
-def map_text(levels: list[int]) -> list[str]:
-    return [str(level) for level in levels]
+    factors = {"x": [*map(str, x)], "y": [*map(str, y)]}
+    p = factorial(values, factors, generator).set_index("effect")["p"]
+    assert p["x"] < 0.01 < p["y"]
