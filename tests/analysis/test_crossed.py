@@ -93,7 +93,7 @@ def test_settings_that_named_conditions_change_one_at_a_time_are_one_factor(tmp_
         "activation + betas": ("tanh + 0.9, 0.9", "relu + 0.9, 0.9", "tanh + 0.9, 0.999"),
     }
     effects = study_effects(data).table.set_index("effect")
-    assert effects.loc["activation + betas", ["df", "df_error"]].tolist() == [2, 6]
+    assert [*effects.loc["activation + betas", ["df", "df_error"]]] == [2, 6]
 
 
 # --- The robustness map ---------------------------------------------------------------------------
@@ -138,8 +138,8 @@ def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_p
     """Six against six without overlap: 2 / 924, four times for the least of four equal ones."""
     found = mapped(crossed(tmp_path, 0.2, 0.2, 0.2, 0.2))
     assert found.factors == ("learning_rate", "scale")
-    assert found.cells.loc[1, ["learning_rate", "scale"]].tolist() == ["0.0001", "raw"]
-    assert found.cells.loc[1, ["better", "worse"]].tolist() == ["tanh 0.0001 raw", "relu 0.0001 raw"]
+    assert [*found.cells.loc[1, ["learning_rate", "scale"]]] == ["0.0001", "raw"]
+    assert [*found.cells.loc[1, ["better", "worse"]]] == ["tanh 0.0001 raw", "relu 0.0001 raw"]
     assert found.cells["p"].tolist() == pytest.approx([4 * 2 / 924] * 4)
 
 
