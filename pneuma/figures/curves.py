@@ -21,10 +21,8 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullForm
 from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.curves import (
     BANDS,
-    LEAST_COVERAGE,
     Curve,
     curve_names,
-    is_trusted,
     shared_levels,
     study_curves,
 )
@@ -252,7 +250,7 @@ QUANTITIES = {
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
     count = len(curve.runs)
-    return BANDS[band].edges is None or 1 < count < panels.FEW_RUNS or not is_trusted(band, count)
+    return BANDS[band].edges is None or 1 < count < panels.FEW_RUNS or count < BANDS[band].enough_runs
 
 
 def _shows_band(curve: Curve, band: str) -> bool:
@@ -281,7 +279,7 @@ def _draw_means(
         whole = curve.count == len(curve.runs)
         if _shows_band(curve, band):
             low, high = curve.band(band)
-            if band in LEAST_COVERAGE:  # the remaining runs are no fair sample
+            if BANDS[band].enough_runs:  # the remaining runs are no fair sample
                 low = np.where(whole, low, np.nan)
             axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
         if _shows_runs(curve, band):
