@@ -159,11 +159,10 @@ class Claim(ClaimedRuns, Table):
         def here(value: Any) -> Any:
             if not isinstance(value, dict):
                 return value
-            numbers = {
+            return {
                 name: number.get(world) if isinstance(number, dict) else number
                 for name, number in value.items()
             }
-            return {name: number for name, number in numbers.items() if number is not None}
 
         return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
 

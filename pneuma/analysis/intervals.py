@@ -80,15 +80,6 @@ def deviation(values: ArrayLike) -> np.ndarray:
     return np.where(np.ptp(runs, axis=-1) > 0, runs.std(axis=-1, ddof=1), 0.0)
 
 
-def performance_profile(values: ArrayLike, thresholds: ArrayLike) -> np.ndarray:
-    """Return the share of runs above each threshold, (runs,) and (thresholds,) to (thresholds,).
-
-    Source: rliable's `create_performance_profile`: strictly above.
-    """
-    runs, levels = finite(values), finite(thresholds)
-    return mean((runs > levels[:, None]).astype(float))
-
-
 def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     """Return the probability that a run of a is above a run of b; a tie counts one half.
 

@@ -17,7 +17,6 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, shared_levels
 from pneuma.analysis.frames import StudyData, common_step, step_words
-from pneuma.analysis.intervals import performance_profile
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -187,7 +186,8 @@ def _draw_profiles(axes: Axes, values: Values, colours: Colours) -> None:
     levels = np.linspace(min(0, *pooled) if len(pooled) else 0, max(pooled, default=1), 201)
     for condition, runs in values.items():
         if len(runs):
-            axes.step(levels, performance_profile(runs, levels), where="post", color=colours[condition])
+            above = (runs > levels[:, None]).mean(axis=1)  # as rliable's performance profile: strictly
+            axes.step(levels, above, where="post", color=colours[condition])
     axes.set(title="Runs above a level", ylabel="Share of runs", ylim=(0, 1.02))
     panels.set_shares(axes)
 
