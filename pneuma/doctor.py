@@ -31,6 +31,7 @@ EXTRAS = {
     "ray": ("ray", "runs on a cluster (--executor ray)"),
     "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
+    "minatar": ("minatar", "the MinAtar games"),
 }
 """By module: the extra that installs it, and its use."""
 TRIAL = (

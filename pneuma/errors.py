@@ -64,6 +64,8 @@ def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
     known = list(names)
     hint, between = nearest_name(word, known), "; " if any("," in name for name in known) else ", "
     more = len(known) - MOST_LISTED
+    if more > 1 and hint:
+        return UserError(f"unknown {what} {word!r}{hint}")
     if more > 1:
         likest = difflib.get_close_matches(str(word).lower(), known, MOST_LISTED, 0)
         known = [*(name for name in known if name in likest), f"{more} more"]

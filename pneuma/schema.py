@@ -229,6 +229,13 @@ def read_model(
 # --- From pydantic's errors to words ---------------------------------------------------------------
 
 
+PLAINER = {
+    "a valid integer": "a whole number", "valid ": "",
+    "greater than or equal to": "at least", "less than or equal to": "at most",
+}  # fmt: skip
+"""Words of Pydantic's messages, and those used here."""
+
+
 def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, str, str]:
     """Return the first mistake in some data: the table it is in, its key there, and what is wrong."""
     first = error.errors(include_url=False, include_input=False)[0]
@@ -245,7 +252,9 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
         return path, context["key"], context["message"]
     (*where, key) = path
     names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
-    allowed = first["msg"].removeprefix("Input should be ").replace("a valid i", "an i").replace("valid ", "")
+    allowed = first["msg"].replace("Input should be ", "must be ")
+    for pydantics, ours in PLAINER.items():
+        allowed = allowed.replace(pydantics, ours)
     if kind == "wrong":
         message = f"{key}: {context['message']}"
     elif first["loc"][-1] == "[key]":  # a table's name, where only some are known

@@ -146,7 +146,7 @@ def _refused(key: str, value: Any) -> str:
 
 def test_whole_numbers_are_whole_however_they_are_written() -> None:
     for key in ("seed", "steps", "horizon", "players", "epochs"):
-        assert "integer" in _refused(key, 100.5)
+        assert "whole number" in _refused(key, 100.5)
     for value in (256.0, np.int64(256), np.float64(256)):
         assert repr(make_run({"horizon": value}).horizon) == "256"
     assert repr(make_run({"entropy_coefficient": -0.0}).entropy_coefficient) == "0.0"

@@ -80,7 +80,10 @@ class Verdict:
 
     @property
     def decisive(self) -> Comparison | None:
-        """The contrast that decides: the surest if one is enough for the verdict, else the least sure."""
+        """The contrast that decides the outcome with the claim's verdict; of two such outcomes, the surer."""
+        agreeing = [comparison for comparison in decisive_of(self) if comparison.verdict == self.verdict]
+        if agreeing:
+            return min(agreeing, key=lambda comparison: comparison.p)
         return _decisive(self.comparisons, self.verdict, self.claim.need)
 
     @property
@@ -152,7 +155,10 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
 
 
 def decisive_of(verdict: Verdict) -> list[Comparison]:
-    """Return, for each outcome of a claim, the contrast that decides."""
+    """Return, for each outcome of a claim, the contrast that decides.
+
+    It is the surest if one is enough for the verdict, else the least sure.
+    """
     found: list[Comparison] = []
     for outcome in dict.fromkeys(comparison.outcome for comparison in verdict.comparisons):
         each = [comparison for comparison in verdict.comparisons if comparison.outcome == outcome]

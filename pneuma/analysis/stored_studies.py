@@ -46,7 +46,7 @@ def study_record(
     otherwise = [] if records or asked else related_studies(store, stem)
     if otherwise:
         more = f" Stored too: {'; '.join(otherwise[1:])}." if otherwise[1:] else ""
-        tell(f"Note: {stem} has no runs of its own; {otherwise[0]} is shown.{more}")
+        tell(f"Note: no runs of {stem} are stored; {otherwise[0]} is shown.{more}")
         return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
@@ -92,6 +92,8 @@ def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
 def _unknown(store: Store, name: str, stem: str) -> UserError:
     if store.selection_path(stem).exists():
         return UserError(f"{store.selection_path(stem)}: damaged; run, import or fork its runs anew")
+    if name.endswith(".toml") and not Path(name).exists():
+        return UserError(f"{name}: there is no such file, and no runs of it in {store.root}")
     if is_shipped(stem) or name.endswith(".toml"):
         ran = f"run `{spec.run_command(stem, name if name.endswith('.toml') else None)}` first"
         return UserError(f"study {stem} has no runs in {store.root}: {ran}, or give --results")

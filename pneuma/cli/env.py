@@ -53,7 +53,7 @@ def list_(json: opt.Json = False) -> None:
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[
-        str | None, opt.argument("[ID]", "The environment; left out: all.", complete.environments)
+        str | None, opt.argument("ID", "The environment; left out: all.", complete.environments)
     ] = None,
     all_: Annotated[bool, opt.flag("--all", "Check all environments.")] = False,
     set_: opt.Settings = None,
@@ -135,7 +135,9 @@ def play(
 @app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
 def serve(
     name: EnvName,
-    port: Annotated[int, typer.Option("--port", metavar="N", help="Where the trainer listens.")] = 11008,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=1, max=65535, help="Where the trainer listens.")
+    ] = 11008,
     agents: Annotated[
         int, typer.Option("--agents", metavar="N", min=1, help="How many copies are played side by side.")
     ] = 1,

@@ -24,7 +24,7 @@ bench = typer.Typer(
 def report(
     out: Annotated[Path, opt.option("--out", "FILE", "The page to write, ending in .html.")],
     names: Annotated[
-        list[str] | None, opt.argument("[NAME]…", "Studies; left out: all that are shipped or were run.")
+        list[str] | None, opt.argument("NAME", "Studies; left out: all that are shipped or were run.")
     ] = None,
     results: opt.Results = opt.RESULTS,
     quiet: opt.Quiet = False,
@@ -67,7 +67,7 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
 @logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
     folders: Annotated[
-        list[Path], opt.argument("DIR…", "Hold NAME_1/, NAME_2/, … with event files, or are one.")
+        list[Path], opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one.")
     ],
     name: Annotated[
         opt.Text, opt.option("--name", "NAME", "The study's name (default: the folder's).")

@@ -14,13 +14,13 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from pneuma.cli import complete
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
-from pneuma.worlds import TEXT, WORLDS
+from pneuma.worlds import WORLDS
 
 # --- How options are declared ----------------------------------------------------------------------
 
@@ -52,7 +52,7 @@ def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "")
 
     def read(text: str) -> str:
         if text not in names:
-            raise UserError(f"{name} {text}: {unknown_name('value', text, names)}")
+            raise UserError(f"{name} {text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
         return text
 
     return option(name, metavar or "|".join(names), help_text, read, complete.offering(lambda typed: names))
@@ -67,7 +67,7 @@ def count(name: str, help_text: str) -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number < 2**53 and number.is_integer()):
-            raise UserError(f"{name} {text}: must be a whole number of at least 1, as in 1e5")
+            raise UserError(f"{name} {text}: must be a whole number of at least 1")
         return int(number)
 
     return option(name, "N", help_text, read)
@@ -135,9 +135,7 @@ Several = list[str] | None
 StudyName = Annotated[
     str, argument("NAME", "A study's name, or the path of a study file (….toml).", complete.studies)
 ]
-RunName = Annotated[
-    str, argument("RUN_ID", "A stored run's id, or its first digits (4 at least).", complete.runs)
-]
+RunName = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.", complete.runs)]
 Results = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
 ]
@@ -176,7 +174,7 @@ Settings = Annotated[
 """Pairs of a field and its value; use `dict(set_ or ())`."""
 WorldName = Annotated[
     Text,
-    choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: {TEXT}, or all)."),
+    choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: the first, or all)."),
 ]
 Formats = Annotated[
     list[Any] | None,

@@ -32,7 +32,7 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     if json:
         return print_json({"runs": runs})
     if not runs:
-        print(f"No run is stored in {results} yet.")
+        return print(f"No run is stored in {results} yet.")
     rows = []
     for run in runs:
         studies = (

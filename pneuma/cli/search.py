@@ -108,10 +108,12 @@ def status(
         rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
     print_table(("", "trial", "", "value", "", ""), rows)
     named = (name, *world_option(world or TEXT), "--results", store.root)
-    if isinstance(best, int):
+    if best is None:
+        print("No trial is complete yet.")
+    elif isinstance(best, int):
         say(f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *named)}")
     else:
-        print(f"Pareto front (*): trials {', '.join(map(str, best or [])) or 'none yet'}.")
+        print(f"Pareto front (*): trials {', '.join(map(str, best)) or 'none yet'}.")
     return say(f"Look closer with: {command('search', 'plot', *named)}")
 
 
@@ -187,6 +189,8 @@ def run(
                 f"best {_value(ended_trials[best])}, trial {best}"
                 if isinstance(best, int)
                 else f"front: {best}"
+                if best
+                else "none complete yet"
             )
             say(f"{len(ended_trials)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
     except Unfinished as error:
@@ -279,7 +283,7 @@ def _value(trial: EndedTrial) -> str:
 def promote(
     names: Annotated[
         list[str],
-        opt.argument("NAME…", "Searches, or their files; several must be tuned alike.", complete.searches),
+        opt.argument("NAME", "Searches, or their files; several must be tuned alike.", complete.searches),
     ],
     seeds: opt.Seeds = "10",
     steps: opt.Steps = None,

@@ -133,7 +133,7 @@ def show(
 def status(
     picked: opt.Chosen,
     name: Annotated[
-        str | None, opt.argument("[NAME]", "A study; left out: all that were run.", complete.studies)
+        str | None, opt.argument("NAME", "A study; left out: all that were run.", complete.studies)
     ] = None,
     json: opt.Json = False,
 ) -> None:

@@ -51,7 +51,7 @@ EVERY_QUANTITY, ACTIONS = "all", "actions"
 def plot(
     picked: opt.Chosen,
     names: Annotated[
-        list[str] | None, opt.argument("[NAME]…", "Studies; left out: all that were run.", complete.studies)
+        list[str] | None, opt.argument("NAME", "Studies; left out: all that were run.", complete.studies)
     ] = None,
     figure: Annotated[
         str, opt.choice("--figure", FIGURE_KINDS, "Curves over steps, or what the runs came to.")

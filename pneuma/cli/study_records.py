@@ -75,7 +75,7 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
 def tell_left_out(data: StudyData) -> None:
     """Print how many runs of a selection are only published, or left out."""
     of = f"of {data.left_out + len(data.runs)} runs of {data.study}"
-    if 0 < len(data.published) < len(data.runs):
+    if data.published:
         say(f"Note: {len(data.published)} {of} are not here, but published.", aside=True)
     if data.left_out:
         say(f"Note: {data.left_out} {of} are not here, not finished or damaged, and left out.", aside=True)

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from pneuma.analysis.stored_studies import known_studies
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -21,9 +22,10 @@ from pneuma.cli.output import (
 )
 from pneuma.cli.study_records import open_data
 from pneuma.cli.study_run import train
-from pneuma.errors import UserError, counted
+from pneuma.errors import UserError, counted, nearest_name
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
+from pneuma.study.spec import list_studies
 from pneuma.values import shown_level, shown_value
 from pneuma.worlds import TEXT, world_option
 
@@ -136,7 +138,7 @@ def compare(
     ],
     picked: opt.Chosen,
     b: Annotated[
-        str | None, opt.argument("[B]", "The condition that A is held against.", complete.conditions)
+        str | None, opt.argument("B", "The condition that A is compared with.", complete.conditions)
     ] = None,
     outcome: opt.Outcomes = None,
     plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
@@ -158,6 +160,9 @@ def compare(
             raise UserError(
                 f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
             )
+        hint, known = nearest_name(a, data.conditions), (*list_studies(), *known_studies(picked.store))
+        if hint and a not in known:
+            raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
         other = open_data(picked, a)
         heads = [data.study, other.study]
         shared = [

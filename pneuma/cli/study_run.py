@@ -100,8 +100,10 @@ def run(
     """Train the missing runs of a study, resuming those that were stopped."""
     store = chosen.store
     if as_:
-        if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT or not chosen.selection.settings:
-            raise UserError(f"--as {as_}: names what --set changes, in letters, digits, - and _")
+        if not chosen.selection.settings:
+            raise UserError(f"--as {as_}: names what --set changes; give --set KEY=VALUE too")
+        if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT:
+            raise UserError(f"--as {as_}: must be letters, digits, - and _, and not end in a world's name")
         chosen = replace(chosen, selection=replace(chosen.selection, variant=as_))
     planned = _plan(chosen, name, unpublished)
     how = replace(

@@ -23,7 +23,7 @@ _HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds
 
 
 def verify(
-    claims: Annotated[list[str] | None, opt.argument("[CLAIM]…", "Claims; left out: all.")] = None,
+    claims: Annotated[list[str] | None, opt.argument("CLAIM", "Claims; left out: all.")] = None,
     world: opt.WorldName = None,
     file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
     design: Annotated[

@@ -15,7 +15,7 @@ of one of the level's kinds, by name. Rays begin at the player's place, the firs
 clockwise. They end at living bodies, and at terrain that stops or drowns players.
 
 `perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
-rest zeros; or fixed, a dead one's row zeros), `scale` the units:
+rest zeros; or fixed, a dead one's row zeros but in layout godot), `scale` the units:
 
     unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
             monster's notice radii, along rays in the largest one: what matters is of order one

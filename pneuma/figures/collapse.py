@@ -73,6 +73,8 @@ def draw_collapse(
         columns = -(-len(curves) // rows)
         cells = [*curves, "."][: rows * columns]
         grid = figure.subplot_mosaic([[*cells[r * columns :][:columns], "bars"] for r in range(rows)])
+        for name in [*curves][1:]:
+            grid[name].sharex(grid[next(iter(curves))])
         for name, series in curves.items():
             falls = [(step - onsets[run.run_id], values, colours[run.condition])
                      for run, (step, values) in zip(runs, series, strict=True)]  # fmt: skip

@@ -180,10 +180,15 @@ def _draw_quantities(
 def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str) -> tuple[float, str]:
     """Draw a small panel for each condition; return the total height, and what their names consist of."""
     ((name, group),) = curves.items()
-    columns = min(range(2 * style.COLUMNS, style.COLUMNS - 1, -1), key=lambda each: -len(group) % each)
-    rows = -(-len(group) // columns)
     names, parts = style.short_names([curve.condition for curve in group])
-    width = style.characters(0.83 * style.TYPE_POINTS, 0.9 * style.WIDTH / columns)
+    widths = {
+        each: style.characters(0.83 * style.TYPE_POINTS, 0.9 * style.WIDTH / each)
+        for each in range(2 * style.COLUMNS, style.COLUMNS - 1, -1)
+    }
+    longest = max(len(word) for name in names.values() for word in name.split())
+    fitting = [each for each, width in widths.items() if width >= longest] or [style.COLUMNS]
+    columns = min(fitting, key=lambda each: -len(group) % each)
+    rows, width = -(-len(group) // columns), widths[columns]
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     looks = {
         condition: {**look, "marker": ""}
@@ -208,7 +213,7 @@ def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str)
         axes.set_axis_off()
     grid[0].xaxis.set_major_locator(panels.round_ticks(3))
     title_inches = 0.85 * style.LINE_INCHES * title_lines
-    panel_inches = max(0.3, min(0.75, LONGEST_INCHES / rows - title_inches))
+    panel_inches = max(0.3, min(1.1, LONGEST_INCHES / rows - title_inches))
     return rows * (panel_inches + title_inches) + 0.4, parts and f"Panels: {parts}."
 
 
@@ -273,7 +278,7 @@ def _draw_means(
         curves = [replace(curve, log=True) for curve in curves]
     lines = sum(len(curve.runs) for curve in curves if _shows_runs(curve, band))
     alpha = 0.4 * min(1.0, MANY_RUNS / max(lines, 1))
-    shade, width = 0.16 if len(curves) < 5 else 0.09, mpl.rcParams["lines.linewidth"]
+    shade, width = 0.16, mpl.rcParams["lines.linewidth"]
     for curve in curves:
         colour, marker = looks[curve.condition]["color"], looks[curve.condition]["marker"]
         whole = curve.count == len(curve.runs)
@@ -348,7 +353,7 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append("×: a run diverged, and its curve ends there.")
     if step := common_step(data):
         notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
-    averaged, of_budget = [], "of the last 5 % of the budget"
+    averaged, of_budget = [], "in the 5 % of the budget before each point"
     if data.averaged_over and {*curves} & {*EPISODE_QUANTITIES}:
         averaged.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
     elif {*curves} & {*EPISODE_QUANTITIES}:

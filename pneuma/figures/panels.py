@@ -49,6 +49,7 @@ def title_of(data: StudyData) -> str:
     whole = title.removesuffix(f" ({data.world})") + changed
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
     read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
+    read = {name for name in read if not name.startswith("random:")}
     titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]
     return f"{whole} in {titles[0]}" if titles and read <= shipped else whole
 

@@ -200,7 +200,10 @@ def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> N
     """
     if not results.is_dir():
         raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")
-    for path in draw_all(folder, results, dict(each.split("=", 1) for each in beside)):
+    logs = dict(each.partition("=")[::2] for each in beside)
+    if missing := [name for name in logs.values() if not Store(results).published_path(name).exists()]:
+        raise UserError(f"--beside: no logs {missing[0]!r} are published in {results}; give STUDY=LOGS")
+    for path in draw_all(folder, results, logs):
         print(f"wrote {path}")
 
 

@@ -163,14 +163,20 @@ def study_pictures(data: StudyData) -> list[dict[str, str]]:
         if curve_names(data) and len(data.conditions) <= MOST_CURVES:
             drawn.append((f"Curves over {data.budget:,} environment steps", "plot", draw_study(data, folder)))
         else:
-            drawn.append(("What every run came to, and means", "summary", draw_summary(data, folder)))
+            drawn.append(
+                ("What every run came to, and means", "plot --figure summary", draw_summary(data, folder))
+            )
         if len(collapsed_shares(data)):
-            drawn.append(("Runs that collapsed", "collapse", draw_collapse(data, folder, "collapse")))
+            drawn.append(
+                ("Runs that collapsed", "collapse --out figures", draw_collapse(data, folder, "collapse"))
+            )
         if maps := study_maps(data):
             values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
             contrast = quote(f"{maps[0].setting}={values}")
             paths = draw_robustness(data, maps, folder, "maps")
-            drawn.append(("In which cells contrasts hold", f"robustness --contrast {contrast}", paths))
+            drawn.append(
+                ("In which cells contrasts hold", f"robustness --contrast {contrast} --out figures", paths)
+            )
         return [
             {
                 "source": _source(paths),

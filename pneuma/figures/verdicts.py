@@ -65,6 +65,7 @@ ROW_INCHES = 0.165
 LONGEST_REASON = 28
 """Most letters in a cell."""
 GREY = "#777777"
+BAND_COLOUR = "#EDEDED"
 LOOKS: dict[str, dict[str, Any]] = {
     SUPPORTED: {"marker": "o", "color": COLOURS[0]},
     REFUTED: {"marker": "s", "color": COLOURS[1]},
@@ -74,6 +75,12 @@ LOOKS: dict[str, dict[str, Any]] = {
 """Verdicts differ in shape too, so that they can be told apart in grey."""
 HALF = {"fillstyle": "left", "markerfacecoloralt": "white"}
 """The marker of what is decided by the letter only."""
+
+NOTE = (
+    "Effect in margins, logarithmic beyond ±1, and simultaneous interval. Right is what the thesis says;\n"
+    "in the grey band a difference counts as none, which is what some claims say. Two marks are two outcomes."
+)
+"""Below the picture."""
 
 Verdicts = dict[str, dict[str, Verdict]]
 """The verdicts on each claim, by its name and place."""
@@ -231,7 +238,7 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
             axes.minorticks_off()
             axes.grid(visible=False)
             axes.tick_params(axis="y", length=0)
-            axes.axvspan(-1, 1, color="#EDEDED", zorder=0)
+            axes.axvspan(-1, 1, color=BAND_COLOUR, zorder=0)
             axes.axvline(0, color="#BBBBBB", linewidth=0.6, zorder=0)
             for row, (_, verdicts) in enumerate(rows):
                 if not verdicts:
@@ -241,14 +248,16 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
         panels[0][0].set_yticks(range(len(rows)), [name for name, _ in rows])
         for label, (_, verdicts) in zip(panels[0][0].get_yticklabels(), rows, strict=True):
             label.set_fontweight("normal" if verdicts else "bold")
-        entries = {**LOOKS, "by the letter": LOOKS[SUPPORTED] | HALF}
+        seen = {one.verdict for verdicts in claims.values() for one in verdicts.values()}
+        entries = {word: look for word, look in LOOKS.items() if word != MIXED or word in seen}
         entries["open"] = entries.pop(INCONCLUSIVE)
+        entries["by the letter"] = {"marker": "o", "color": GREY} | HALF
         handles = [
             Line2D([], [], linestyle="none", label=label, markersize=4, **look)
             for label, look in entries.items()
         ]
         figure.legend(handles=handles, loc="outside upper center", ncols=5, handletextpad=0.4)
-        figure.supxlabel("effect in margins: right is what the thesis says, the band counts as no difference")
+        figure.supxlabel(NOTE, fontsize="medium")
         paths = save_figure(figure, folder, STEM, formats)
         plt.close(figure)
     return paths
@@ -263,7 +272,8 @@ def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:
     if not placed:
         word = "no margin" if decided else empty_word(verdict)
         colour = LOOKS[decided[0].verdict]["color"] if decided else GREY
-        axes.text(0, row, word, color=colour, ha="center", va="center", fontsize=5.2)
+        behind = {"facecolor": BAND_COLOUR, "edgecolor": "none", "pad": 0.5}
+        axes.text(0, row, word, color=colour, ha="center", va="center", fontsize=5.2, bbox=behind)
     for i, (comparison, where) in enumerate(placed):
         at = row + (0.36 * (i / (len(placed) - 1) - 0.5) if len(placed) > 1 else 0.0)
         half = verdict.standing == BY_LETTER and comparison.verdict != INCONCLUSIVE

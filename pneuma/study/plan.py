@@ -166,7 +166,7 @@ def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, d
 
 def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
     """Return the preset's seeds and steps for each of its conditions."""
-    name = selection.preset or "quick"
+    name = selection.preset or ("quick" if "quick" in study.presets else next(iter(study.presets), "quick"))
     if name == CLAIMS:
         amounts: dict[str, Preset] = import_module("pneuma.study.claimed").claims_preset(
             study, selection.steps

@@ -104,9 +104,8 @@ class Store:
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
-            raise UserError(
-                f"--results {self.root}: cannot be written ({error.strerror}); name another folder"
-            ) from None
+            problem = "is not a folder" if self.root.is_file() else f"cannot be written ({error.strerror})"
+            raise UserError(f"--results {self.root}: {problem}; name another folder") from None
 
     def _check_within(self, folder: Path) -> None:
         """Refuse a folder from which a link leads out of the results, or in a circle."""

@@ -6,14 +6,13 @@ missing, damaged or invalid.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from pneuma.config import as_fields, make_run
-from pneuma.errors import UserError
+from pneuma.errors import UserError, nearest_name
 from pneuma.study.store import Status, Store
 
 LONGEST_LISTED = 5
@@ -71,8 +70,7 @@ def find_run(store: Store, text: str) -> str:
     if meant:
         few = ", ".join(meant[:LONGEST_LISTED]) + (", …" if len(meant) > LONGEST_LISTED else "")
         raise UserError(f"run {text!r} is not enough: give more digits; {where} holds {few}")
-    near = difflib.get_close_matches(text.lower(), names, n=1, cutoff=0.0)
-    hint = f" (the nearest is {near[0]})" if near else " (it holds none)"
+    hint = nearest_name(text, names) if names else " (it holds none)"
     raise UserError(
         f"no run {text!r} in {where}{hint}; `pneuma run list` shows all, --results names a folder"
     )

@@ -28,7 +28,9 @@ from pneuma.study.spec import (
     Preset,
     Study,
     does_nothing,
+    list_studies,
     modules_beside,
+    read_head,
     read_seeds,
     unread_fields,
 )
@@ -138,13 +140,14 @@ def read_study(path: Path) -> Study:
         raise file.mistake((), f"baseline: {unknown}", "baseline")
     fixed = any("env" in fields for fields in conditions.values()) or is_gymnasium_id(said.run.get("env"))
     usual = (TEXT,) if fixed else tuple(WORLDS)
+    taken = {read_head(name).get("figure") for name in list_studies() if name != path.stem}
     study = Study(
         name=path.stem,
         path=path,
         title=said.title,
         section=said.section,
         about=" ".join(said.about.split()),
-        figure=said.figure or f"study-{path.stem}",
+        figure=f"study-{path.stem}" if said.figure in {"", *taken} else said.figure,  # of a copy: its own
         baseline=baseline,
         base=said.base,
         shared=modules_beside(path, said.run),

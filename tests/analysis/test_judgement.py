@@ -151,6 +151,18 @@ def test_two_outcomes_are_judged_together(
     assert [own.outcome for own in one.comparisons] == ["final-share-killed", "final-return"]
 
 
+def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Path) -> None:
+    """The return supports it against both arms, the share killed against one: the latter decides nothing."""
+    both = ('"final-share-killed"', '["final-share-killed", "final-return"]'), ('"low"', '["low", "middle"]')
+    scattered = [0.0, 1.0] * 4
+    for arm, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
+        save_runs(store, tmp_path, {arm: shares}, returns=returns)
+    one = judge_one(store, tmp_path, changed(*both))
+    assert [own.verdict for own in one.comparisons] == ["supported", "inconclusive", "supported", "supported"]
+    assert one.verdict == "supported" and one.decisive is not None
+    assert one.decisive.outcome == "final-return"
+
+
 def test_a_difference_of_two_effects_is_welchs_over_four_arms(store: Store, tmp_path: Path) -> None:
     """(0.72 - 0.22) - (0.32 - 0.22) = 0.4, by the numbers of the arms alone."""
     claims = changed(('b = "low"', 'b = "low"\nc = "middle"\nd = "other"'))
