@@ -50,7 +50,7 @@ def test_what_is_right_is_read(tmp_path: Path) -> None:
         ('colour = "gren"', ", line 2", 'colour = "gren" is not allowed (did you mean green?)'),
         ("inner = 3", ", line 2", "inner must be a table, not 3"),
         ("[inner.a]\nshare = 2.5", ", line 3", "[inner.a] share = 2.5 is not allowed: must be at most 1"),
-        ("[inner.a]\ncount = true", ", line 3", "[inner.a] count = true is not allowed: must be a whole number"),
+        ("[inner.a]\ncount = true", ", line 3", "[inner.a] count = true is not allowed: must be a whole"),
         ("[inner.a]\nsizes = [3, 10]", ", line 3", "[inner.a] sizes = [3, 10] is not allowed: "),
         ('[inner.a]\nfruit = "aple"', ", line 3", "[inner.a] fruit: unknown fruit 'aple' ("),
         ("[amounts]\nquik = 1", ", line 3", "[amounts] unknown key 'quik' (did you mean q"),
