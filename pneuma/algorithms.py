@@ -74,7 +74,5 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     "q-learning": _TABLE_DEFAULTS,
     "double-q-learning": _TABLE_DEFAULTS,
 }
-"""Defaults of fields that only some algorithms have: those of Stable-Baselines3 and sb3-contrib, but for a
-tenth of their buffer.
-
-For Stable-Baselines3's and sb3-contrib's learners those are their own, but for a buffer of a tenth."""
+"""Defaults of fields that only some algorithms have. Those of Stable-Baselines3's and sb3-contrib's learners
+are their own, but for a buffer of a tenth."""

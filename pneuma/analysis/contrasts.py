@@ -38,6 +38,7 @@ class Contrast:
         smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
         p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 without a margin.
         simultaneous: its interval at the level of a whole list of contrasts.
+        margin: that of the means; None without one, and of shares.
     """
 
     kind: str
@@ -53,6 +54,7 @@ class Contrast:
     p_far_greater: float = 1.0
     p_far_less: float = 1.0
     simultaneous: Interval = no_interval()
+    margin: float | None = None
 
     @property
     def p_different(self) -> float:
@@ -107,7 +109,8 @@ def compare(
             ways = pvalues.relabel(n, m, generator)
             found = pvalues.mean_p_values(first[None], second[None], margin, ways)
             make = partial(intervals.difference_interval, first, second)
-        return _contrast(kind, effect, make, level, found, seeds, (1 / len(ways),) * 2)
+        made = _contrast(kind, effect, make, level, found, seeds, (1 / len(ways),) * 2)
+        return replace(made, margin=margin)
     count, other = _count(first), _count(second)
     if value is not None:
         test = partial(pvalues.one_share_p_values, runs=n, value=value)

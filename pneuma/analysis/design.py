@@ -98,9 +98,12 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
         detectable = _least_share(claim, seeds, alpha, spread if claim.value is None else claim.value)
     elif spread is not None:
         error = spread * math.sqrt(sum(1 / count for count in seeds))
-        freedom = max(sum(seeds) - len(seeds), 1)
-        detectable = float(error * (special.stdtrit(freedom, 1 - alpha / 2) + special.ndtri(POWER)))
-        provable = float(error * (special.stdtrit(freedom, 1 - alpha) + special.ndtri((1 + POWER) / 2)))
+        welch = sum(1 / count**2 / max(count - 1, 1) for count in seeds)  # of arms that spread alike
+        freedom = sum(1 / count for count in seeds) ** 2 / welch
+        detectable, provable = (  # Student's statistic is past the critical one with that chance
+            float(error * special.nctdtrinc(freedom, missed, special.stdtrit(freedom, 1 - error_rate)))
+            for missed, error_rate in ((1 - POWER, alpha / 2), ((1 - POWER) / 2, alpha))
+        )
     least, most = detectable, claim.of("plausible", outcome)
     words = "the least difference found is {:.3g}, and {:.3g} is plausible"
     if claim.direction == "equal":

@@ -176,7 +176,7 @@ def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Com
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Return whether equivalence refutes a claim although its interval supports the direction."""
     low, high = contrast.interval.low, contrast.interval.high
-    as_claimed = (direction == "greater" and low > 0) or (direction == "less" and high < 0)
+    as_claimed = (direction != "less" and low > 0) or (direction != "greater" and high < 0)
     return found(contrast) == "equal" and as_claimed
 
 
@@ -282,7 +282,9 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
         p_far = min(2 * min(contrast.p_far_less, contrast.p_far_greater), 1.0)
         p, so = min(contrast.p_equivalent, p_far), contrast.p_equivalent <= p_far
     else:
-        p, so = contrast.p_any, found(contrast) in _supporting(claimed)
+        what = found(contrast)
+        p = contrast.p_equivalent if what == "equal" else contrast.p_different
+        so = what in _supporting(claimed)
     corrected = min(p * factor, 1.0)
     return (SUPPORTED if so else REFUTED) if corrected <= alpha else INCONCLUSIVE, corrected
 
@@ -291,9 +293,15 @@ def found(contrast: Contrast) -> str:
     """Return what a significant contrast shows: "greater", "less" or "equal".
 
     It follows from the smaller p-value only. To use the other one too would be a second test of the same
-    claim, which the correction does not count.
+    claim, which the correction does not count. If both are the smallest that relabelings can give, they say
+    nothing about which is smaller, and the effect is equal if it is nearer to zero than to the margin.
     """
-    if contrast.p_equivalent < contrast.p_different:
+    floor = contrast.smallest_greater + contrast.smallest_less
+    if contrast.p_different <= floor and 2 * contrast.p_equivalent <= floor:
+        near = contrast.margin is not None and abs(contrast.effect) < contrast.margin / 2
+    else:
+        near = contrast.p_equivalent < contrast.p_different
+    if near:
         return "equal"
     return "greater" if contrast.p_greater < contrast.p_less else "less"
 

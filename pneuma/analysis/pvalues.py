@@ -23,7 +23,8 @@ from pneuma.analysis.intervals import welch_error
 MOST_COUNTED = 200_000
 """With more relabelings than this, some are drawn at random. Ten runs against ten have 184,756."""
 DRAWS = 100_000
-"""Relabelings drawn: enough that a verdict hardly depends on them. A list of 170 contrasts needs 3e-4."""
+"""Relabelings drawn: enough that whether a claim is decided hardly depends on them. A list of 170 contrasts
+needs 3e-4. Two p-values can both be the smallest possible; `judgement.found` decides between them."""
 FEW_COUNTED = 20_000
 """Up to this many relabelings are enumerated, however few draws are asked for."""
 _AT_ONCE = 20_000
@@ -255,10 +256,10 @@ def count_chances(runs: int, share: np.ndarray) -> np.ndarray:
 def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: float | None) -> PValues:
     """Test shares of one arm against a constant by the exact binomial test, given the (samples,) counts."""
 
-    def one_sided(share: float) -> OneSided:  # beyond an end of the scale no share can be
-        if not 0 <= share <= 1:
+    def one_sided(share: float) -> OneSided:
+        if share != value and not 0 < share < 1:  # no share is beyond a margin that reaches an end
             sure, never = np.zeros(counts.shape), np.ones(counts.shape)
-            return (sure, never) if share < 0 else (never, sure)
+            return (sure, never) if share <= 0 else (never, sure)
         above = np.where(counts > 0, special.bdtrc(np.maximum(counts - 1, 0), runs, share), 1.0)
         return above, special.bdtr(counts, runs, share)
 

@@ -134,7 +134,7 @@ class WithoutBaseline(RolloutBuffer):
     """A rollout buffer whose advantages are the returns, without the critic's values (section 4.2)."""
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        """Compute the returns, with lambda = 1, and use them as advantages."""
+        """Compute the returns, which are whole if lambda is 1, and use them as advantages."""
         super().compute_returns_and_advantage(last_values, dones)
         self.advantages = self.returns.copy()
 

@@ -141,7 +141,9 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
         CheckpointError: when there is no checkpoint left to discard.
     """
     if run_id(run) != name:
-        raise RuntimeError("the run's own files (level, characters or reward) changed meanwhile")
+        raise RuntimeError(
+            "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
+        )
 
     def say(text: str) -> None:
         reporter.send("note", name, text=text)
@@ -162,7 +164,10 @@ def _train_once(
     start = checkpoints.latest()
     first = start.step if start else 0
     attempt = Attempt(first)
-    log = LiveLog(job.logs[name], first) if name in job.logs else None
+    log = None
+    if name in job.logs:
+        with suppress(OSError):  # a folder that cannot be written: training goes on
+            log = LiveLog(job.logs[name], first)
     reporter.send("step", name, step=first)
     reporter.send("passing", name, text="begins")
 

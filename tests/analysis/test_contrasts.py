@@ -121,3 +121,10 @@ def test_equal_runs_are_handled_without_a_warning() -> None:
     assert apart.p_less == pytest.approx(1 / 70) and not apart.interval.exists
     same = compare("mean", [3.0] * 4, [3.0] * 4, 0.5, rng())
     assert (same.p_greater, same.p_less) == (1, 1) and same.p_equivalent == pytest.approx(1 / 70)
+
+
+def test_a_margin_that_reaches_no_event_at_all_is_kept_by_no_event() -> None:
+    """Of a share of 0.1 +- 0.1, no event in 50 runs is surer to be within than one."""
+    counts = [np.arange(50) < count for count in (0, 1, 2)]
+    p = [compare("incidence", runs * 1.0, 0.1, 0.1, np.random.default_rng(0)).p_equivalent for runs in counts]
+    assert p == pytest.approx([0.8**50, stats.binom.cdf(1, 50, 0.2), stats.binom.cdf(2, 50, 0.2)])

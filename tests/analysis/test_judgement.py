@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Verdict, judge
+from pneuma.analysis.contrasts import compare
+from pneuma.analysis.judgement import Verdict, found, judge
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -124,6 +125,15 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
     assert (six.verdict, seven.verdict) == ("supported", "untestable")
     assert six.decisive is not None and six.decisive.p == pytest.approx(6 * 2 / 252)  # 0.048
     assert seven.decisive is not None and seven.decisive.p == pytest.approx(7 * 2 / 252)  # 0.056
+
+
+@pytest.mark.parametrize(("effect", "shown"), [(-0.58, "less"), (0.58, "greater"), (-0.42, "equal")])
+def test_where_relabelings_can_give_no_smaller_p_values_the_size_decides(effect: float, shown: str) -> None:
+    """All runs on one side of zero, and of the margin of 1: both p-values are the least possible."""
+    arms = effect + np.linspace(-0.1, 0.1, 30), np.linspace(-0.1, 0.1, 30)
+    contrast = compare("mean", *arms, 1.0, np.random.default_rng(0))
+    assert contrast.p_equivalent == contrast.p_different / 2 == contrast.smallest_less
+    assert found(contrast) == shown
 
 
 # --- Two outcomes, two effects, gaps ----------------------------------------------------------------

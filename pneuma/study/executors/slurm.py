@@ -42,8 +42,9 @@ LOOK_SECONDS = 5.0
 ANSWER_SECONDS = 8.0
 """Seconds that Slurm's programs may take to answer."""
 USUAL_MINUTES = "60"
+"""Of a job; submitit needs a limit."""
 MOST_REQUEUES = 1_000
-"""Minutes; submitit needs a limit."""
+"""Likewise."""
 OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
 """Options that Pneuma sets itself."""
 GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
