@@ -57,6 +57,7 @@ def test_arms_of_unlike_size_have_welchs_degrees_of_freedom(tmp_path: Path) -> N
     plan = plan_of(
         tmp_path, ("[defaults]", "[list]\nalpha = 0.001\n[defaults]"), seeds="{ high = 8, low = 50 }"
     )
+    assert plan.detectable is not None
     generator = np.random.default_rng(1)
     a, b = generator.normal(0, 0.1, (20_000, 8)), generator.normal(0, 0.1, (20_000, 50))
     p = stats.ttest_ind(a + plan.detectable, b, axis=1, equal_var=False).pvalue
