@@ -61,11 +61,6 @@ class Contrast:
         """The two-sided p-value of a difference: twice the smaller one-sided p-value."""
         return min(1.0, 2 * min(self.p_greater, self.p_less))
 
-    @property
-    def p_any(self) -> float:
-        """The p-value of any finding, which bounds the chance of a false one."""
-        return min(self.p_different, self.p_equivalent)
-
 
 def compare(
     kind: str,

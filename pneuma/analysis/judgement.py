@@ -81,10 +81,9 @@ class Verdict:
     @property
     def decisive(self) -> Comparison | None:
         """The contrast that decides the outcome with the claim's verdict; of two such outcomes, the surer."""
-        agreeing = [comparison for comparison in decisive_of(self) if comparison.verdict == self.verdict]
-        if agreeing:
-            return min(agreeing, key=lambda comparison: comparison.p)
-        return _decisive(self.comparisons, self.verdict, self.claim.need)
+        each = decisive_of(self)
+        agreeing = [comparison for comparison in each if comparison.verdict == self.verdict]
+        return min(agreeing or each, key=lambda comparison: comparison.p, default=None)
 
     @property
     def run_ids(self) -> list[str]:
@@ -159,18 +158,14 @@ def decisive_of(verdict: Verdict) -> list[Comparison]:
 
     It is the surest if one is enough for the verdict, else the least sure.
     """
-    found: list[Comparison] = []
+    found, need = [], verdict.claim.need
     for outcome in dict.fromkeys(comparison.outcome for comparison in verdict.comparisons):
         each = [comparison for comparison in verdict.comparisons if comparison.outcome == outcome]
-        word = together([comparison.verdict for comparison in each], verdict.claim.need)
-        found += filter(None, [_decisive(each, word or INCONCLUSIVE, verdict.claim.need)])
+        word = together([comparison.verdict for comparison in each], need) or INCONCLUSIVE
+        deciding = [comparison for comparison in each if comparison.verdict == word] or each
+        one_is_enough = word == (REFUTED if need == "all" else SUPPORTED)
+        found.append((min if one_is_enough else max)(deciding, key=lambda comparison: comparison.p))
     return found
-
-
-def _decisive(comparisons: Sequence[Comparison], verdict: str, need: str) -> Comparison | None:
-    deciding = [comparison for comparison in comparisons if comparison.verdict == verdict] or [*comparisons]
-    one_is_enough = verdict == (REFUTED if need == "all" else SUPPORTED)
-    return (min if one_is_enough else max)(deciding, key=lambda comparison: comparison.p, default=None)
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:

@@ -32,6 +32,7 @@ from pneuma.study.spec import (
     modules_beside,
     read_head,
     read_seeds,
+    studies_folder,
     unread_fields,
 )
 from pneuma.values import OneOf, Reads, matching
@@ -140,14 +141,17 @@ def read_study(path: Path) -> Study:
         raise file.mistake((), f"baseline: {unknown}", "baseline")
     fixed = any("env" in fields for fields in conditions.values()) or is_gymnasium_id(said.run.get("env"))
     usual = (TEXT,) if fixed else tuple(WORLDS)
-    taken = {read_head(name).get("figure") for name in list_studies() if name != path.stem}
+    figure = said.figure or f"study-{path.stem}"
+    copied = said.figure and path.parent.resolve() != studies_folder().resolve()
+    if copied and any(read_head(name).get("figure") == figure for name in list_studies()):
+        figure = f"study-{path.stem}"  # so that the shipped study's figure stays
     study = Study(
         name=path.stem,
         path=path,
         title=said.title,
         section=said.section,
         about=" ".join(said.about.split()),
-        figure=f"study-{path.stem}" if said.figure in {"", *taken} else said.figure,  # of a copy: its own
+        figure=figure,
         baseline=baseline,
         base=said.base,
         shared=modules_beside(path, said.run),

@@ -8,7 +8,7 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.spec import Study, load_study
+from pneuma.study.spec import Study, load_study, studies_folder
 
 STUDY = """\
 title = "Two activations"
@@ -191,3 +191,10 @@ def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path
     runs = [make_run(study.fields(name)) for name in study.conditions]
     assert [run.actor for run in runs] == [(64,), (128,)]  # the second as in Table 6.2, not [256]
     assert [run.clip_range for run in runs] == [0.3, 0.3]
+
+
+def test_a_copy_of_a_shipped_study_does_not_take_its_figure(tmp_path: Path) -> None:
+    copy = tmp_path / "mine.toml"
+    copy.write_bytes((studies_folder() / "activation.toml").read_bytes())
+    assert load_study(str(copy)).figure == "study-mine"
+    assert load_study("activation").figure == "fig-6-5"
