@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,7 +33,6 @@ from pneuma.study.spec import (
     modules_beside,
     read_head,
     read_seeds,
-    studies_folder,
     unread_fields,
 )
 from pneuma.values import OneOf, Reads, matching
@@ -141,17 +141,13 @@ def read_study(path: Path) -> Study:
         raise file.mistake((), f"baseline: {unknown}", "baseline")
     fixed = any("env" in fields for fields in conditions.values()) or is_gymnasium_id(said.run.get("env"))
     usual = (TEXT,) if fixed else tuple(WORLDS)
-    figure = said.figure or f"study-{path.stem}"
-    copied = said.figure and path.parent.resolve() != studies_folder().resolve()
-    if copied and any(read_head(name).get("figure") == figure for name in list_studies()):
-        figure = f"study-{path.stem}"  # so that the shipped study's figure stays
     study = Study(
         name=path.stem,
         path=path,
         title=said.title,
         section=said.section,
         about=" ".join(said.about.split()),
-        figure=figure,
+        figure=said.figure or f"study-{path.stem}",
         baseline=baseline,
         base=said.base,
         shared=modules_beside(path, said.run),
@@ -161,6 +157,8 @@ def read_study(path: Path) -> Study:
         levels=levels,
         worlds=tuple(name for name in WORLDS if name in (said.worlds or usual)),
     )
+    if study.own_path and any(read_head(name).get("figure") == study.figure for name in list_studies()):
+        study = replace(study, figure=f"study-{path.stem}")  # so that the shipped study's figure stays
     for world in study.worlds:
         _check_runs(file, study.in_world(world), said.run)
     return study
