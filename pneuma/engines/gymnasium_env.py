@@ -31,6 +31,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
+from pneuma.env.reward import importing_from
 from pneuma.env.reward import module_files as source_files
 from pneuma.errors import UserError
 
@@ -256,18 +257,17 @@ def _register_installed(namespace: str) -> None:
 
 
 def _load(name: str) -> Any:
-    """Import a module by its name or the path of its file."""
-    with blamed(f"module {name} cannot be imported"), redirect_stdout(sys.stderr):
-        return import_module(_importable(name))
+    """Import a module by its name or the path of its file.
 
-
-def _importable(name: str) -> str:
-    """Return the name by which a module can be imported, from the current or its file's folder too."""
-    path = Path(name) if name.endswith(".py") else None
-    folder = str(path.parent.resolve() if path else Path.cwd())
-    if folder not in sys.path:
-        sys.path.append(folder)
-    return path.stem if path else name
+    Its classes are found by its name (by Gymnasium's `entry_point`), so that one process can load only one
+    module of a name.
+    """
+    path = Path(name).resolve() if name.endswith(".py") else None
+    with blamed(f"module {name} cannot be imported"), importing_from(path.parent if path else Path.cwd()):
+        module = import_module(path.stem if path else name)
+        if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
+            raise ImportError(f"there is another module {path.stem}: give the file another name")
+        return module
 
 
 def module_files(name: str) -> list[Path]:
@@ -276,9 +276,12 @@ def module_files(name: str) -> list[Path]:
     The module is not run. If it is not found there are none, so that its runs still have an id under which
     they can fail.
     """
+    if name.endswith(".py"):
+        path = Path(name).resolve()
+        return source_files(path.stem, path) if path.is_file() else []
     spec = None
-    with suppress(Exception, SystemExit):  # of a package that it is in
-        spec = find_spec(_importable(name))
+    with suppress(Exception, SystemExit), importing_from(Path.cwd()):  # of a package that it is in
+        spec = find_spec(name)
     return source_files(spec.name, Path(spec.origin)) if spec and spec.has_location and spec.origin else []
 
 
@@ -297,17 +300,20 @@ def one_line(error: BaseException) -> str:
 
 
 class Evaluation:
-    """Evaluates the policies of one run: always the same episodes, on seeds of their own."""
+    """Evaluates the policies of one run: always the same episodes, on seeds of their own.
+
+    Environments are made anew each time, because wrappers may keep what they learned, such as means.
+    """
 
     def __init__(self, run: Run) -> None:
         self.run = run
         count = run.evaluation_episodes + BEST_EPISODES
         self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
-        self.slots = Slots(run, self._seeds)
-        space = self.slots.action_space
+        slots = Slots(run, self._seeds)
+        space = slots.action_space
         space.seed(stream_seed(run.stream, "random-player") % 2**31)
         first = space.start if isinstance(space, spaces.Discrete) else 0
-        returns, _, _ = self._play(lambda rows, _: np.array([space.sample() - first for _ in rows]))
+        returns, _, _ = _play(slots, lambda rows, _: np.array([space.sample() - first for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
         self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
 
@@ -322,7 +328,7 @@ class Evaluation:
             parts += [policy.best(seen[drawn:])] if drawn < len(rows) else []
             return np.concatenate(parts)
 
-        returns, lengths, successes = self._play(act)
+        returns, lengths, successes = _play(Slots(self.run, self._seeds), act)
         told_success = np.isfinite(successes[:episodes]).all()
         return {
             **dict.fromkeys(EVALUATION_COLUMNS, NAN),
@@ -337,25 +343,26 @@ class Evaluation:
             "random_spread": self._random_spread,
         }
 
-    def _play(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
-        slots = self.slots
-        slots.begin(self._seeds)
-        returns, lengths, successes = np.zeros((3, len(slots.envs)))
-        rows = np.arange(len(slots.envs))
-        while len(rows):
-            going_on = []
-            chosen = act(rows, slots.observations[rows])
-            if isinstance(space := slots.action_space, spaces.Box):  # cut off at their bounds
-                flat = chosen.reshape(len(rows), -1)
-                chosen = np.clip(flat, space.low.reshape(-1), space.high.reshape(-1))
-            for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
-                reward, ended, cut, info = slots.step_one(row, action)
-                returns[row] += reward
-                lengths[row] += 1
-                if ended or cut:
-                    successes[row] = float(info.get("is_success", NAN))
-                else:
-                    going_on.append(row)
-            rows = np.array(going_on, np.int64)
-        return returns, lengths, successes
+
+def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
+    returns, lengths, successes = np.zeros((3, len(slots.envs)))
+    rows = np.arange(len(slots.envs))
+    while len(rows):
+        going_on = []
+        chosen = act(rows, slots.observations[rows])
+        if isinstance(space := slots.action_space, spaces.Box):  # cut off at their bounds
+            flat = chosen.reshape(len(rows), -1)
+            chosen = np.clip(flat, space.low.reshape(-1), space.high.reshape(-1))
+        for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
+            reward, ended, cut, info = slots.step_one(row, action)
+            returns[row] += reward
+            lengths[row] += 1
+            if ended or cut:
+                successes[row] = float(info.get("is_success", NAN))
+            else:
+                going_on.append(row)
+        rows = np.array(going_on, np.int64)
+    for env in slots.envs:
+        env.close()
+    return returns, lengths, successes

@@ -27,8 +27,8 @@ import importlib
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
@@ -59,22 +59,11 @@ def load_reward(name: str) -> RewardFunction:
         UserError: when the module or the function does not exist.
     """
     module_name, _, function_name = name.partition(":")
-    path = str(Path.cwd())
-    added = path not in sys.path
-    if added:
-        sys.path.insert(0, path)
-    # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
-    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     try:
-        with redirect_stdout(sys.stderr):  # standard output is for a command's document
+        with importing_from(Path.cwd()):
             module = importlib.import_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
-    finally:
-        sys.dont_write_bytecode = writes
-        if added:  # behind all others, for what the function itself imports when it is called
-            sys.path.remove(path)
-            sys.path.append(path)
     function = getattr(module, function_name, None)
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
@@ -152,15 +141,34 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
     return np.where(present(events)[..., None], parts, 0.0).astype(np.float32)
 
 
-# --- Which files a user's own module is made of ------------------------------------------------------
-# Found by reading the import statements, not by running them. What is installed is not a user's own.
+# --- A user's own modules ------------------------------------------------------------------------------
+
+
+@contextmanager
+def importing_from(folder: Path) -> Iterator[None]:
+    """Import a user's modules from a folder first; later, when their functions run, from it last."""
+    path = str(folder)
+    added = path not in sys.path
+    if added:
+        sys.path.insert(0, path)
+    # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    try:
+        with redirect_stdout(sys.stderr):  # standard output is for a command's document
+            yield
+    finally:
+        sys.dont_write_bytecode = writes
+        if added:
+            sys.path.remove(path)
+            sys.path.append(path)
 
 
 def module_files(name: str, path: Path) -> list[Path]:
     """Return the source files of a module: its own first, then those that it imports, sorted.
 
-    Imports are followed wherever they stand in a file, if they lead to modules in the folder of the module
-    or, for an installed package, in the package. Imports of Pneuma are not followed.
+    Import statements are read, wherever they stand in a file, and nothing is run. They are followed if they
+    lead to modules in the folder of the module or, for an installed package, in the package: what else is
+    installed is not a user's own, and neither is Pneuma.
 
     Args:
         name: of the module, in full.

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import check_environment, slot_seeds
-from pneuma.engines.gymnasium_env import Evaluation, Slots
+from pneuma.engines.gymnasium_env import Evaluation, Slots, make_env
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
@@ -137,6 +137,14 @@ def test_a_step_that_raises_or_gives_no_number_or_another_shape_ends_the_run_wit
             train(replace(corridor(**{fault: value}), engine=engine))
 
 
+def test_wrappers_that_learn_begin_anew_in_each_evaluation() -> None:
+    run = replace(corridor(), wrappers=("gymnasium.wrappers:NormalizeObservation",))
+    still = Policy("tanh", ((np.eye(2, dtype=np.float32), np.zeros(2, np.float32)),), ())
+    evaluation = Evaluation(run)
+    first = evaluation.evaluate(still, 0)
+    assert first == evaluation.evaluate(still, 0) == Evaluation(run).evaluate(still, 0)
+
+
 def test_evaluations_count_successes_and_a_random_player() -> None:
     """Five steps right: four that cost 0.1 to 0.11, and one that pays 1."""
     right = Policy("tanh", ((np.zeros((2, 2), np.float32), np.array([-9, 9], np.float32)),), ())
@@ -155,6 +163,20 @@ def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
     np.testing.assert_allclose(drawn.std(axis=0), [0.5, 2], rtol=0.03)
     entropy = 2 * 0.5 * np.log(2 * np.pi * np.e) + np.log(0.5 * 2)
     assert again.entropy(np.zeros((1, 3), np.float32)) == pytest.approx(entropy)
+
+
+def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path: Any) -> None:
+    runs = []
+    for place in ("here", "there", "statistics"):
+        path = tmp_path / place / ("statistics.py" if place == "statistics" else "of_one_name.py")
+        path.parent.mkdir()
+        path.write_text(f"import gymnasium\nHERE = {place!r}\n")
+        runs.append(make_run({"env": "CartPole-v1", "env_module": str(path)}))
+    assert len({*map(run_id, runs)}) == 3
+    make_env(runs[0])
+    for run, name in zip(runs[1:], ("of_one_name", "statistics"), strict=True):
+        with pytest.raises(UserError, match=f"another module {name}: give the file another name"):
+            make_env(run)
 
 
 def test_a_run_is_named_by_what_is_in_its_module_not_by_where_it_lies(tmp_path: Any) -> None:
