@@ -36,6 +36,7 @@ from pneuma.env_fields import (
     resolve_world,
 )
 from pneuma.errors import UserError
+from pneuma.schema import plain
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
@@ -113,7 +114,7 @@ def _read_env(value: Any) -> str:
 
 def _read_arguments(value: Any) -> str:
     """Read a table of keyword arguments as JSON; equal tables give equal text."""
-    table = json.loads(value or "{}") if isinstance(value, str) else value
+    table = plain(json.loads(value or "{}") if isinstance(value, str) else value)
     if not isinstance(table, Mapping):
         raise ValueError
     return json.dumps(table, sort_keys=True, allow_nan=False) if table else ""

@@ -24,7 +24,9 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma": ("pneuma.env",),  # registers the environments
     "pneuma.__main__": ("pneuma.cli",),
     "pneuma.algorithms": (),
-    "pneuma.config": ("pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values"),
+    "pneuma.config": (
+        "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values", "pneuma.schema",
+    ),
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.reading": ("pneuma.errors",),

@@ -210,7 +210,8 @@ class GradientNorms:
             if "q_net_target" not in name
         ]
         self._parameters = [parameter for _, parameter in named]
-        self._is_actor = torch.tensor(["policy_net" in name or "action_net" in name for name, _ in named])
+        of_actor = ("policy_net", "action_net", "log_std")
+        self._is_actor = torch.tensor([any(part in name for part in of_actor) for name, _ in named])
         self._in_parts = run.algorithm not in VALUE_BASED
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, FORK_RESETS, OPTIMIZER_FIELDS, Run, as_fields, make_run
+from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OPTIMIZER_FIELDS, Run, as_fields, make_run
 from pneuma.env_fields import EnvConfig, read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import own_things, run_id
@@ -24,7 +24,7 @@ CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
     "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
-    "critic", "buffer_size", "learning_starts", "seed", "steps",
+    "critic", "buffer_size", "learning_starts", "seed", "steps", *OF_GYMNASIUM,
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
 OF_TRANSITIONS = tuple(env_field.name for env_field in fields(EnvConfig))

@@ -1,4 +1,4 @@
-"""Locks on runs, which end with the process that holds them.
+"""Locks on the folders of runs, which end with the process that holds them.
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it. On file
 systems without locks, or with locks for one machine only, two processes may train the same run. Both give the
@@ -22,7 +22,7 @@ LOOKS, LOOK_SECONDS = 5, 0.002
 
 @contextmanager
 def run_lock(folder: Path) -> Iterator[bool]:
-    """Hold the lock of a run, if no other process does; yield whether it is held.
+    """Hold the lock of a run's folder, if no other process does; yield whether it is held.
 
         with run_lock(store.run_folder(name)) as mine:
             if mine: ...

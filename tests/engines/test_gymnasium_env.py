@@ -153,6 +153,13 @@ def test_evaluations_count_successes_and_a_random_player() -> None:
     assert row["random_return"] < row["return"] and np.isnan(row["share_killed"])
 
 
+def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
+    """Without a value loss no gradient is the critic's."""
+    run = make_run({**SMALL, "env": "Pendulum-v1", "engine": "sb3", "value_coefficient": 0})
+    for row in train(run)[0].records.metrics:
+        assert row["grad_norm_critic"] == 0 < row["grad_norm_actor"]
+
+
 def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
     layers = ((np.zeros((3, 2), np.float32), np.array([1, -1], np.float32)),)
     value = ((np.zeros((3, 1), np.float32), np.zeros(1, np.float32)),)

@@ -123,6 +123,21 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     assert len(queue.submitted) == 2
 
 
+def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
+    queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submit = queue.submit_array
+
+    def slowly(jobs: Sequence[slurm.Training]) -> None:
+        slurm._watch(set(), store, lambda event: None)  # it clears away what is not in the queue
+        submit(jobs)
+
+    monkeypatch.setattr(queue, "submit_array", slowly)
+    with pytest.raises(Detached):
+        train([group(6)], store, DETACHED)
+    assert slurm.queued(store).keys() == group(6).keys()
+
+
 def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -105,6 +105,7 @@ class Interrupts:
             for number in self._signals:
                 if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` lets SIGHUP be
                     self._before[number] = signal.signal(number, self._note)
+        if self._before:
             self._woken_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
         return self
 
@@ -255,8 +256,8 @@ class Supervisor:
         try:
             with self._store.lock(name) as mine:
                 if mine:
-                    output = words.decode(errors="replace")
-                    self._store.save_failure(name, run, status, f"{_reason(code)}\n{output}")
+                    output = words.decode(errors="replace")  # the reason last, as of a traceback
+                    self._store.save_failure(name, run, status, f"{output}\n{_reason(code)}\n".lstrip())
         except (UserError, OSError) as error:
             self._note(name, str(error))
         self._on_event(end_event(name, Status(status)))

@@ -32,6 +32,7 @@ from pneuma.errors import UserError, counted, install_extra
 from pneuma.study.executors.base import Detached, Job, OnEvent, Supervision, watch
 from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
 from pneuma.study.files import replace_files, to_json
+from pneuma.study.locks import is_held, run_lock
 from pneuma.study.store import Store
 
 MOST_AT_ONCE = 256
@@ -141,9 +142,9 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
         folder, shared = _folder(store) / name, Store(store.root.resolve())
         executor = _executor(folder / "jobs", name, how)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            replace_files(folder, {NOTE: to_json([list(group) for group in array])})  # none is forgotten
-            executor.submit_array([Training(group, shared, how) for group in array])
+            with run_lock(folder):
+                replace_files(folder, {NOTE: to_json([list(group) for group in array])})  # none is forgotten
+                executor.submit_array([Training(group, shared, how) for group in array])
         except Exception as error:  # submitit raises many kinds; it has printed sbatch's message
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
@@ -182,7 +183,7 @@ def _put_away(store: Store, live: Iterable[str]) -> None:
     """Clear away submissions that are not `live`; the output of failed runs stays."""
     for name, groups in _noted(store).items():
         runs = {run for group in groups for run in group}
-        if runs.isdisjoint(live):
+        if runs.isdisjoint(live) and not is_held(_folder(store) / name):  # or it is being submitted
             (_folder(store) / name / NOTE).unlink(missing_ok=True)
             if all(store.status(run).finished for run in runs):
                 shutil.rmtree(_folder(store) / name, ignore_errors=True)
