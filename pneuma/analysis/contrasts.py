@@ -147,7 +147,8 @@ def compare_effects(
         return undecided("mean", "all runs of every arm are equal", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
-    tails = pvalues.student_tails(shifted, np.full(shifted.shape, error), freedom)
+    size = max(np.abs(of_arm).max() for of_arm in values)  # so that units do not matter
+    tails = pvalues.student_tails(shifted / size, np.full(shifted.shape, error / size), freedom)
     make = partial(intervals.around, effect, error, freedom, method="Welch t, four arms")
     return _contrast("mean", effect, make, level, pvalues.p_values(*tails, 1), seeds, (0.0, 0.0))
 

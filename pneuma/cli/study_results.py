@@ -150,6 +150,8 @@ def compare(
 
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
+    if not plot and (out or format):
+        raise UserError("--out and --format: are of --plot")
     formats = read_formats(format, out)
     data, heads = open_data(picked, name), [a, b or ""]
     pairs = {"": (a, b or "")}
@@ -243,6 +245,12 @@ def collapse(
     quiet: opt.Quiet = False,
 ) -> int:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
+    if fork and (out or format):
+        raise UserError("--out and --format: draw collapses, without --fork")
+    if workers and not fork:
+        raise UserError("--workers: is of --fork")
+    if format and not out:
+        raise UserError("--format: is of --out")
     formats, store = read_formats(format, out), picked.store
     data = open_data(picked, name, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
@@ -356,6 +364,8 @@ def robustness(
     json: opt.Json = False,
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
+    if format and not out:
+        raise UserError("--format: is of --out")
     formats, store = read_formats(format, out), picked.store
     setting, better, worse = contrast
     data = open_data(picked, name)

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
-from pneuma.analysis.contrasts import compare
+from pneuma.analysis.contrasts import compare, compare_effects
 from pneuma.analysis.pvalues import relabel, share_table
 
 A, B = [3.0, 7.5, 4.0, 9.0, 8.0], [1.0, 2.5, 5.0, 2.0]
@@ -75,6 +75,9 @@ def test_units_do_not_matter() -> None:
     assert (other.p_greater, other.p_equivalent) == pytest.approx((own.p_greater, own.p_equivalent))
     large, small = (compare("mean", [a * unit for a in A], 0.0, None, rng()) for unit in (1, 1e-9))
     assert small.p_greater == large.p_greater
+    arms = [np.array([*A, *B]) + shift for shift in (0, 3, 1, 0)]
+    large, small = (compare_effects([arm * unit for arm in arms], 0.5 * unit) for unit in (1, 1e-9))
+    assert (small.p_greater, small.p_equivalent) == pytest.approx((large.p_greater, large.p_equivalent))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.2])

@@ -56,7 +56,7 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
     assert len((tmp_path / "begun").read_text().splitlines()) == 4
     error = Store(tmp_path / "results").read_file(run_id(RUN), "error.txt")
-    assert error == b"why\n\nthe worker process ended with code 3\n"
+    assert error == b"the worker process ended with code 3\nwhy\n"
 
 
 # --- Signals -----------------------------------------------------------------------------------------

@@ -256,8 +256,8 @@ class Supervisor:
         try:
             with self._store.lock(name) as mine:
                 if mine:
-                    output = words.decode(errors="replace")  # the reason last, as of a traceback
-                    self._store.save_failure(name, run, status, f"{output}\n{_reason(code)}\n".lstrip())
+                    said = [_reason(code), words.decode(errors="replace")]  # what tells most comes last
+                    self._store.save_failure(name, run, status, "\n".join(said[::-1] if code < 0 else said))
         except (UserError, OSError) as error:
             self._note(name, str(error))
         self._on_event(end_event(name, Status(status)))
