@@ -36,7 +36,6 @@ from pneuma.env_fields import (
     resolve_world,
 )
 from pneuma.errors import UserError
-from pneuma.schema import plain
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
@@ -114,10 +113,14 @@ def _read_env(value: Any) -> str:
 
 def _read_arguments(value: Any) -> str:
     """Read a table of keyword arguments as JSON; equal tables give equal text."""
-    table = plain(json.loads(value or "{}") if isinstance(value, str) else value)
+    table = json.loads(value or "{}") if isinstance(value, str) else value
     if not isinstance(table, Mapping):
         raise ValueError
-    return json.dumps(table, sort_keys=True, allow_nan=False) if table else ""
+    if not table:
+        return ""
+    from pneuma.schema import plain  # pydantic: not for `--help`
+
+    return json.dumps(plain(table), sort_keys=True, allow_nan=False)
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:

@@ -208,8 +208,9 @@ def publish(
     if as_ is not None:
         if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
             raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
-        table = in_world(as_, split_world(record["study"])[1])
-        record = {**record, "study": table, "figure": table, "title": f"{record['title']}: {as_}"}
+        world = split_world(record["study"])[1]
+        table, (title, place, _) = in_world(as_, world), record["title"].partition(f" ({world})")
+        record = {**record, "study": table, "figure": table, "title": f"{title}: {as_}{place}"}
     from pneuma.analysis.published import TIMES_SUFFIX, published_path
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import RunIndex, open_study

@@ -37,7 +37,7 @@ MISTAKES = {
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
-    "study plot architecture": "pneuma study run architecture",
+    "study plot perception": "pneuma study run perception",
 }
 
 
