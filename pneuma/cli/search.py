@@ -341,15 +341,17 @@ def promote(
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=seeds, steps=steps))
     how = Supervision(workers=opt.most_workers(workers))
     code = train_study(planned, store, how, retry_failed=True, json=json, quiet=quiet, document=False)
-    if code:
-        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
-        return code
-    found = [gains(winner, planned, store) for winner in winners]
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
+    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
+    if code:
+        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
+        if json:
+            print_json({**document, "winners": chosen})
+        return code
+    found = [gains(winner, planned, store) for winner in winners]
     if json:
         rows = [{**row, "objectives": gained} for row, gained in zip(chosen, found, strict=True)]
-        document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
         print_json({**document, "winners": rows})
         return 0
     for winner, gained in zip(winners, found, strict=True):
