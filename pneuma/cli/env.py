@@ -53,9 +53,11 @@ def list_(json: opt.Json = False) -> None:
 @app.command(short_help="Check that an environment is sound.")
 def check(
     name: Annotated[
-        str | None, opt.argument("ID", "The environment; left out: all.", complete.environments)
+        str | None,
+        opt.argument(
+            "ID", "The environment (default: all; with --set the text's world).", complete.environments
+        ),
     ] = None,
-    all_: Annotated[bool, opt.flag("--all", "Check all environments.")] = False,
     set_: opt.Settings = None,
     json: opt.Json = False,
 ) -> int:
@@ -66,7 +68,7 @@ def check(
 
     settings = dict(set_ or ())
     rows = []
-    for each in REGISTERED if all_ or not (name or settings) else [name or ENVIRONMENTS[0]]:
+    for each in REGISTERED if not (name or settings) else [name or ENVIRONMENTS[0]]:
         for check_name, problem in check_environment(each, settings):
             rows.append({"env": each, "check": check_name, "problem": problem})
             if not json:
