@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -9,10 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
 Points = Sequence[tuple[str, int, float]]
 WriteEvents = Callable[[Path, Points], Path]
+
+# As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
+os.environ.update(one_thread_environment())
 
 
 @pytest.fixture(scope="session", autouse=True)
