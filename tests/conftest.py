@@ -13,6 +13,8 @@ import pytest
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
+from .training import training_here
+
 Points = Sequence[tuple[str, int, float]]
 WriteEvents = Callable[[Path, Points], Path]
 
@@ -32,6 +34,13 @@ def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 def store(tmp_path: Path) -> Store:
     """An empty results folder."""
     return Store(tmp_path / "results")
+
+
+@pytest.fixture
+def trains_here() -> Iterator[None]:
+    """Let commands train in this process; see `training.py`."""
+    with training_here():
+        yield
 
 
 @pytest.fixture(scope="session")
