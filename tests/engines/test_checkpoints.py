@@ -22,6 +22,7 @@ SMALL: dict[str, object] = {
     "epochs": 2,
     "steps": 384,
     "evaluation_episodes": 2,
+    "episode_steps": 60,
 }
 CASES: dict[str, dict[str, object]] = {
     "adam": {"betas": (0.9, 0.9)},
