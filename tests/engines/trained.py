@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from pneuma.config import Run
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.records import Checkpoint
@@ -19,6 +21,12 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
 
     start = {0: checkpoint} if checkpoint else {}
     return next(load_engine(run.engine).train([run], start, keep)), taken
+
+
+@lru_cache(maxsize=32)
+def train_once(run: Run) -> tuple[Result, list[Checkpoint]]:
+    """Train a run for all tests that only look at what it gave, which none of them may change."""
+    return train(run)
 
 
 def bits(result: Result) -> tuple[object, ...]:
