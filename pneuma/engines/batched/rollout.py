@@ -199,7 +199,7 @@ class Collector:
                 tape = _with_more_room(tape)
             _choose(worlds.handle, weights, widths, activation, draw, tape, step, chosen, scratch)
             worlds.advance(chosen)
-            count = _note(worlds.handle, worlds.usual_starts, tape, step, count, chosen, over)
+            count = _note(worlds.handle, worlds.usual_starts, tape, step, count, over)
         return tape, count
 
 
@@ -238,8 +238,8 @@ def _play(
     scratch = np.zeros((2, 1, widths.max()), np.float32)
     while step < draws.shape[0] and count + draws.shape[1] <= tape.terminal.shape[0]:
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
-        rules.step_worlds(handle, chosen, False)
-        count = _note(handle, usual_starts, tape, step, count, chosen, over)
+        rules.step_worlds(handle, chosen)
+        count = _note(handle, usual_starts, tape, step, count, over)
         step += 1
     return step, count
 
@@ -265,7 +265,7 @@ def _choose(
 
 
 @kernel
-def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chosen: Any, over: Any) -> int:
+def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, over: Any) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = rules.open_state(handle)
     players = s.players.shape[1]
@@ -300,7 +300,7 @@ def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chos
         tape.idle[i] = not present and not over[w]
     if any_over:
         rules.reset_worlds(handle, usual_starts, over)
-        rules.step_worlds(handle, chosen, True)
+        rules.observe_worlds(handle)
     return count
 
 
