@@ -8,7 +8,7 @@ computed exactly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -34,11 +34,10 @@ LONGEST_ROUTE = 2
 
 
 def train(
-    runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
-) -> Iterator[Result]:
-    """Train every run, one after the other; see `pneuma.engines.base`."""
-    for index, run in enumerate(runs):
-        yield train_run(run, TableTrainer(run), on_update, checkpoints.get(index))
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
+) -> Result:
+    """Train a run; see `pneuma.engines.base.Engine`."""
+    return train_run(run, TableTrainer(run), on_update, checkpoint, evaluated)
 
 
 class TableTrainer:

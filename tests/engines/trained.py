@@ -17,8 +17,7 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
         taken.append(progress.checkpoint())
         return True
 
-    start = {0: checkpoint} if checkpoint else {}
-    return next(load_engine(run.engine).train([run], start, keep)), taken
+    return load_engine(run.engine).train(run, keep, checkpoint), taken
 
 
 def bits(result: Result) -> tuple[object, ...]:
