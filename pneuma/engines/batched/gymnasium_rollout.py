@@ -16,8 +16,8 @@ from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 
 
-class Collector:
-    """The environments of a run's slots; implements `pneuma.engines.environment.Collects`."""
+class GymnasiumCollector:
+    """The environments of a run's slots, with the same attributes and methods as `rollout.Collector`."""
 
     def __init__(self, run: Run) -> None:
         self._run = run

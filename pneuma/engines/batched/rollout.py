@@ -88,6 +88,8 @@ class Collector:
         begins: (S,) float32, 1 if the last step ended an episode, or there was none.
         idle: (S,) whether the slot's player died earlier in an episode that still runs.
         generator: draws the actions.
+        features, actions: the length of an observation, and the number of actions.
+        layout: identifies the layout of the arrays of `saved_state`.
     """
 
     def __init__(self, run: Run) -> None:
@@ -152,7 +154,7 @@ class Collector:
         ]
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return the arrays of worlds and episodes by name."""
+        """Return everything that the next step depends on, except the generator: arrays by name."""
         idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
         return {
             **{f"worlds/{name}": _bytes(getattr(self.worlds, name)) for name in _WORLDS},
