@@ -36,9 +36,6 @@ class Progress:
     records: Records
     checkpoint: Callable[[], Checkpoint]
 
-    def __repr__(self) -> str:
-        return f"seed {self.run.seed}: {self.step:,} of {self.run.steps:,} steps"
-
 
 @dataclass(frozen=True)
 class Result:

@@ -16,7 +16,6 @@ import torch
 from sb3_contrib import TRPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
@@ -299,11 +298,10 @@ def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     return {**metrics, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else metrics
 
 
-def finished_episodes(env: VecEnv | None) -> list[dict[str, Any]]:
+def finished_episodes(env: Any) -> list[dict[str, Any]]:
     """Return and forget the episodes that ended since the last call."""
-    finished: list[dict[str, Any]] = getattr(env, "finished", [])
-    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in finished]
-    finished.clear()
+    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in env.finished]
+    env.finished.clear()
     return rows
 
 
