@@ -22,7 +22,7 @@ class GymnasiumCollector:
     def __init__(self, run: Run) -> None:
         self._run = run
         self.layout = "seeds and actions"
-        self.slots = Slots(run, slot_seeds(run), logged=True)
+        self.slots = Slots(run, slot_seeds(run))
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
         self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]
