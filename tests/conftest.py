@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -9,10 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
+
+from .training import training_here
 
 Points = Sequence[tuple[str, int, float]]
 WriteEvents = Callable[[Path, Points], Path]
+
+# As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
+os.environ.update(one_thread_environment())
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -27,6 +34,13 @@ def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 def store(tmp_path: Path) -> Store:
     """An empty results folder."""
     return Store(tmp_path / "results")
+
+
+@pytest.fixture
+def trains_here() -> Iterator[None]:
+    """Let commands train in this process; see `training.py`."""
+    with training_here():
+        yield
 
 
 @pytest.fixture(scope="session")

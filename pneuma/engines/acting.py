@@ -81,7 +81,7 @@ def _play(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, r
         for k in range(asked):
             w, p = rows[k] // players, rows[k] % players
             chosen[w, p] = sample(logits[k], draws[step, rows[k]]) if w < sampled else np.argmax(logits[k])
-        running -= rules.step_worlds(handle, chosen, False)
+        running -= rules.step_worlds(handle, chosen)
         for w in range(count):
             paid = 0.0
             for p in range(players):

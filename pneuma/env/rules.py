@@ -48,7 +48,7 @@ HAIR = 2.0**-10
 """Pixels by which bodies may overlap and still count as touching, as sums of floats are not exact."""
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 
-# Only the two calls from outside can be called from outside: the code that takes Python's arguments
+# Only the calls from outside can be called from outside: the code that takes Python's arguments
 # apart would take longer to compile than the rules. Nothing allocates, so the others do without
 # numba's reference counts, which took half the time of a step.
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -93,28 +93,35 @@ def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
 
 
 @entry
-def step_worlds(handle: Array, actions: Array, only_observe: bool) -> int:
+def step_worlds(handle: Array, actions: Array) -> int:
     """Advance every running world by one agent step, observe it, and return how many ended.
 
     Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended stays as
-    it is, with empty events, until it is reset. With `only_observe` only the observations are written.
+    it is, with empty events, until it is reset.
     """
     s = open_state(handle)
     ended = 0
     for w in range(s.worlds.shape[0]):
-        running = s.worlds[w].ending == RUNNING and not only_observe
         for p in range(s.players.shape[1]):
-            if not only_observe:
-                _clear(s.events[w, p])
-        if running:
-            ended += _step_world(s, w, actions)
+            _clear(s.events[w, p])
+        if s.worlds[w].ending != RUNNING:
+            continue
+        ended += _step_world(s, w, actions)
         for p in range(s.players.shape[1]):
-            if running or only_observe:
-                _observe(s, w, p, s.worlds[w].ending == RUNNING or running)
+            _observe(s, w, p, True)
         for p in range(s.players.shape[1]):
-            if running and (s.events[w, p].present or s.events[w, p].died):
+            if s.events[w, p].present or s.events[w, p].died:
                 _reward(s.players[w, p], s.player_stats[p], s.events[w, p])
     return ended
+
+
+@entry
+def observe_worlds(handle: Array) -> None:
+    """Write the observations of every world as it stands."""
+    s = open_state(handle)
+    for w in range(s.worlds.shape[0]):
+        for p in range(s.players.shape[1]):
+            _observe(s, w, p, s.worlds[w].ending == RUNNING)
 
 
 @opening

@@ -132,7 +132,6 @@ class Worlds:
         )
         self._take_addresses()
         self._every = np.ones(count, np.bool_)
-        self._no_actions = np.zeros((count, players), np.int64)
         start = -1 if self.config.start == "random" else 0
         self.usual_starts = np.full(count, start, np.int64)
 
@@ -252,7 +251,7 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = int(rules.step_worlds(self._handle, actions, False))
+        ended = int(rules.step_worlds(self._handle, actions))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
@@ -368,7 +367,7 @@ class Worlds:
             raise ValueError("players: facing is none of 0 to 3")
 
     def _observe(self) -> None:
-        rules.step_worlds(self._handle, self._no_actions, True)
+        rules.observe_worlds(self._handle)
 
 
 def world_key(seed: int) -> int:

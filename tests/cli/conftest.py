@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from ..training import training_here
 from .calls import TINY, as_it_stands, printed
 
 
@@ -13,6 +14,7 @@ from .calls import TINY, as_it_stands, printed
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A results folder with two conditions of two seeds, which no test changes."""
     results = tmp_path_factory.mktemp("trained") / "results"
-    printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
+    with training_here():
+        printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
     as_it_stands(results, "activation")
     return results

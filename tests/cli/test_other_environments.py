@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.engines import own_envs
 
 from .calls import call, described, printed
+
+pytestmark = pytest.mark.usefixtures("trains_here")
 
 STUDY = """
 title = "Corridor"

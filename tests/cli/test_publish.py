@@ -9,6 +9,8 @@ import pytest
 
 from .calls import TINY, Called, as_it_stands, call, printed, refused
 
+pytestmark = pytest.mark.usefixtures("trains_here")
+
 
 @pytest.fixture
 def results(trained: Path, tmp_path: Path) -> Path:

@@ -13,7 +13,10 @@ from pneuma.search.trials import Unfinished
 from pneuma.study.plan import Plan
 from pneuma.study.store import Status, Store
 
+from ..training import training_here
 from .calls import call, described, printed, refused
+
+pytestmark = pytest.mark.usefixtures("trains_here")
 
 SEARCH = """
 title = "A small search"
@@ -49,7 +52,8 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("search")
     path = folder / "small.toml"
     path.write_text(SEARCH)
-    printed("search", "run", path, "--results", folder / "results", "--quiet")
+    with training_here():
+        printed("search", "run", path, "--results", folder / "results", "--quiet")
     return path, folder / "results"
 
 

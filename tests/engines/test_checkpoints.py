@@ -14,7 +14,7 @@ from pneuma.study.checkpoints import (
     encode,
 )
 
-from .trained import bits, train
+from .trained import bits, train, train_once
 
 SMALL: dict[str, object] = {
     "horizon": 64,
@@ -22,6 +22,7 @@ SMALL: dict[str, object] = {
     "epochs": 2,
     "steps": 384,
     "evaluation_episodes": 2,
+    "episode_steps": 60,
 }
 CASES: dict[str, dict[str, object]] = {
     "adam": {"betas": (0.9, 0.9)},
@@ -43,7 +44,7 @@ BESIDE = [("sb3", "upgd"), ("batched", "upgd"), ("batched", "players")]
 @pytest.mark.parametrize(("engine", "name"), TRAINED)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: str) -> None:
     run = make_run({**SMALL, **CASES[name], "engine": engine})
-    whole, taken = train(run)
+    whole, taken = train_once(run)
     for checkpoint in (taken[0], taken[3], taken[-1]):
         np.random.seed(1)
         torch.manual_seed(1)  # whatever other runs drew meanwhile
@@ -58,7 +59,7 @@ def test_a_run_ends_with_the_same_bits_whoever_was_trained_before_it(name: str, 
     other = make_run({**SMALL, **CASES[name], "engine": engine, "seed": 1})
     wild = {"optimizer": "sgd", "learning_rate": 100, "gradient_limit": None, "activation": "relu"}
     diverging = make_run({**SMALL, **wild, "steps": 3840, "engine": engine})
-    alone, _ = train(run)
+    alone, _ = train_once(run)
     results = [train(each)[0] for each in (diverging, other, run)]
     assert [result.status for result in results] == ["diverged", "done", "done"]
     assert bits(results[2]) == bits(alone)
@@ -80,7 +81,7 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
 @pytest.mark.parametrize("engine", BOTH)
 @pytest.mark.parametrize("settings", [{"actor": (64,)}, {"optimizer": "sgd", "momentum": 0.9}, {"slots": 2}])
 def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], engine: str) -> None:
-    _, taken = train(make_run({**SMALL, "engine": engine}))
+    _, taken = train_once(make_run({**SMALL, "engine": engine}))
     with pytest.raises(CheckpointError, match="cannot go on from step 64"):
         train(make_run({**SMALL, **settings, "engine": engine}), taken[0])
 

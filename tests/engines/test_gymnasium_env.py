@@ -22,7 +22,7 @@ from pneuma.errors import UserError
 from pneuma.study.checkpoints import decode, encode
 from pneuma.study.identity import own_things, run_id
 
-from .trained import bits, train
+from .trained import bits, train, train_once
 
 SMALL: dict[str, Any] = {
     "slots": 3, "horizon": 32, "minibatch": 32, "epochs": 2, "steps": 288, "evaluation_episodes": 2,
@@ -66,7 +66,7 @@ def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
     run = make_run({**SMALL, **CASES[name]})
-    whole, taken = train(run)
+    whole, taken = train_once(run)
     assert make_run(as_fields(run)) == run and whole.status == "done"
     for checkpoint in (taken[0], taken[-2]):
         np.random.seed(1)
@@ -78,7 +78,7 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
 @pytest.mark.parametrize("name", ["corridor", "sb3"])
 def test_a_fork_goes_on_with_chances_of_its_own_and_goes_on_itself(name: str) -> None:
     run = make_run({**SMALL, **CASES[name]})
-    whole, taken = train(run)
+    whole, taken = train_once(run)
     fork = replace(run, parent=run_id(run), fork_step=taken[0].step)
     forked, own = train(fork, taken[0])
     assert bits(forked) != bits(whole)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from pneuma.config import Run
 from pneuma.engines.base import Progress, Result, load_engine
 from pneuma.engines.records import Checkpoint
@@ -18,6 +20,12 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
         return True
 
     return load_engine(run.engine).train(run, keep, checkpoint), taken
+
+
+@lru_cache(maxsize=32)
+def train_once(run: Run) -> tuple[Result, list[Checkpoint]]:
+    """Train a run for all tests that only look at what it gave, which none of them may change."""
+    return train(run)
 
 
 def bits(result: Result) -> tuple[object, ...]:

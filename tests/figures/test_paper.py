@@ -15,8 +15,9 @@ from .hand_made import HandMade
 
 
 @pytest.fixture(autouse=True)
-def no_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the environment's own figures, which tests of theirs draw."""
+def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the environment's own figures, which tests of theirs draw; one process has the rest."""
+    monkeypatch.setattr(paper, "available_cores", lambda: 1)
     monkeypatch.setattr(paper, "_draw_environment", lambda folder: [])
     monkeypatch.setattr(paper, "_write_settings", lambda folder: [])
 

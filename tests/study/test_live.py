@@ -19,6 +19,7 @@ from .storm import children, kill, wait_for_end
 TABLES = ("episodes", "metrics")
 
 
+@pytest.mark.usefixtures("trains_here")
 def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_path: Path) -> None:
     run = ("study", "run", "activation", *TINY, "--seeds", "5,", "--quiet", "--json")
     plain, logged = tmp_path / "plain", tmp_path / "logged"

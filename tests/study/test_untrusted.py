@@ -18,8 +18,8 @@ from pneuma.config import as_fields, make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
 from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
-from pneuma.study.executors.local import run_groups
 from pneuma.study.files import checksum, seal, to_json
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
@@ -125,6 +125,7 @@ def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
         assert store.selection("mine") is None, change
 
 
+@pytest.mark.usefixtures("trains_here")
 def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_swept(
     store: Store, tmp_path: Path
 ) -> None:
@@ -136,7 +137,7 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.symlink_to(theirs)
     events = list[Event]()
-    run_groups([{run_id(run): run}], store, Supervision(1), events.append)
+    local.run_groups([{run_id(run): run}], store, Supervision(1), events.append)
     (end,) = [event for event in events if event["event"] == "end"]
     assert end["status"] == "crashed" and "is a link; remove it" in end["reason"]
     assert {path.name: path.read_text() for path in theirs.iterdir()} == {

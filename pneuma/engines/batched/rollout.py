@@ -189,7 +189,7 @@ class Collector:
         for step, draw in enumerate(draws):
             _choose(handle, weights, widths, activation, draw, tape, step, chosen, scratch)
             worlds.advance(chosen)
-            count = _note(handle, usual_starts, tape, step, count, chosen, over)
+            count = _note(handle, usual_starts, tape, step, count, over)
         return count
 
 
@@ -224,8 +224,8 @@ def _play(
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
-        rules.step_worlds(handle, chosen, False)
-        count = _note(handle, usual_starts, tape, step, count, chosen, over)
+        rules.step_worlds(handle, chosen)
+        count = _note(handle, usual_starts, tape, step, count, over)
     return count
 
 
@@ -250,7 +250,7 @@ def _choose(
 
 
 @kernel
-def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chosen: Any, over: Any) -> int:
+def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, over: Any) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = rules.open_state(handle)
     players = s.players.shape[1]
@@ -285,7 +285,7 @@ def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, chos
         tape.idle[i] = not present and not over[w]
     if any_over:
         rules.reset_worlds(handle, usual_starts, over)
-        rules.step_worlds(handle, chosen, True)
+        rules.observe_worlds(handle)
     return count
 
 

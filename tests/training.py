@@ -1,0 +1,52 @@
+"""Training in this process, for tests of what is made of runs and not of how processes are supervised.
+
+A worker of its own costs seconds before its first step: libraries are imported and programs compiled anew.
+What is here does as `study.executors.local` does, with the worker's own code, but for processes, signals and
+second tries. `study/test_execute.py` and `study/test_supervision.py` have the real ones.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+
+import pytest
+
+from pneuma.config import Run
+from pneuma.study.executors import local
+from pneuma.study.executors.base import OnEvent, Supervision
+from pneuma.study.store import Store
+from pneuma.study.worker import Job, Reporter, train_group
+
+
+class _Told(io.StringIO):
+    """Takes a worker's lines and hands on their events."""
+
+    def __init__(self, on_event: OnEvent) -> None:
+        super().__init__()
+        self._on_event = on_event
+
+    def write(self, line: str) -> int:
+        self._on_event(json.loads(line))
+        return len(line)
+
+
+def _train_groups(
+    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+) -> None:
+    """Train groups of runs one after another."""
+    for runs in groups:
+        logs = {name: folder for name, folder in how.logs.items() if name in runs}
+        job = Job(store, runs, how.checkpoint_seconds, how.keep_checkpoints, logs=logs)
+        train_group(job, Reporter(_Told(on_event)), threading.Event())
+
+
+@contextmanager
+def training_here() -> Iterator[None]:
+    """Let commands train in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(local, "run_groups", _train_groups)
+        yield
