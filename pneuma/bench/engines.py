@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines.environment import make_vec_env
 from pneuma.study.executors.local import one_thread_environment
 
 SIZES: dict[str, dict[str, object]] = {"small": {}, "mid": {"actor": [512], "critic": [2048, 2048]}}
@@ -62,10 +61,10 @@ def engine_rates(compiled: Sequence[Run], reference: Run, rounds: int) -> tuple[
     from pneuma.engines import batched, sb3
 
     def ours(run: Run) -> None:
-        batched.train_one(run, lambda progress: True, evaluated=False)
+        batched.train(run, lambda progress: True, evaluated=False)
 
     def theirs(run: Run) -> None:
-        sb3.train_one(run, lambda progress: True, env=make_vec_env(run))
+        sb3.train(run, lambda progress: True, evaluated=False)
 
     ours(compiled[0])  # compiles
     rates: tuple[list[float], list[float]] = ([], [])

@@ -1,5 +1,4 @@
 """Engines train runs. `base` defines the interface, and `loop` what all of them do between updates.
 
-`base` is the contract, `loop` what all engines do between updates. `batched` is the default engine, `sb3` the
-reference, and `tabular` is for tables.
+`batched` is the default engine, `sb3` the reference, and `tabular` is for tables.
 """

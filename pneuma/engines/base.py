@@ -1,14 +1,13 @@
 """The contract between engines and studies.
 
-An engine module has one function, `train(runs, checkpoints, on_update)`. It takes runs of equal shapes and
-yields one `Result` for each when it ends. After every update it calls `on_update` with a `Progress`; if that
-returns false, the training stops there. A run's result depends on the run alone, not on the other runs of the
-group, the number of workers, or the order.
+An engine module has one function, `train(run, on_update, checkpoint, evaluated)`, which returns a `Result`.
+After every update it calls `on_update` with a `Progress`; if that returns false, the training stops there. A
+run's result depends on the run alone, not on runs that the same process trained before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol
@@ -36,9 +35,6 @@ class Progress:
     step: int
     records: Records
     checkpoint: Callable[[], Checkpoint]
-
-    def __repr__(self) -> str:
-        return f"seed {self.run.seed}: {self.step:,} of {self.run.steps:,} steps"
 
 
 @dataclass(frozen=True)
@@ -68,9 +64,9 @@ class Engine(Protocol):
     """The interface of an engine module."""
 
     def train(
-        self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
-    ) -> Iterator[Result]:
-        """Train all runs of a group; `checkpoints` maps indices of `runs` to checkpoints to resume from.
+        self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
+    ) -> Result:
+        """Train a run, from its start or from a checkpoint; with `evaluated=False`, without evaluations.
 
         Raises:
             CheckpointError: for a checkpoint from which the engine cannot resume.

@@ -1,6 +1,6 @@
 """The interface between engines and environments.
 
-    run → check_environment; make_collector, make_vec_env, make_evaluation
+    run → check_environment; make_vec_env, make_evaluation
 
 There are two implementations: one for Pneuma's own worlds, and one for all other Gymnasium environments
 (`gymnasium_env.py`). Heavy modules are imported only when needed, as each engine needs a part of them.
@@ -8,55 +8,9 @@ There are two implementations: one for Pneuma's own worlds, and one for all othe
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from pneuma.config import Run, env_config, is_gymnasium_id, stream_seed
-
-
-class Collects(Protocol):
-    """Plays horizons for the engine `batched`, as `pneuma.engines.batched.rollout.Collector` does.
-
-    Attributes:
-        features, actions: the length of an observation, and the number of actions.
-        generator: draws the actions.
-        layout: identifies the layout of the arrays of `saved_state`.
-    """
-
-    layout: str
-    features: int
-    actions: int
-    generator: np.random.Generator
-
-    @property
-    def observations(self) -> np.ndarray:
-        """The current observations, (slots, features)."""
-        ...
-
-    def collect(self, actor: Any) -> Any:
-        """Play one horizon and return the `Rollout`."""
-        ...
-
-    def episode_rows(self, rollout: Any, first_step: int) -> list[dict[str, Any]]:
-        """Return a rollout's finished episodes as records, given the agent steps before it."""
-        ...
-
-    def saved_state(self) -> dict[str, np.ndarray]:
-        """Return everything that the next step depends on, except the generator: arrays by name."""
-        ...
-
-    def restore_state(self, saved: Any) -> None:
-        """Resume from a saved state.
-
-        Raises:
-            ValueError, KeyError: for a state that does not fit, or cannot be reached again.
-        """
-        ...
-
-    def fork(self) -> None:
-        """Continue with random streams of the run's own, and with XP reset if asked for."""
-        ...
 
 
 def check_environment(run: Run) -> None:
@@ -73,17 +27,6 @@ def check_environment(run: Run) -> None:
 
     Worlds(1, env_config(run))
     return None
-
-
-def make_collector(run: Run) -> Collects:
-    """Return the collector for the engine `batched`."""
-    if is_gymnasium_id(run.env):
-        from pneuma.engines.batched.gymnasium_rollout import Collector as Foreign
-
-        return Foreign(run)
-    from pneuma.engines.batched.rollout import Collector
-
-    return Collector(run)
 
 
 def make_vec_env(run: Run) -> Any:

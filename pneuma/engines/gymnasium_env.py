@@ -63,7 +63,7 @@ class Slots:
         finished: episodes that ended since the list was last emptied.
     """
 
-    def __init__(self, run: Run, seeds: Sequence[int], logged: bool = False) -> None:
+    def __init__(self, run: Run, seeds: Sequence[int]) -> None:
         self.run = run
         self.envs = [make_env(run) for _ in seeds]
         space = self.envs[0].observation_space
@@ -75,7 +75,6 @@ class Slots:
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.finished: list[dict[str, Any]] = []
-        self._logged = logged
         discrete = isinstance(self.action_space, spaces.Discrete)
         few = discrete and self.action_space.n <= 256  # type: ignore[union-attr]
         self._kind = np.dtype(np.uint8 if few else np.int64 if discrete else np.float32)
@@ -103,8 +102,7 @@ class Slots:
 
         `terminated` and `truncated` are never both set.
         """
-        if self._logged:
-            self._log += actions.astype(self._kind).tobytes()
+        self._log += actions.astype(self._kind).tobytes()
         rewards = np.zeros(len(self.envs))
         terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
         self.steps += 1

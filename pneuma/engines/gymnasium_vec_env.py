@@ -20,7 +20,7 @@ class GymnasiumVecEnv(WholeVecEnv):
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
-        self.slots = Slots(run, slot_seeds(run), logged=True)
+        self.slots = Slots(run, slot_seeds(run))
         self._actions = np.zeros(run.slots)
         space, features = self.slots.action_space, self.slots.observations.shape[1]
         action_space: spaces.Space[Any] = (

@@ -53,10 +53,10 @@ def train_run(
     run: Run,
     trainer: Trainer,
     on_update: OnUpdate,
-    checkpoint: Checkpoint | None = None,
-    evaluated: bool = True,
+    checkpoint: Checkpoint | None,
+    evaluated: bool,
 ) -> Result:
-    """Train one run, from its start or from a checkpoint; with `evaluated=False`, without evaluations."""
+    """Train one run by an engine's trainer; see `pneuma.engines.base.Engine.train`."""
     records, step = Records(), 0
     if checkpoint:
         trainer.restore(checkpoint)

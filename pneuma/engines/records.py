@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -82,11 +82,6 @@ class Records:
     def copy(self) -> Records:
         """Return a copy that later rows do not change."""
         return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
-
-
-def columns_of(rows: Sequence[Row], columns: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of a table: those of the contract, then its `VALUE_COLUMNS`."""
-    return (*columns, *(name for name in VALUE_COLUMNS if rows and name in rows[0]))
 
 
 # --- Checkpoints -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The reference engine: Stable-Baselines3's learners, unchanged, one run after another.
+"""The reference engine: Stable-Baselines3's learners, unchanged.
 
 A learner collects and trains by its own methods. Pneuma sets it up from the run (`sb3_learners.py`), reads
 its gradients and log without changing its arithmetic, and evaluates between updates. An update is one rollout
@@ -7,7 +7,7 @@ and the training on it; for DQN it is as many steps with the gradient steps betw
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,6 @@ import torch
 from sb3_contrib import TRPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
@@ -57,24 +56,13 @@ VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES
 
 
 def train(
-    runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
-) -> Iterator[Result]:
-    """Train every run, one after the other; see `pneuma.engines.base`."""
-    torch.set_num_threads(1)
-    for index, run in enumerate(runs):
-        yield train_one(run, on_update, checkpoints.get(index))
-
-
-def train_one(
-    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, env: VecEnv | None = None
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
 ) -> Result:
-    """Train one run; see `pneuma.engines.loop`.
-
-    With `env`, for benchmarks, that environment is used and nothing is evaluated.
-    """
-    model = make_model(run, env or make_vec_env(run))
+    """Train a run; see `pneuma.engines.base.Engine`."""
+    torch.set_num_threads(1)
+    model = make_model(run, make_vec_env(run))
     with GradientNorms(model, run) as norms:
-        return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated=env is None)
+        return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated)
 
 
 class Sb3Trainer:
@@ -310,11 +298,10 @@ def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     return {**metrics, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else metrics
 
 
-def finished_episodes(env: VecEnv | None) -> list[dict[str, Any]]:
+def finished_episodes(env: Any) -> list[dict[str, Any]]:
     """Return and forget the episodes that ended since the last call."""
-    finished: list[dict[str, Any]] = getattr(env, "finished", [])
-    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in finished]
-    finished.clear()
+    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in env.finished]
+    env.finished.clear()
     return rows
 
 

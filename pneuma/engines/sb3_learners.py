@@ -116,7 +116,7 @@ class DoubleDQN(DQN):
     """
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """Take gradient steps as DQN does, with the next values that `_rate` returns."""
+        """Take gradient steps as DQN does, with the next values that `rate` returns."""
         target = self.q_net_target
 
         def rate(observations: torch.Tensor) -> torch.Tensor:

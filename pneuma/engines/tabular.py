@@ -8,8 +8,7 @@ computed exactly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,9 +23,9 @@ from pneuma.engines.records import (
     CheckpointError,
     Records,
     Row,
+    action_shares,
 )
 from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
-from pneuma.env_fields import ACTION_NAMES
 
 NAN = float("nan")
 ENDING = "home"
@@ -34,11 +33,10 @@ LONGEST_ROUTE = 2
 
 
 def train(
-    runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
-) -> Iterator[Result]:
-    """Train every run, one after the other; see `pneuma.engines.base`."""
-    for index, run in enumerate(runs):
-        yield train_run(run, TableTrainer(run), on_update, checkpoints.get(index))
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
+) -> Result:
+    """Train a run; see `pneuma.engines.base.Engine`."""
+    return train_run(run, TableTrainer(run), on_update, checkpoint, evaluated)
 
 
 class TableTrainer:
@@ -63,14 +61,32 @@ class TableTrainer:
     def update(self, before: int, after: int, records: Records) -> bool:
         """Take one horizon of steps and learn from each."""
         steps = [self._step(taken) for taken in range(before, after)]
-        records.metrics.append({**_metrics(steps), "step": after})
+        records.metrics.append({**_metrics(self.run, steps), "step": after})
         records.episodes.extend(self._finished)
         self._finished.clear()
         return bool(np.isfinite(self.tables).all())
 
     def evaluate(self, step: int) -> Row:
-        """Evaluate the tables, by play and by computation."""
-        return evaluate_tables(self.run, self.tables, step)
+        """Evaluate the tables: returns and lengths by play with exploration, values by computation.
+
+        `argmax_return` is the mean return of the greedy route. `q_estimate` and `q_true` are means over post
+        office and letters; the latter is the discounted value of the greedy route.
+        """
+        run, mean = self.run, self.tables.mean(axis=0)
+        assert run.action_slip is not None
+        process, greedy = decision_process(run.action_slip), mean.argmax(axis=1)[:HOME]
+        returns, lengths = _play(run, mean, step)
+        return {
+            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
+            "step": step,
+            "episodes": run.evaluation_episodes,
+            "return": float(np.mean(returns)),
+            "length": float(np.mean(lengths)),
+            "argmax_starts": 1,
+            "argmax_return": float(policy_values(process, greedy, 1.0)[POST_OFFICE]),
+            "q_estimate": float(estimated_values(self.tables)[:HOME].mean()),
+            "q_true": float(policy_values(process, greedy, run.gamma).mean()),
+        }
 
     def _step(self, taken: int) -> tuple[int, float]:
         """Take one step, after `taken` others, and learn from it; return the action and its error."""
@@ -156,42 +172,17 @@ def exploration_rate(run: Run, taken: int) -> float:
     return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
 
 
-def _metrics(steps: Sequence[tuple[int, float]]) -> dict[str, float]:
+def _metrics(run: Run, steps: Sequence[tuple[int, float]]) -> dict[str, float]:
     """Return the metrics of some steps: action shares, and the mean squared error as the loss."""
     actions, errors = np.array([action for action, _ in steps]), np.array([error for _, error in steps])
-    shares = np.bincount(actions, minlength=len(ACTION_NAMES)) / len(actions)
     return {
         **dict.fromkeys(METRIC_COLUMNS, NAN),
         "value_loss": float((errors**2).mean()),
-        **{f"action_{i}": float(share) for i, share in enumerate(shares)},
+        **action_shares(run, actions, ACTIONS),
     }
 
 
 # --- Evaluation -----------------------------------------------------------------------------------
-
-
-def evaluate_tables(run: Run, tables: np.ndarray, step: int) -> dict[str, Any]:
-    """Return one evaluation: returns and lengths by play with exploration, values by computation.
-
-    `argmax_return` is the mean return of the greedy route. `q_estimate` and `q_true` are means over post
-    office and letters; the latter is the discounted value of the greedy route. Tables are (1 or 2, places,
-    actions).
-    """
-    assert run.action_slip is not None
-    process, mean = decision_process(run.action_slip), tables.mean(axis=0)
-    greedy = mean.argmax(axis=1)[:HOME]
-    returns, lengths = _play(run, mean, step)
-    return {
-        **dict.fromkeys(EVALUATION_COLUMNS, NAN),
-        "step": step,
-        "episodes": run.evaluation_episodes,
-        "return": float(np.mean(returns)),
-        "length": float(np.mean(lengths)),
-        "argmax_starts": 1,
-        "argmax_return": float(policy_values(process, greedy, 1.0)[POST_OFFICE]),
-        "q_estimate": float(estimated_values(tables)[:HOME].mean()),
-        "q_true": float(policy_values(process, greedy, run.gamma).mean()),
-    }
 
 
 def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:

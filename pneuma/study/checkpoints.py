@@ -29,7 +29,6 @@ from pneuma.engines.records import (
     Checkpoint,
     Records,
     Row,
-    columns_of,
 )
 from pneuma.errors import UserError
 from pneuma.study.documents import History, fits
@@ -218,11 +217,13 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 def table_files(records: Records) -> dict[str, bytes]:
     """Return each table of records as a Parquet file."""
-    rows = {name: getattr(records, name) for name in TABLES}
-    return {
-        name: to_parquet(table_rows, columns_of(table_rows, TABLES[name]))
-        for name, table_rows in rows.items()
-    }
+    return {name: _table(getattr(records, name), columns) for name, columns in TABLES.items()}
+
+
+def _table(rows: Sequence[Row], columns: Sequence[str]) -> bytes:
+    """Return a table with the columns of the contract first, then those of `VALUE_COLUMNS` that it has."""
+    values = [name for name in VALUE_COLUMNS if rows and name in rows[0]]
+    return to_parquet(rows, [*columns, *values])
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:

@@ -157,9 +157,8 @@ class Store:
             checkpoints = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
         except UserError as error:
             return Status("damaged", 0, str(error))
-        step = max(
-            recorded.step, *(named[0] for named in checkpoints if named), 0
-        )  # a crash does not know it
+        steps = [named[0] for named in checkpoints if named]  # a crash does not know its step
+        step = max(recorded.step, 0, *steps)
         if is_held(folder):
             return Status("running", step)
         if manifest is None and os.path.lexists(folder / "status.json"):

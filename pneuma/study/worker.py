@@ -182,7 +182,7 @@ def _train_once(
         return not stopping
 
     try:
-        (result,) = load_engine(run.engine).train([run], {0: start} if start else {}, update)
+        result = load_engine(run.engine).train(run, update, start)
     finally:
         if log:
             with suppress(OSError):

@@ -53,14 +53,14 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: s
 
 
 @pytest.mark.parametrize(("engine", "name"), BESIDE)
-def test_a_run_ends_with_the_same_bits_whoever_is_trained_beside_it(name: str, engine: str) -> None:
+def test_a_run_ends_with_the_same_bits_whoever_was_trained_before_it(name: str, engine: str) -> None:
     """Alone, after others, before others; one of which diverges."""
     run = make_run({**SMALL, **CASES[name], "engine": engine})
     other = make_run({**SMALL, **CASES[name], "engine": engine, "seed": 1})
     wild = {"optimizer": "sgd", "learning_rate": 100, "gradient_limit": None, "activation": "relu"}
     diverging = make_run({**SMALL, **wild, "steps": 3840, "engine": engine})
     alone, _ = train_once(run)
-    results = list(load_engine(engine).train([diverging, other, run], {}, lambda progress: True))
+    results = [train(each)[0] for each in (diverging, other, run)]
     assert [result.status for result in results] == ["diverged", "done", "done"]
     assert bits(results[2]) == bits(alone)
 
@@ -74,7 +74,7 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
         kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {})))
         return True
 
-    next(load_engine(engine).train([run], {}, keep))
+    load_engine(engine).train(run, keep)
     assert all(encode(checkpoint, {}) == at_once for checkpoint, at_once in kept)
 
 

@@ -77,7 +77,7 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_is_trained_to_the_numbers_of_its_engines_version(name: str) -> None:
     run = make_run(RUNS[name])
-    records = next(load_engine(run.engine).train([run], {}, lambda progress: True)).records
+    records = load_engine(run.engine).train(run, lambda progress: True).records
     golden = GOLDEN[name, ENGINE_VERSIONS[run.engine]]
     assert len(records.episodes) == golden["episodes"]
     for place, told in golden["episode"].items():

@@ -11,7 +11,6 @@ import torch
 from pneuma.algorithms import TABULAR, VALUE_BASED
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3, sb3_learners
-from pneuma.engines.base import load_engine
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.study.checkpoints import decode, encode
@@ -96,7 +95,7 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
         **({} if case == "trpo" else {"gradient_limit": "none"}),
     )  # fmt: skip
     clean = run_of(case)
-    diverged, after = load_engine("sb3").train([wild, clean], {}, lambda progress: True)
+    diverged, after = train(wild)[0], train(clean)[0]
     assert (diverged.status, diverged.policy) == ("diverged", None)
     assert diverged.step == diverged.records.metrics[-1]["step"] < wild.steps
     assert bits(after) == bits(train_once(clean)[0])

@@ -19,8 +19,7 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
         taken.append(progress.checkpoint())
         return True
 
-    start = {0: checkpoint} if checkpoint else {}
-    return next(load_engine(run.engine).train([run], start, keep)), taken
+    return load_engine(run.engine).train(run, keep, checkpoint), taken
 
 
 @lru_cache(maxsize=32)

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,21 +37,19 @@ class _Engine:
         self._breaks, self._after = breaks, after
 
     def train(
-        self, runs: Sequence[Run], checkpoints: Mapping[int, Checkpoint], on_update: OnUpdate
-    ) -> Iterator[Result]:
+        self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
+    ) -> Result:
         actor, critic = (((np.zeros((3, n), np.float32), np.zeros(n, np.float32)),) for n in (2, 1))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
-        (run,) = runs
         for step in (256, 512):
             if not on_update(Progress(run, step, Records(), lambda: Checkpoint(256, {}))):
-                return (yield Result(run, "stopped", step, Records(), None))
+                return Result(run, "stopped", step, Records(), None)
             time.sleep(self._after * (run.seed == 0))
         if run.seed == 0:
-            yield Result(run, "done", 512, Records(), Policy("tanh", actor, critic))
-        elif self._breaks:
+            return Result(run, "done", 512, Records(), Policy("tanh", actor, critic))
+        if self._breaks:
             raise RuntimeError("the engine broke")
-        else:
-            yield Result(run, "diverged", 256, Records(metrics=metrics), None)
+        return Result(run, "diverged", 256, Records(metrics=metrics), None)
 
 
 def _train(

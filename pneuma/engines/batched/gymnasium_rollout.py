@@ -16,13 +16,13 @@ from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 
 
-class Collector:
-    """The environments of a run's slots; implements `pneuma.engines.environment.Collects`."""
+class GymnasiumCollector:
+    """The environments of a run's slots, with the same attributes and methods as `rollout.Collector`."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
         self.layout = "seeds and actions"
-        self.slots = Slots(run, slot_seeds(run), logged=True)
+        self.slots = Slots(run, slot_seeds(run))
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
         self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]

@@ -12,7 +12,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
-from pneuma.engines.batched.update import learn, look_back, run_numbers
+from pneuma.engines.batched.update import METRICS, learn, look_back, run_numbers
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.records import action_shares
 
@@ -54,7 +54,6 @@ class Learner:
         self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
         self._actions = actions
         self._numbers = run_numbers(run)
-        self._size = np.zeros(run.minibatch, np.bool_)
 
     def policy(self) -> Policy:
         """Return the networks as a stored policy."""
@@ -74,11 +73,12 @@ class Learner:
             self._numbers,
             run.activation,
             run.optimizer,
-            self._size,
+            run.minibatch,
+            decays=bool(self._numbers["weight_decay"] != 0),
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         return {
-            **{name: float(value) for name, value in metrics.items()},
+            **dict(zip(METRICS, np.asarray(metrics).tolist(), strict=True)),
             "explained_variance": _explained_variance(values, batch["returns"]),
             "dead_units": dead,
             **action_shares(run, batch["actions"], self._actions),

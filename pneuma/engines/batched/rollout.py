@@ -88,6 +88,8 @@ class Collector:
         begins: (S,) float32, 1 if the last step ended an episode, or there was none.
         idle: (S,) whether the slot's player died earlier in an episode that still runs.
         generator: draws the actions.
+        features, actions: the length of an observation, and the number of actions.
+        layout: identifies the layout of the arrays of `saved_state`.
     """
 
     def __init__(self, run: Run) -> None:
@@ -114,17 +116,21 @@ class Collector:
 
     def collect(self, actor: Layers) -> Rollout:
         """Play one horizon."""
-        steps, slots, features = self._run.horizon, len(self.idle), self.worlds.observations.shape[2]
+        steps, slots, features = self._run.horizon, len(self.idle), self.features
         rewards, starts = np.zeros((2, slots, steps), np.float32)
         tape = Tape(
             self.returns, self.lengths, self.episodes, self.begins, self.idle,
             np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64),
-            rewards, starts, np.zeros(slots * steps, ENDED), np.zeros((max(16, slots), features), np.float32),
+            rewards, starts,
+            np.zeros(slots * steps, ENDED), np.zeros((slots * steps, features), np.float32),
         )  # fmt: skip
         draws = self.generator.random((steps, slots), np.float32)
-        play = self._play_asking if self._asks else self._play_compiled
-        tape, count = play(flat(actor), sizes(actor), draws, tape)
-        last = self.worlds.observations.reshape(slots, features).copy()
+        play = self._play_asking if self._asks else _play
+        activation = ACTIVATION_CODES[self._run.activation]
+        count = play(
+            self.worlds.handle, flat(actor), sizes(actor), activation, draws, self.worlds.usual_starts, tape
+        )
+        last = self.observations.copy()
         last[self.idle] = 0.0
         return Rollout(
             tape.observations, tape.actions, tape.rewards, tape.starts, last, self.begins.copy(),
@@ -148,7 +154,7 @@ class Collector:
         ]
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return the arrays of worlds and episodes by name."""
+        """Return everything that the next step depends on, except the generator: arrays by name."""
         idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
         return {
             **{f"worlds/{name}": _bytes(getattr(self.worlds, name)) for name in _WORLDS},
@@ -170,41 +176,21 @@ class Collector:
             self.worlds.players["xp"] = 0.0
             self.worlds.observe()
 
-    def _play_compiled(
-        self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
-    ) -> tuple[Tape, int]:
-        """Play a horizon in one call, or in several if there was too little room for endings."""
-        activation = ACTIVATION_CODES[self._run.activation]
-        done, count = 0, 0
-        while True:
-            done, count = _play(
-                self.worlds.handle, weights, widths, activation, draws, self.worlds.usual_starts, tape, done,
-                count,
-            )  # fmt: skip
-            if done == len(draws):
-                return tape, count
-            tape = _with_more_room(tape)
-
     def _play_asking(
-        self, weights: np.ndarray, widths: np.ndarray, draws: np.ndarray, tape: Tape
-    ) -> tuple[Tape, int]:
-        """Play a horizon step by step, because a user's reward is plain Python."""
-        worlds, activation = self.worlds, ACTIVATION_CODES[self._run.activation]
+        self, handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
+        tape: Tape,
+    ) -> int:  # fmt: skip
+        """Do the same as `_play` step by step, because a user's reward is plain Python."""
+        worlds = self.worlds
         chosen = np.zeros(worlds.players.shape, np.int64)
         over = np.zeros(len(worlds), np.bool_)
         scratch = np.zeros((2, 1, int(widths.max())), np.float32)
         count = 0
         for step, draw in enumerate(draws):
-            if count + len(draw) > len(tape.terminal):
-                tape = _with_more_room(tape)
-            _choose(worlds.handle, weights, widths, activation, draw, tape, step, chosen, scratch)
+            _choose(handle, weights, widths, activation, draw, tape, step, chosen, scratch)
             worlds.advance(chosen)
-            count = _note(worlds.handle, worlds.usual_starts, tape, step, count, over)
-        return tape, count
-
-
-def _with_more_room(tape: Tape) -> Tape:
-    return tape._replace(terminal=np.concatenate([tape.terminal, np.zeros_like(tape.terminal)]))
+            count = _note(handle, usual_starts, tape, step, count, over)
+        return count
 
 
 def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
@@ -228,20 +214,19 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 @kernel
 def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any,
-    step: int, count: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Play from `step` on; return the step reached, which is short of the end if `terminal` was full."""
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any
+) -> int:
+    """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = rules.open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
     scratch = np.zeros((2, 1, widths.max()), np.float32)
-    while step < draws.shape[0] and count + draws.shape[1] <= tape.terminal.shape[0]:
+    count = 0
+    for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
         rules.step_worlds(handle, chosen)
         count = _note(handle, usual_starts, tape, step, count, over)
-        step += 1
-    return step, count
+    return count
 
 
 @kernel

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
+import jax
 import numpy as np
 
-from pneuma.config import Run, stream_seed
+from pneuma.config import Run, is_gymnasium_id, stream_seed
+from pneuma.engines.batched.gymnasium_rollout import GymnasiumCollector
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.optimizers import initial_state
-from pneuma.engines.environment import make_collector, make_evaluation
+from pneuma.engines.batched.rollout import Collector
+from pneuma.engines.environment import make_evaluation
 from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
@@ -27,7 +29,9 @@ class BatchedTrainer:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self.collector = make_collector(run)
+        self.collector: Collector | GymnasiumCollector = (
+            GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
+        )
         self.learner = Learner(run, self.collector.features, self.collector.actions)
 
     @cached_property
@@ -63,8 +67,8 @@ class BatchedTrainer:
             "minibatches": self.learner.generator.bit_generator.state,
         }
         for part in ("networks", "optimizer"):
-            named = _named(getattr(self.learner, part))
-            arrays |= {f"{part}/{name}": np.array(array) for name, array in named}
+            leaves = jax.tree.leaves_with_path(getattr(self.learner, part))
+            arrays |= {_array_name(part, path): np.array(leaf) for path, leaf in leaves}
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -72,67 +76,52 @@ class BatchedTrainer:
 
         A fork resets what its run says.
         """
-        run = self.run
+        run, numbers = self.run, checkpoint.numbers
         begins = begins_fork(run, checkpoint)
-        self._restore(checkpoint, run.fork_reset if begins else "")
-        if begins:
-            self.collector.fork()
-            self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-            self.learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
-
-    def _restore(self, checkpoint: Checkpoint, reset: str) -> None:
-        numbers = checkpoint.numbers
+        reset = run.fork_reset if begins else ""
         try:
             if numbers["layout"] != self.collector.layout:
                 raise ValueError("the state of the worlds was laid out otherwise")
-            if numbers["optimizer"] != self.run.optimizer and reset != "optimizer":
+            if numbers["optimizer"] != run.optimizer and reset != "optimizer":
                 raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
             self.collector.restore_state(checkpoint.arrays)
             self.collector.generator.bit_generator.state = numbers["actions"]
             _restore_learner(self.learner, checkpoint, reset)
         except (KeyError, ValueError, TypeError) as error:
             raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+        if begins:
+            self.collector.fork()
+            self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+            self.learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
 
 
 def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> None:
     fresh = learner.networks
-    learner.networks = _filled(learner.networks, "networks/", checkpoint)
+    learner.networks = _filled(learner.networks, "networks", checkpoint)
     if reset != "optimizer":
-        learner.optimizer = _filled(learner.optimizer, "optimizer/", checkpoint)
+        learner.optimizer = _filled(learner.optimizer, "optimizer", checkpoint)
     if reset == "critic":
         learner.networks = {**learner.networks, "critic": fresh["critic"]}
         zero = initial_state(learner.run.optimizer, fresh)
         for name, moment in learner.optimizer.items():
-            if name != "steps":
-                part = zero[name]["critic"]  # copied, as an optimizer's moments may begin as one array
-                learner.optimizer[name] = {**moment, "critic": _rebuilt(part, "", dict(_named(part)))}
+            if name != "steps":  # zeros are copied, as an optimizer's moments may begin as one array
+                learner.optimizer[name] = {**moment, "critic": jax.tree.map(np.array, zero[name]["critic"])}
     learner.generator.bit_generator.state = checkpoint.numbers["minibatches"]
 
 
-def _filled(tree: Any, prefix: str, checkpoint: Checkpoint) -> Any:
+def _filled(tree: Any, part: str, checkpoint: Checkpoint) -> Any:
     """Return a tree of this structure with the arrays of a checkpoint."""
-    arrays = {}
-    for name, leaf in _named(tree):
-        array = checkpoint.arrays[prefix + name]
+
+    def saved(path: Any, leaf: Any) -> np.ndarray:
+        name = _array_name(part, path)
+        array = checkpoint.arrays[name]
         if array.shape != np.shape(leaf):
-            raise ValueError(f"{prefix}{name} is of shape {array.shape}, not {np.shape(leaf)}")
-        arrays[name] = array
-    return _rebuilt(tree, "", arrays)
+            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(leaf)}")
+        return np.array(array)
+
+    return jax.tree.map_with_path(saved, tree)
 
 
-def _rebuilt(tree: Any, path: str, arrays: dict[str, np.ndarray]) -> Any:
-    if isinstance(tree, dict):
-        return {key: _rebuilt(value, f"{path}.{key}".lstrip("."), arrays) for key, value in tree.items()}
-    if isinstance(tree, tuple):
-        return tuple(_rebuilt(value, f"{path}.{i}".lstrip("."), arrays) for i, value in enumerate(tree))
-    return np.array(arrays[path])
-
-
-def _named(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the arrays of a tree of dictionaries and tuples with their paths."""
-    if isinstance(tree, dict | tuple):
-        items = tree.items() if isinstance(tree, dict) else enumerate(tree)
-        for key, value in items:
-            yield from _named(value, f"{path}.{key}".lstrip("."))
-    else:
-        yield path, tree
+def _array_name(part: str, path: Any) -> str:
+    """Return the name of an array in a checkpoint: networks/actor.0.1, optimizer/mean.critic.1.0."""
+    return f"{part}/{jax.tree_util.keystr(path, simple=True, separator='.')}"

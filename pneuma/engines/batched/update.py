@@ -98,10 +98,11 @@ def look_back(parameters: Tree, observations: Any, actions: Any, activation: str
     return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
+@partial(jax.jit, static_argnames=("activation", "optimizer", "minibatch", "decays"), donate_argnums=(0, 1))
 def learn(
     parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
-    activation: str, optimizer: str, minibatch: Any,
-) -> tuple[Tree, Tree, dict[str, float]]:  # fmt: skip
+    activation: str, optimizer: str, minibatch: int, decays: bool,
+) -> tuple[Tree, Tree, Any]:  # fmt: skip
     """Take all gradient steps of an update.
 
     Args:
@@ -112,35 +113,23 @@ def learn(
         numbers: `run_numbers`.
         activation: of the hidden layers.
         optimizer: its name.
-        minibatch: an array whose length is the size of a minibatch.
+        minibatch: its size.
+        decays: whether the numbers have a weight decay.
 
     Returns:
-        Parameters, state, and `METRICS`.
+        Parameters, state, and `METRICS`, (metrics,).
     """
-    decays = bool(numbers["weight_decay"] != 0)
-    parameters, state, metrics = _learn(
-        parameters, state, batch, orders, numbers, activation, optimizer, minibatch, decays
-    )
-    return parameters, state, dict(zip(METRICS, np.asarray(metrics).tolist(), strict=True))
-
-
-@partial(jax.jit, static_argnames=("activation", "optimizer", "decays"), donate_argnums=(0, 1))
-def _learn(
-    parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
-    activation: str, optimizer: str, minibatch: Any, decays: bool,
-) -> tuple[Tree, Tree, Any]:  # fmt: skip
-    size = minibatch.shape[0]
-    whole = orders.shape[1] // size
+    whole = orders.shape[1] // minibatch
 
     def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
         part = {name: array[index] for name, array in batch.items()}
         return _step(carry, part, numbers, activation, optimizer, decays)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
-        carry, metrics = jax.lax.scan(take, carry, order[: whole * size].reshape(whole, size))
-        if whole * size == order.shape[0]:
+        carry, metrics = jax.lax.scan(take, carry, order[: whole * minibatch].reshape(whole, minibatch))
+        if whole * minibatch == order.shape[0]:
             return carry, metrics
-        carry, rest = take(carry, order[whole * size :])
+        carry, rest = take(carry, order[whole * minibatch :])
         return carry, jnp.concatenate([metrics, rest[None]])
 
     carry, metrics = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
