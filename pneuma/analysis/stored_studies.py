@@ -27,8 +27,8 @@ def study_record(
     """Return the record of a study or variant, with the runs that a selection picks.
 
     If the study was run with several budgets, this is the one with `picked.steps`, or else the one with the
-    most finished runs. A study that was run only in another world, or with changed fields, is returned as it
-    was run, and `tell` is called with a note.
+    most finished runs. A study that was run only in another world is returned as it was run, even if its runs
+    are published; one that was run only with changed fields likewise, if they are not. `tell` is then called.
 
     Raises:
         UserError: where nothing is stored, or nothing that is picked.
@@ -39,12 +39,14 @@ def study_record(
     records = store.selections(stem)
     if records and name.endswith(".toml"):
         store.check_same_file(records[0], Path(name))
-    if not records and store.published_path(stem).exists():
+    otherwise = [] if records or asked else related_studies(store, stem)
+    recorded = {*store.studies()}
+    own_world = [other for other in otherwise if other in recorded and spec.VARIANT not in other]
+    if not records and not own_world and store.published_path(stem).exists():
         from pneuma.analysis.published import read_published
 
         records = [read_published(store, stem).record]
-    otherwise = [] if records or asked else related_studies(store, stem)
-    if otherwise:
+    if not records and (otherwise := own_world or otherwise):
         more = f" Stored too: {'; '.join(otherwise[1:])}." if otherwise[1:] else ""
         tell(f"Note: no runs of {stem} are stored; {otherwise[0]} is shown.{more}")
         return study_record(store, otherwise[0], picked)

@@ -46,8 +46,8 @@ class Rollout:
         observations: (S, T, features) float32, before each step.
         actions: (S, T) int64.
         rewards: (S, T) float32, without the value after a time limit.
-        starts: (S, T) float32, 1 if the step before ended an episode. last_observations: (S, features), after
-            the last step.
+        starts: (S, T) float32, 1 if the step before ended an episode.
+        last_observations: (S, features), after the last step.
         last_ends: (S,) float32, 1 where the last step ended an episode.
         ended: (K,) `ENDED`, in order.
         terminal_observations: (K, features), the last observation of each ended episode.
