@@ -15,7 +15,7 @@ from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
 
 SECONDS_PER_STEP = {
-    "batched": ((1e3, 1.5e-4), (3e4, 2.5e-4), (1e5, 5e-4), (1e6, 1.5e-3), (1e7, 8e-3)),
+    "batched": ((1e3, 2e-5), (3e4, 4e-5), (4e6, 5e-3), (5e7, 6.5e-2)),
     "sb3": ((1e3, 1.2e-3), (1e5, 1.8e-3), (1e6, 5e-3), (1e7, 4e-2)),
     "tabular": ((1e3, 2e-5),),
 }
