@@ -40,8 +40,7 @@ def study_record(
     if records and name.endswith(".toml"):
         store.check_same_file(records[0], Path(name))
     otherwise = [] if records or asked else related_studies(store, stem)
-    recorded = {*store.studies()}
-    own_world = [other for other in otherwise if other in recorded and spec.VARIANT not in other]
+    own_world = [other for other in otherwise if spec.VARIANT not in other and store.selections(other)]
     if not records and not own_world and store.published_path(stem).exists():
         from pneuma.analysis.published import read_published
 
