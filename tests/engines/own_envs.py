@@ -47,6 +47,20 @@ class Corridor(gymnasium.Env[Any, Any]):
         return self._seen(), 1.0 if there else paid, there, False, {"is_success": there}
 
 
+class Counting(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Keeps something over episodes, as means of observations are kept: it pays the number of the episode."""
+
+    count = 0
+
+    def reset(self, **options: Any) -> Any:
+        self.count += 1
+        return self.env.reset(**options)
+
+    def step(self, action: Any) -> Any:
+        seen, _, *rest = self.env.step(action)
+        return (seen, float(self.count), *rest)
+
+
 class Doubled(gymnasium.RewardWrapper[Any, Any]):
     def reward(self, reward: Any) -> float:
         return 2 * float(reward)
