@@ -265,7 +265,7 @@ def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int
         return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half)))
     if not math.isfinite(value) or value == 0:
         return 0
-    return ALONE - 1 - math.floor(math.log10(abs(value)))
+    return min(MOST, ALONE - 1 - math.floor(math.log10(abs(value))))
 
 
 def shown(value: float, places: int) -> str:
