@@ -164,9 +164,6 @@ Seeds = Annotated[
     Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
 ]
 Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole horizons.")]
-EngineName = Annotated[
-    Text, option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
-]
 Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
 Conditions = Annotated[
     Several,

@@ -168,7 +168,6 @@ def run(
         Any, opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED)
     ] = None,
     steps: opt.Steps = None,
-    engine: opt.EngineName = None,
     set_: opt.Settings = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
@@ -184,9 +183,8 @@ def run(
 
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
-    over = {**dict(set_ or ()), **({"engine": engine} if engine else {})}
     store = Store(results)
-    task = _task(store, name, world, preset, over, trials=trials, seeds=seeds, steps=steps)
+    task = _task(store, name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
