@@ -1,4 +1,4 @@
-"""The learning algorithms: which engines train each, and which of a run's fields it reads.
+"""The learning algorithms and their optimizers: which engines train each, which of a run's fields it reads.
 
 Data for `pneuma.config`, which resolves a run by it. What an algorithm does not read is at its default
 in a resolved run (None, where only some algorithms have it), and a study that sets it is refused.
@@ -76,3 +76,23 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
 }
 """Defaults of fields that only some algorithms have. Those of Stable-Baselines3's and sb3-contrib's learners
 are their own, but for a buffer of a tenth."""
+
+OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
+    "adam": ("betas", "epsilon"),
+    "sgd": ("momentum", "dampening"),
+    "rmsprop": ("smoothing", "epsilon", "momentum"),
+    "upgd": ("betas", "epsilon", "utility_decay", "noise"),
+}
+"""The fields that each optimizer reads; the others are None in a resolved run."""
+
+OPTIMIZER_DEFAULTS: dict[str, Any] = {
+    "betas": (0.9, 0.999),
+    "epsilon": 1e-5,
+    "momentum": 0.0,
+    "dampening": 0.0,
+    "smoothing": 0.99,
+    "utility_decay": 0.999,
+    "noise": 0.001,
+}
+
+OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)

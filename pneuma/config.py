@@ -1,9 +1,9 @@
 """Run configuration: the typed values that all layers share, and their allowed names.
 
-A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget
-and a seed. Studies resolve to runs, engines train them, the store is keyed by them. The environment's
-part is in `env_fields.py`, the algorithms' in `algorithms.py`. Nothing heavy is imported, so that every
-command can read it.
+A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget and a seed.
+Studies resolve to runs, engines train them, the store is keyed by them. The environment's part is in
+`env_fields.py`, that of algorithms and optimizers in `algorithms.py`. Nothing heavy is imported, so that
+every command can read it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from pneuma.algorithms import (
     ALGORITHMS,
     MAILMAN,
     OF_ALGORITHMS,
+    OF_OPTIMIZERS,
+    OPTIMIZER_DEFAULTS,
+    OPTIMIZER_FIELDS,
     TABULAR,
 )
 from pneuma.env_fields import (
@@ -53,24 +56,6 @@ FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may reset: the optimizer's moments, the players' XP, or the critic's weights."""
 FORK_FIELDS = ("parent", "fork_step", "fork_reset")
 MAX_SLOTS = 1024
-
-OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
-    "adam": ("betas", "epsilon"),
-    "sgd": ("momentum", "dampening"),
-    "rmsprop": ("smoothing", "epsilon", "momentum"),
-    "upgd": ("betas", "epsilon", "utility_decay", "noise"),
-}
-"""The fields that each optimizer reads; the others are None in a resolved run."""
-
-_OPTIMIZER_DEFAULTS: dict[str, Any] = {
-    "betas": (0.9, 0.999),
-    "epsilon": 1e-5,
-    "momentum": 0.0,
-    "dampening": 0.0,
-    "smoothing": 0.99,
-    "utility_decay": 0.999,
-    "noise": 0.001,
-}
 
 
 # --- The configuration ---------------------------------------------------------------------------
@@ -354,11 +339,10 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
 _GONE = {"learners": "shared"}
 """Fields of older versions, with the values at which they changed nothing; a run with them is the same
 run."""
-_LEFT_OPEN = {*_OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
+_LEFT_OPEN = {*OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
 """Fields for which None means the default."""
 _OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-_OF_OPTIMIZERS = frozenset(key for optimizer_fields in OPTIMIZER_FIELDS.values() for key in optimizer_fields)
-_READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *_OF_OPTIMIZERS, *OF_ALGORITHMS}
+_READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS}
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
 
@@ -366,7 +350,7 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     """Fill in the defaults of the algorithm and optimizer, and drop fields that are not read."""
     algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
     read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
-    defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **_OPTIMIZER_DEFAULTS}
+    defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
     if values.get("momentum") == 0 and values.get("dampening") is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum

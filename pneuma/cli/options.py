@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import inspect
+import shlex
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -20,7 +21,7 @@ from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supe
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
+from pneuma.worlds import TEXT, WORLDS, world_option
 
 # --- How options are declared ----------------------------------------------------------------------
 
@@ -112,6 +113,16 @@ def _read_setting(text: str) -> tuple[str, Any]:
     return key, read_value(value)
 
 
+def _read_contrast(text: str) -> tuple[str, Any, Any]:
+    """Read KEY=A:B. Either value may contain colons, as many as the other."""
+    key, _, values = (part.strip() for part in text.partition("="))
+    parts = values.split(":")
+    pair = [":".join(part).strip() for part in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
+    if not (key and all(pair)) or len(parts) % 2:
+        raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
+    return key, read_value(pair[0]), read_value(pair[1])
+
+
 def read_value(text: str) -> Any:
     """Read a value as TOML would; brackets of lists and quotes of words may be left out."""
     for form in (text, f"[{text}]") if "," in text else (text,):
@@ -153,9 +164,6 @@ Seeds = Annotated[
     Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
 ]
 Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole horizons.")]
-EngineName = Annotated[
-    Text, option("--engine", "NAME", "What trains: batched or sb3 (default: batched where it can).")
-]
 Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
 Conditions = Annotated[
     Several,
@@ -172,6 +180,15 @@ Settings = Annotated[
     ),
 ]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
+Contrast = Annotated[
+    Any,
+    option(
+        "--contrast",
+        "KEY=A:B",
+        "A field, its value said to be better, another: activation=tanh:relu.",
+        _read_contrast,
+    ),
+]
 WorldName = Annotated[
     Text,
     choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: the first, or all)."),
@@ -324,3 +341,10 @@ def selecting_words(selection: Selection) -> list[str]:
     for key, value in (selection.settings or {}).items():
         words += ["--set", f"{key}={value if isinstance(value, str) else dumps(value)}"]
     return words + (["--as", selection.variant] if selection.variant else [])
+
+
+def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:
+    """Return the command that draws a study's figure again: its words, and options with their values."""
+    chosen = [*selecting_words(picked.selection), *world_option(picked.world or TEXT)]
+    options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
+    return shlex.join(["pneuma", "study", *words, *chosen, *options])

@@ -132,8 +132,16 @@ def write_file(out: Path, data: bytes) -> None:
 # --- Figures --------------------------------------------------------------------------------------
 
 
-def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
-    """Return the formats of figures; refuse a file given as their folder."""
+def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "") -> tuple[str, ...]:
+    """Return the formats of figures; refuse a file given as their folder.
+
+    Args:
+        asked: the formats, if the user gave some.
+        out: the folder.
+        lacking: the option without which nothing is drawn, if it was not given.
+    """
+    if lacking and (asked or out):
+        raise UserError(f"{'--format' if asked else '--out'}: goes with {lacking}")
     if out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir():
         raise UserError(f"--out {out}: is the folder of figures; name one, and --format {out.suffix[1:]}")
     return tuple(asked or ("png", "svg"))

@@ -35,6 +35,7 @@ from pneuma.worlds import TEXT, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.search.promote import Gain, Winner
+    from pneuma.search.spec import Search
     from pneuma.search.trials import EndedTrial, Task
 
 app = typer.Typer(
@@ -67,7 +68,7 @@ def show(
 
     search = find_search(Store(results), name, world)
     if json:
-        return print_json({"search": search.name, **vars(search)})
+        return print_json(_written(search))
     say(search.title + (f" (thesis section {search.section})" if search.section else ""))
     for line in search.about.splitlines():
         say(line)
@@ -80,6 +81,20 @@ def show(
         seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
     return None
+
+
+def _written(search: Search) -> dict[str, Any]:
+    """Return a search as JSON, with the keys of its file."""
+    alike = ("title", "section", "about", "start", "generation", "sampler", "pruner", "presets")
+    return {
+        "search": search.name,
+        "world": search.world,
+        **{key: getattr(search, key) for key in alike},
+        "base": search.space.base,
+        "run": search.space.fixed,
+        "space": {parameter.name: parameter.written for parameter in search.space.parameters},
+        "objectives": {each.name: each.model_dump(exclude={"name"}) for each in search.objectives},
+    }
 
 
 @app.command()
@@ -153,7 +168,6 @@ def run(
         Any, opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED)
     ] = None,
     steps: opt.Steps = None,
-    engine: opt.EngineName = None,
     set_: opt.Settings = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
@@ -169,9 +183,8 @@ def run(
 
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
-    over = {**dict(set_ or ()), **({"engine": engine} if engine else {})}
     store = Store(results)
-    task = _task(store, name, world, preset, over, trials=trials, seeds=seeds, steps=steps)
+    task = _task(store, name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -36,7 +35,7 @@ from pneuma.cli.output import (
 from pneuma.cli.study_records import each_study, nothing_yet, open_data, tell_left_out
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_KINDS
-from pneuma.worlds import TEXT, in_world, split_world, world_option
+from pneuma.worlds import in_world, split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -96,12 +95,11 @@ def plot(
         else:
             drawn = {"outcome": shown_outcome(data)}
             paths = draw_summary(data, folder, formats)
-        words = ["pneuma", "study", "plot", name, *(["--beside", beside] if beside else [])]
-        words += [*opt.selecting_words(picked.selection), *world_option(picked.world or TEXT)]
         look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
         look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
-        words += [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
-        return index_entries(paths, shlex.join(words), data, {"figure": figure, **drawn})
+        words = ["plot", name, *(["--beside", beside] if beside else [])]
+        again = opt.drawing_command(words, picked, look)
+        return index_entries(paths, again, data, {"figure": figure, **drawn})
 
     def draw(folder: Path) -> list[dict[str, Any]]:
         def one(name: str) -> list[dict[str, Any]]:

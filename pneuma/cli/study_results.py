@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +26,6 @@ from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
 from pneuma.study.spec import list_studies
 from pneuma.values import shown_level, shown_value
-from pneuma.worlds import TEXT, world_option
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -150,9 +148,7 @@ def compare(
 
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
-    if not plot and (out or format):
-        raise UserError("--out and --format: are of --plot")
-    formats = read_formats(format, out)
+    formats = read_formats(format, out, "" if plot else "--plot")
     data, heads = open_data(picked, name), [a, b or ""]
     pairs = {"": (a, b or "")}
     if b is None:
@@ -192,14 +188,12 @@ def compare(
         from pneuma.figures.summary import draw_comparison
 
         stem = stem_of(data, "compare", *(heads if b else heads[1:]))
-        asked = {"outcome": outcome or (), "format": formats}
-        words = ["pneuma", "study", "compare", name, a, *([b] if b else []), "--plot"]
-        words += [*opt.selecting_words(picked.selection), *world_option(picked.world or TEXT)]
-        words += [word for key, values in asked.items() for value in values for word in (f"--{key}", value)]
+        words = ["compare", name, a, *([b] if b else []), "--plot"]
+        again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
 
         def draw(folder: Path) -> list[dict[str, Any]]:
             paths = draw_comparison(data, table, folder, stem, formats)
-            return index_entries(paths, shlex.join(words), data, {"figure": "comparison"})
+            return index_entries(paths, again, data, {"figure": "comparison"})
 
         files = draw_indexed(picked.store, out, draw)
     if json:
@@ -208,9 +202,8 @@ def compare(
     _tell_step(data)
     print()
     rows = []
-    for condition, row in (
-        (condition, row) for condition, each in tables.items() for row in each.to_dict("records")
-    ):
+    compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
+    for condition, row in compared:
         difference = row["difference"], row["low"], row["high"]
         means = (shown(row[key], decimals(*difference)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
@@ -249,9 +242,7 @@ def collapse(
         raise UserError("--out and --format: draw collapses, without --fork")
     if workers and not fork:
         raise UserError("--workers: is of --fork")
-    if format and not out:
-        raise UserError("--format: is of --out")
-    formats, store = read_formats(format, out), picked.store
+    formats, store = read_formats(format, out, "" if out else "--out"), picked.store
     data = open_data(picked, name, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
@@ -335,28 +326,10 @@ def effects(
 # --- robustness -----------------------------------------------------------------------------------
 
 
-def _read_contrast(text: str) -> tuple[str, Any, Any]:
-    """Read KEY=A:B. Either value may contain colons, as many as the other."""
-    key, _, values = (part.strip() for part in text.partition("="))
-    parts = values.split(":")
-    pair = [":".join(part).strip() for part in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
-    if not (key and all(pair)) or len(parts) % 2:
-        raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
-    return key, opt.read_value(pair[0]), opt.read_value(pair[1])
-
-
 @opt.grouped
 def robustness(
     name: opt.StudyName,
-    contrast: Annotated[
-        Any,
-        opt.option(
-            "--contrast",
-            "KEY=A:B",
-            "A field, its value said to be better, another: activation=tanh:relu.",
-            _read_contrast,
-        ),
-    ],
+    contrast: opt.Contrast,
     picked: opt.Chosen,
     outcome: opt.Outcome = None,
     out: opt.FigureFolder = None,
@@ -364,9 +337,7 @@ def robustness(
     json: opt.Json = False,
 ) -> None:
     """Compare two values of a field in every combination of a study's other factors."""
-    if format and not out:
-        raise UserError("--format: is of --out")
-    formats, store = read_formats(format, out), picked.store
+    formats, store = read_formats(format, out, "" if out else "--out"), picked.store
     setting, better, worse = contrast
     data = open_data(picked, name)
     from pneuma.analysis.crossed import robustness_map

@@ -21,7 +21,8 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from pneuma.config import OPTIMIZER_FIELDS, Run, stream_seed
+from pneuma.algorithms import OPTIMIZER_FIELDS
+from pneuma.config import Run, stream_seed
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.engines.upgd import UPGD

@@ -108,6 +108,12 @@ class Parameter(Table):
         domain = {"settings_of": choices} if choices else numbers
         return {"name": self.name, "domain": domain, "when": self.when}
 
+    @property
+    def written(self) -> dict[str, Any]:
+        """Return its table in a search's file."""
+        numbers = {"low": self.low, "high": self.high, "log": self.log}
+        return {**({"choices": [*self.choices.values()]} if self.choices else numbers), "when": self.when}
+
     def param_of(self, value: Any) -> Any:
         """Return the name of a field's value in trials; None if it is not in the space."""
         if self.low is None or self.high is None:

@@ -115,7 +115,7 @@ class Search:
         sampler, pruner: with all their options.
         presets: by name.
         world: of `pneuma.worlds.WORLDS`.
-        file: its path; None for a shipped search.
+        file: its path; empty for a shipped search.
     """
 
     name: str

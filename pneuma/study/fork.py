@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OPTIMIZER_FIELDS, Run, as_fields, make_run
+from pneuma.algorithms import OF_OPTIMIZERS
+from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, Run, as_fields, make_run
 from pneuma.env_fields import EnvConfig, read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import own_things, run_id
@@ -199,10 +200,8 @@ def _changed_run(control: Run, change: Change) -> Run:
     other = changes.get("optimizer", control.optimizer) != control.optimizer
     if other and not fresh:
         raise UserError("--set optimizer: another optimizer needs --reset optimizer")
-    of_optimizers = {name for names in OPTIMIZER_FIELDS.values() for name in names} if other else ()
-    changed = make_run(
-        {**as_fields(control), **dict.fromkeys(of_optimizers), **changes, "fork_reset": change.reset}
-    )
+    given_up = dict.fromkeys(OF_OPTIMIZERS) if other else {}
+    changed = make_run({**as_fields(control), **given_up, **changes, "fork_reset": change.reset})
     if not fresh and bool(changed.momentum) != bool(control.momentum):
         raise UserError("--set momentum: from or to 0 needs --reset optimizer")
     if changes and replace(changed, fork_reset="") == control:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from itertools import product
 from typing import Any
 
@@ -168,10 +167,9 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
     """Return the preset's seeds and steps for each of its conditions."""
     name = selection.preset or ("quick" if "quick" in study.presets else next(iter(study.presets), "quick"))
     if name == CLAIMS:
-        amounts: dict[str, Preset] = import_module("pneuma.study.claimed").claims_preset(
-            study, selection.steps
-        )
-        return amounts
+        from pneuma.study.claimed import claims_preset  # pydantic: not for `--help`
+
+        return claims_preset(study, selection.steps)
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
     return {condition: study.presets[name].of(condition) for condition in study.conditions}

@@ -38,6 +38,10 @@ MISTAKES = {
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
     "study plot perception": "pneuma study run perception",
+    "study compare activation tanh relu --format svg": "--format: goes with --plot",
+    "study compare activation tanh relu --out x": "--out: goes with --plot",
+    "study collapse activation --format svg": "--format: goes with --out",
+    "study robustness magic --contrast gamma=0.9:0.99 --format svg": "--format: goes with --out",
 }
 
 

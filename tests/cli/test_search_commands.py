@@ -5,12 +5,15 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from pneuma.search.spec import SearchFile
 from pneuma.search.trials import Unfinished
 from pneuma.study.plan import Plan
+from pneuma.study.spec import studies_folder
 from pneuma.study.store import Status, Store
 
 from ..training import training_here
@@ -72,6 +75,17 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(searched: tuple[Path,
     again = described("search", "run", "small", "--results", results, "--json")
     assert again["trials"] == document["trials"]
     assert "A small search" in printed("search", "show", "small", "--results", results)
+
+
+def test_a_search_is_described_by_the_keys_of_its_file() -> None:
+    document = described("search", "show", "optimizer", "--json")
+    written = tomllib.loads((studies_folder() / "search" / "optimizer.toml").read_text())
+    assert {*document} == {"schema", "search", "world", *SearchFile.model_fields}
+    assert {*document["space"]} == {*written["space"]} and {*document["presets"]} == {*written["presets"]}
+    assert document["space"]["momentum"] == {
+        **{"low": 0.0, "high": 0.99, "log": False}, "when": {"optimizer": ["sgd", "rmsprop"]},
+    }  # fmt: skip
+    assert document["base"] == written["base"] and document["section"] == written["section"]
 
 
 @pytest.mark.parametrize("stop", [Unfinished("trial-002 seed 1000 crashed"), KeyboardInterrupt()])
