@@ -36,6 +36,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.env": (),
     "pneuma.engines": ("pneuma.env",),
     "pneuma.study": (),
+    # what tries environments before their runs:
+    "pneuma.study.execute": ("pneuma.engines.environment",),
     # what runs in the worker's own process:
     "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
     "pneuma.study.live": ("pneuma.engines.base", "pneuma.engines.records"),

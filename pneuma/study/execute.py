@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +178,8 @@ def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
     Raises:
         UserError: if none can be made, or if one of Pneuma's own cannot, which is a mistake in the study.
     """
+    from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
+
     keys = ("env", *OF_GYMNASIUM, "engine", "algorithm")
     by_environment: dict[Any, dict[str, Run]] = {}
     for run_id, run in runs.items():
@@ -188,7 +189,7 @@ def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
     for same in by_environment.values():
         run = next(iter(same.values()))
         try:
-            import_module("pneuma.engines.environment").check_environment(run)
+            check_environment(run)
         except UserError as error:
             broken |= dict.fromkeys(same, str(error))
             if len(broken) == len(runs) or not is_gymnasium_id(run.env):
