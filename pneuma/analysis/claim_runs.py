@@ -151,8 +151,8 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
                 for condition, each in cells.items()
                 for cell in each
             ]
-            about = {"title": study.title, "figure": study.figure, "baseline": study.baseline, "same": []}
-            record = {"study": study.name, "path": study.own_path, **about, "runs": runs}
+            about = {"study": study.name, "title": study.title, "figure": study.figure}
+            record = {**about, "same": [], "runs": runs}
             found = index.of_record(record)
             finished = any(record.status.finished for record in found.values())
             data = StudyData(found, record, str(store.root)) if finished else None

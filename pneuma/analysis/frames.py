@@ -230,14 +230,10 @@ class StudyData:
         if name not in self.tables:
             known = ", ".join((*self.tables, "curves"))
             raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {known}")
-        naming = ("condition", "seed", "run_id")
-        tables = [run.records.table(name) for run in self.runs]
-        frame = pd.concat(tables, ignore_index=True)
-        runs = pd.DataFrame({key: [getattr(run, key) for run in self.runs] for key in naming})
-        named = runs.loc[np.repeat(np.arange(len(tables)), [len(table) for table in tables])]
-        return pd.concat(
-            [named.reset_index(drop=True), frame.drop(columns=[*naming], errors="ignore")], axis=1
-        )
+        naming = ["condition", "seed", "run_id"]
+        keys = [(run.condition, run.seed, run.run_id) for run in self.runs]
+        frame = pd.concat([run.records.table(name) for run in self.runs], keys=keys, names=naming)
+        return frame.drop(columns=naming, errors="ignore").reset_index(naming).reset_index(drop=True)
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.

@@ -1,7 +1,7 @@
 """Estimates over runs, and their intervals.
 
-The unit is the seed. Estimates take finite values with runs along the last axis and give one number per row,
-NaN without runs. Values that are not finite are refused; callers must drop, count and report them.
+The unit is the seed. Estimates take finite values of at least one run. Values that are not finite are
+refused; callers must drop, count and report them.
 
 Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
 `pneuma bench calibration` prints the coverage of each, and docs/evidence.md shows it.
@@ -48,14 +48,12 @@ def finite(values: ArrayLike) -> np.ndarray:
 
 def mean(values: ArrayLike) -> np.ndarray:
     """Return the mean over the last axis, (…, runs) to (…)."""
-    runs = finite(values)
-    return runs.mean(axis=-1) if runs.shape[-1] else _nothing(runs)
+    return np.asarray(finite(values).mean(axis=-1))
 
 
 def median(values: ArrayLike) -> np.ndarray:
     """Return the median over the last axis, (…, runs) to (…)."""
-    runs = finite(values)
-    return np.median(runs, axis=-1) if runs.shape[-1] else _nothing(runs)
+    return np.asarray(np.median(finite(values), axis=-1))
 
 
 def interquartile_mean(values: ArrayLike) -> np.ndarray:
@@ -69,15 +67,15 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
     return mean(np.sort(runs, axis=-1)[..., cut : runs.shape[-1] - cut])
 
 
-def deviation(values: ArrayLike) -> np.ndarray:
-    """Return the sample standard deviation over the last axis; NaN for fewer than two runs.
+def deviation(values: ArrayLike) -> float:
+    """Return the sample standard deviation of (runs,); NaN for fewer than two.
 
     For equal runs it is exactly 0, despite rounding of the mean.
     """
     runs = finite(values)
-    if runs.shape[-1] < 2:
-        return _nothing(runs)
-    return np.where(np.ptp(runs, axis=-1) > 0, runs.std(axis=-1, ddof=1), 0.0)
+    if runs.size < 2:
+        return math.nan
+    return float(runs.std(ddof=1)) if np.ptp(runs) > 0 else 0.0
 
 
 def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
@@ -86,14 +84,8 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U over both counts.
     """
     first, second = finite(a), finite(b)
-    if not first.size or not second.size:
-        return float("nan")
     difference = first[:, None] - second[None, :]
     return float(((difference > 0) + 0.5 * (difference == 0)).mean())
-
-
-def _nothing(runs: np.ndarray) -> np.ndarray:
-    return np.full(runs.shape[:-1], np.nan)[()]
 
 
 def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,15 +151,15 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
     return around(first.mean() - second.mean(), float(error), float(freedom), level, "Welch t")
 
 
-def deviation_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Bonett's interval of the standard deviation, which does not assume normality.
+def deviation_interval(values: ArrayLike) -> Interval:
+    """Return Bonett's 95 % interval of the standard deviation, which does not assume normality.
 
     Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
     runs = finite(values)
     if runs.size < 5 or np.ptp(runs) == 0:
         return no_interval()
-    z = special.ndtri((1 + level) / 2)
+    z = special.ndtri((1 + LEVEL) / 2)
     cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
     middle = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
     fourth, squares = ((runs - np.mean(middle)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
@@ -217,19 +209,17 @@ def bootstrap_interval(
     values: ArrayLike,
     statistic: Callable[[ArrayLike], np.ndarray],
     generator: np.random.Generator,
-    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Interval:
-    """Return the BCa bootstrap interval of a statistic over runs (Efron 1987).
+    """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
-    There is none for fewer than three runs, or if both ends are equal, as for the median of mostly equal
-    runs.
+    With few runs its coverage is smaller (docs/evidence.md). There is none for fewer than three runs, or if
+    both ends are equal, as for the median of mostly equal runs.
 
     Args:
         values: (runs,).
         statistic: works along the last axis, as `mean` and `median` do.
         generator: draws the resamples.
-        level: the nominal coverage. With few runs the coverage is smaller; see docs/evidence.md.
         resamples: how many to draw.
     """
     runs = finite(values)
@@ -239,7 +229,7 @@ def bootstrap_interval(
     drawn = statistic(runs[generator.integers(0, runs.size, (resamples, runs.size))])
     below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / resamples
     bias = special.ndtri(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples))
-    z = special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
+    z = special.ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
     low, high = np.quantile(drawn, shares)
     if low == high:  # mostly equal runs: an interval without width would claim too much

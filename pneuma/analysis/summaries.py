@@ -109,7 +109,7 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
     for statistic, estimate in resampled.items():
         interval = bootstrap_interval(values, estimate, generator)
         yield condition, name, statistic, float(estimate(values)), interval, len(values)
-    yield condition, name, "deviation", float(deviation(values)), deviation_interval(values), len(values)
+    yield condition, name, "deviation", deviation(values), deviation_interval(values), len(values)
 
 
 def _improvement(
@@ -156,15 +156,13 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:
     steps = outcome_values(data, condition, name, at_step)
-    steps = np.sort(steps[~np.isnan(steps)])
+    steps = steps[~np.isnan(steps)]
     if not len(steps):
         return
     reached = int(np.isfinite(steps).sum())
     interval = incidence_interval(reached, len(steps))
     yield condition, name, "reached", reached / len(steps), interval, len(steps)
-    low, high = steps[(len(steps) - 1) // 2], steps[len(steps) // 2]
-    between = float(high if np.isinf(high) else (low + high) / 2)  # one end infinite, the other not
-    yield condition, name, "median", between, no_interval(), len(steps)
+    yield condition, name, "median", float(np.median(steps)), no_interval(), len(steps)
 
 
 def _share(condition: str, name: str, count: int, runs: int) -> Row:

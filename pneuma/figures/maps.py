@@ -92,15 +92,11 @@ def _draw_map(axes: Axes, found: Map) -> None:
     axes.text(
         -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
     )
-    better, worse = map(shown_value, found.values)
-    axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=f"{better} less {worse}{_unit(found)}")
+    label = " less ".join(map(shown_value, found.values))
     if find_outcome(found.outcome).bounds == (0.0, 1.0):
+        label += " (percentage points)"
         axes.xaxis.set_major_formatter(FuncFormatter(_points))
-
-
-def _unit(found: Map) -> str:
-    """Return the unit of differences for an axis; empty if there is none."""
-    return " (percentage points)" if find_outcome(found.outcome).bounds == (0.0, 1.0) else ""
+    axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=label)
 
 
 def _points(share: float, _: Any) -> str:

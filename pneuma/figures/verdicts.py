@@ -38,7 +38,7 @@ from pneuma.analysis.judgement import (
     judge,
 )
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 from pneuma.study.files import write_whole
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
@@ -64,7 +64,6 @@ MOST = 40.0
 ROW_INCHES = 0.165
 LONGEST_REASON = 28
 """Most letters in a cell."""
-GREY = "#777777"
 BAND_COLOUR = "#EDEDED"
 LOOKS: dict[str, dict[str, Any]] = {
     SUPPORTED: {"marker": "o", "color": COLOURS[0]},
@@ -168,17 +167,12 @@ def effect(comparison: Comparison) -> str:
 
 def arms(comparison: Comparison) -> str:
     """Return the compared arms, their numbers of runs, and the p-value."""
-    seeds = " and ".join(f"{count:,}" for count in comparison.contrast.seeds if count)
-    p = (
-        ""
-        if comparison.contrast.reason
-        else "p < 0.001"
-        if comparison.p < 0.001
-        else f"p = {comparison.p:.3f}"
-    )
-    return ", ".join(
-        filter(None, [f"{comparison.a} against {comparison.b}", f"n = {seeds}" if seeds else "", p])
-    )
+    parts = [f"{comparison.a} against {comparison.b}"]
+    if seeds := " and ".join(f"{count:,}" for count in comparison.contrast.seeds if count):
+        parts.append(f"n = {seeds}")
+    if not comparison.contrast.reason:
+        parts.append("p < 0.001" if comparison.p < 0.001 else f"p = {comparison.p:.3f}")
+    return ", ".join(parts)
 
 
 # --- Tables ---------------------------------------------------------------------------------------
@@ -215,7 +209,7 @@ def _told(verdict: Verdict | None) -> str:
 # --- The picture ----------------------------------------------------------------------------------
 
 
-def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("png",)) -> list[Path]:
+def draw_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
     """Draw all verdicts; return the files written."""
     rows: list[tuple[str, Mapping[str, Verdict]]] = []
     by_section = sorted(claims.values(), key=lambda verdicts: claim_of(verdicts).section)
@@ -258,7 +252,7 @@ def draw_verdicts(claims: Verdicts, folder: Path, formats: tuple[str, ...] = ("p
         ]
         figure.legend(handles=handles, loc="outside upper center", ncols=5, handletextpad=0.4)
         figure.supxlabel(NOTE, fontsize="medium")
-        paths = save_figure(figure, folder, STEM, formats)
+        paths = save_figure(figure, folder, STEM, ("png",))
         plt.close(figure)
     return paths
 

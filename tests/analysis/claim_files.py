@@ -72,9 +72,9 @@ WIDE = [0.05, 0.90, 0.10, 0.85, 0.15, 0.80, 0.45, 0.55]
 """Shares killed by eight runs an arm."""
 
 
-def write_files(folder: Path, claims: str = CLAIMS, study: str = STUDY) -> Path:
+def write_files(folder: Path, claims: str = CLAIMS) -> Path:
     """Write study and claims into a folder; return the path of the claims."""
-    (folder / "mine.toml").write_text(study, encoding="utf-8")
+    (folder / "mine.toml").write_text(STUDY, encoding="utf-8")
     path = folder / "claims.toml"
     path.write_text(claims, encoding="utf-8")
     return path
@@ -123,15 +123,9 @@ def save_run(
     )
 
 
-def published_alone(
-    store: Store,
-    folder: Path,
-    study: str = "mine",
-    conditions: tuple[str, ...] = ("high", "low"),
-    seeds: Sequence[int] = range(SEEDS),
-) -> Store:
+def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
     """Publish runs of high and low as a study's table; return a store of tables alone, as a clone has."""
-    selection = Selection("quick", tuple(seeds), STEPS, conditions=conditions)
+    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=("high", "low"))
     record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
     publish(open_study(store, {**record, "study": study}), clone := Store(folder / "clone"))
     return clone
@@ -142,9 +136,9 @@ def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Verdi
     return judge(load_claims(write_files(folder, claims)), store)
 
 
-def judge_one(store: Store, folder: Path, claims: str = CLAIMS, place: str = "text") -> Verdict:
-    """Judge the one claim that there is in one place."""
-    (one,) = [own for own in judge_claims(store, folder, claims) if own.place == place]
+def judge_one(store: Store, folder: Path, claims: str = CLAIMS) -> Verdict:
+    """Judge the one claim that there is, in the text's world."""
+    (one,) = [own for own in judge_claims(store, folder, claims) if own.place == "text"]
     return one
 
 

@@ -64,11 +64,11 @@ def _episodes(condition: str, name: str, slots: dict[int, list[Episode]]) -> pd.
 
 
 def _one_run(
-    slots: dict[int, list[Episode]], budget: int = 200, slot_count: int = 1, window: str = WINDOWS[0]
+    slots: dict[int, list[Episode]], slot_count: int = 1, window: str = WINDOWS[0]
 ) -> dict[float, float]:
-    """Return the curve of a single run as {t: value}."""
+    """Return the curve of a single run of 200 steps as {t: value}."""
     table = _episodes("a", "r", slots)
-    (curve,) = training_curves(_data([("a", "r", budget, slot_count)], episodes=table), "return", window)
+    (curve,) = training_curves(_data([("a", "r", 200, slot_count)], episodes=table), "return", window)
     assert curve.runs.shape == (1, 200)
     return dict(zip(curve.step.tolist(), curve.runs[0].tolist(), strict=True))
 

@@ -10,11 +10,10 @@ from scipy import stats
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.design import Plan, check_design, not_admitted
-from pneuma.analysis.judgement import judge
 from pneuma.analysis.pvalues import share_table
 from pneuma.study.store import Store
 
-from .claim_files import HIGH, LOW, changed, save_runs, write_files
+from .claim_files import HIGH, LOW, changed, judge_one, save_runs, write_files
 
 PILOT = """
 [pilot]
@@ -35,8 +34,8 @@ INCIDENCE = (
 )
 
 
-def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50, pilot: str = PILOT) -> Plan:
-    text = changed(*changes).replace("seeds = 8", f"seeds = {seeds}") + pilot
+def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> Plan:
+    text = changed(*changes).replace("seeds = 8", f"seeds = {seeds}") + PILOT
     (plan,) = check_design(load_claims(write_files(folder, text)))
     return plan
 
@@ -102,9 +101,8 @@ def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: 
     """Though its runs are there; of two outcomes one is enough."""
     low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01\nfinal-return = 0.01")
     text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + low
-    claims = load_claims(write_files(tmp_path, text))
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    (one,) = [own for own in judge(claims, store) if own.place == "text"]
+    one = judge_one(store, tmp_path, text)
     assert one.standing == "could not be decided"
     assert one.reason.startswith("not admitted: cannot be decided with so many seeds (16 runs)")
     enough = text.replace("final-return = 0.01", "final-return = 9").replace(

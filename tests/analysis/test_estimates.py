@@ -31,7 +31,6 @@ def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None
     u = stats.mannwhitneyu(a, b).statistic  # rliable divides it by both counts
     assert intervals.probability_of_improvement(a, b) == pytest.approx(u / (9 * 14), rel=1e-12)
     assert intervals.probability_of_improvement([1, 1], [1]) == 0.5
-    assert math.isnan(intervals.probability_of_improvement([], [1]))
 
 
 def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
@@ -44,7 +43,6 @@ def test_equal_runs_have_no_deviation_at_all() -> None:
     """Ten times 0.3 have a mean of 0.29999999999999993, from which NumPy's deviation is 6e-17."""
     assert np.std(np.full(10, 0.3), ddof=1) > 0
     assert intervals.deviation(np.full(10, 0.3)) == 0
-    np.testing.assert_array_equal(intervals.deviation([[0.3] * 10, [0.0, 2.0] * 5])[0], 0)
 
 
 # --- Intervals ------------------------------------------------------------------------------------

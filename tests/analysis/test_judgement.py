@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.contrasts import compare
-from pneuma.analysis.judgement import Verdict, found, judge
+from pneuma.analysis.judgement import Verdict, found
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -51,9 +51,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     changes, high, verdict = CASES[case]
-    claims = write_files(tmp_path, changed(*changes))
     ids = save_runs(store, tmp_path, {"high": high, "low": LOW})
-    (one,) = [own for own in judge(load_claims(claims), store) if own.place == "text"]
+    one = judge_one(store, tmp_path, changed(*changes))
     assert (one.verdict, one.reason) == (verdict, "")
     assert one.run_ids == (ids[:SEEDS] if "number" in case else ids)
 

@@ -18,6 +18,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import _improvement_interval, compare_conditions, summary_table
 from pneuma.study.store import Store
 
+from ..cli.calls import printed
 from ..hand_made import collapse_record, healthy, learning, save_collapse
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
@@ -102,6 +103,18 @@ def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(dat
     assert mean == "| a | final-share-killed | mean | 0.50 | 0.03 | 0.97 | t | 4 |"
     latex = encode_table(data, "summary", "latex")[0].decode()
     assert r"a & final-share-killed & mean & 0.50 & 0.03 & 0.97 & t & 4 \\" in latex
+
+
+def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
+    store, names = Store(tmp_path / "results"), ("=cmd|' /C calc'!A0", "-2+3", "-0.5", "\x1b]0;a\x07")
+    cells = {(name, 0): f"{place:016x}" for place, name in enumerate(names)}
+    for own in cells.values():
+        save_collapse(store, own, healthy(), learning())
+    store.save_selection("mine", collapse_record(cells))
+    out = tmp_path / "summary.csv"
+    printed("study", "export", "mine", "--table", "summary", "--out", out, "--results", store.root)
+    told = dict.fromkeys(line.split(",")[0] for line in out.read_text().splitlines()[1:])
+    assert list(told) == ["'=cmd|' /C calc'!A0", "'-2+3", "-0.5", "\\u001b]0;a\\u0007"]
 
 
 @pytest.mark.parametrize(

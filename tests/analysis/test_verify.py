@@ -12,11 +12,10 @@ from pneuma.analysis.claims import load_claims
 from pneuma.cli import main
 from pneuma.study.store import Store
 
-from .claim_files import CLAIMS, save_runs, write_files
+from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
 
 Captured = pytest.CaptureFixture[str]
 
-LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
 OTHER = CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other").replace('"high"', '"middle"')
 
 
@@ -24,7 +23,7 @@ OTHER = CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other").rep
 def command(tmp_path: Path) -> list[str]:
     """A command over a folder with the runs of one claim and none of another's."""
     claims = write_files(tmp_path, CLAIMS + OTHER)
-    save_runs(Store(tmp_path / "results"), tmp_path, {"high": [x + 0.5 for x in LOW], "low": LOW})
+    save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     return ["study", "verify", "--claims", str(claims), "--results", str(tmp_path / "results")]
 
 

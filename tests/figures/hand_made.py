@@ -19,7 +19,6 @@ from ..hand_made import make_id, save_run
 
 BUDGET = 1000
 
-
 _HALF = dict.fromkeys(METRIC_COLUMNS, 0.5)
 
 
@@ -44,21 +43,18 @@ class HandMade:
         evaluations: Sequence[float] = (0.1, 0.2, 0.3, 0.4),
         status: str = "done",
         run_id: str = "",
-        steps: int = BUDGET,
-        returns: float = 1.0,
-        hunter: float = 0.5,
         random: float = 0.04,
     ) -> None:
         """Store a run that finished an episode every 50 steps and was evaluated every 250."""
         run_id = run_id or make_id(condition, seed)
-        settings = {"steps": steps, "slots": 1, "env": "pneuma/Pneuma-v0"}
+        settings = {"steps": BUDGET, "slots": 1, "env": "pneuma/Pneuma-v0"}
         self.record["runs"].append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
-        told = [{"episode": k, "step": 50 * (k + 1), "return": returns * (k + seed)} for k in range(episodes)]
+        told = [{"episode": k, "step": 50 * (k + 1), "return": float(k + seed)} for k in range(episodes)]
         updates = [  # gradient norms go through the powers of ten
             {**_HALF, "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)} for k in range(20)
         ]
         levels = {
-            "hunter_share_killed": hunter,
+            "hunter_share_killed": 0.5,
             "random_share_killed": random,
             "score": 0.5,
             "argmax_share_killed": 0.5,
@@ -66,7 +62,7 @@ class HandMade:
         evaluated = [
             {**levels, "step": 250 * (k + 1), "share_killed": share} for k, share in enumerate(evaluations)
         ]
-        save_run(self.store, run_id, told, updates, evaluated, steps, status)
+        save_run(self.store, run_id, told, updates, evaluated, BUDGET, status)
 
     @property
     def data(self) -> StudyData:

@@ -11,8 +11,6 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.analysis.intervals import Interval
-from pneuma.analysis.judgement import Comparison
 from pneuma.figures.summary import draw_summary
 from pneuma.figures.verdicts import draw_verdicts, in_margins
 
@@ -57,11 +55,6 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
 # --- Verdicts -------------------------------------------------------------------------------------
 
 
-def shown(verdict: str, effect: float, low: float, high: float, **fields: Any) -> Comparison:
-    own = comparison(verdict, effect, of=claim(**fields))
-    return replace(own, contrast=replace(own.contrast, simultaneous=Interval(low, high, "t")))
-
-
 @pytest.mark.parametrize(
     ("fields", "numbers", "told"),
     [
@@ -74,17 +67,19 @@ def shown(verdict: str, effect: float, low: float, high: float, **fields: Any) -
 def test_effects_are_in_margins_and_right_is_as_claimed(
     fields: dict[str, Any], numbers: tuple[float, float, float], told: tuple[float, ...] | None
 ) -> None:
-    found = in_margins(claim(**fields), shown("supported", *numbers, **fields))
+    own, (effect, *ends) = claim(**fields), numbers
+    found = in_margins(own, comparison("supported", effect, (ends[0], ends[1]), of=own))
     assert found == (told if told is None else pytest.approx(told))
 
 
 def test_all_verdicts_are_drawn_and_again_to_the_same_bytes(tmp_path: Path) -> None:
     fields = {"margin": 0.5, "outcome": ("final-return", "final-share-killed")}
-    both = shown("supported", 1.0, 0.1, 90.0, **fields), shown("refuted", -1.0, -2.0, -0.1, **fields)
-    both = both[0], replace(both[1], outcome="final-share-killed")
+    own = claim("one", **fields)
+    first = comparison("supported", 1.0, (0.1, 90.0), of=own)
+    second = replace(comparison("refuted", -1.0, (-2.0, -0.1), of=own), outcome="final-share-killed")
     claims = {
-        "one": judged(claim("one", **fields), text=("mixed", "", both)),
+        "one": judged(own, text=("mixed", "", (first, second))),
         "two": judged(claim("two"), arena=("untestable", "A/A: the same", ())),
     }
-    (first,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
-    assert first.name == "verdicts.png" and first.read_bytes() == again.read_bytes()
+    (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
+    assert path.name == "verdicts.png" and path.read_bytes() == again.read_bytes()
