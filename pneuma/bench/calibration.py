@@ -74,6 +74,7 @@ class Setting:
         claimed: the direction of all claims.
         sizes: number of claims of each kind.
         errors: the margin of means in standard errors of the difference; None: that of `MARGINS`.
+        spread: standard deviation of the first arm of means, divided by the second's.
     """
 
     truths: tuple[str, ...]
@@ -87,7 +88,7 @@ class Setting:
         return MARGINS[kind] if self.errors is None else self.errors * float(np.sqrt(2 / seeds))
 
     def truths_of(self, size: int) -> list[str]:
-        """Return the truth of each of `count` claims."""
+        """Return the truth of each of `size` claims."""
         return [self.truths[i % len(self.truths)] for i in range(size)]
 
 

@@ -60,16 +60,14 @@ def engine_rates(compiled: Sequence[Run], reference: Run, rounds: int) -> tuple[
     """Return the steps per second of both engines in each round."""
     from pneuma.engines import batched, sb3
 
-    def ours(run: Run) -> None:
-        batched.train(run, lambda progress: True, evaluated=False)
+    def train(run: Run) -> None:
+        engine = batched if run.engine == "batched" else sb3
+        engine.train(run, lambda progress: True, evaluated=False)
 
-    def theirs(run: Run) -> None:
-        sb3.train(run, lambda progress: True, evaluated=False)
-
-    ours(compiled[0])  # compiles
+    train(compiled[0])  # which compiles
     rates: tuple[list[float], list[float]] = ([], [])
     for _ in range(rounds):
-        for rate, train, runs in zip(rates, (ours, theirs), (compiled, [reference]), strict=True):
+        for rate, runs in zip(rates, (compiled, [reference]), strict=True):
             begun = time.perf_counter()
             for run in runs:
                 train(run)

@@ -29,6 +29,7 @@ DASH_PACE, DASH_TICKS, DASH_REST = 3.0, 8, 60
 
 DATA = Path(__file__).parent / "data"
 FACINGS = ("down", "left", "up", "right")
+"""Names of `rules.DOWN`, `LEFT`, `UP` and `RIGHT`."""
 
 _Points = Annotated[float, Field(ge=0, le=1e6)]
 _Hp = Annotated[float, Field(gt=0, le=1e6)]

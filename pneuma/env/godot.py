@@ -236,7 +236,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         if seed is not None:
             answer = self._ask({"type": "reset", "seed": seed}, "reset")
             if answer.get("seed") != seed and self._path:
-                self._stop()
+                self.close()
                 self._start(seed)
                 answer = self._ask({"type": "reset"}, "reset")
             self._begun = answer["obs"][0]
@@ -258,11 +258,19 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
 
     def close(self) -> None:
         """End the game."""
-        self._stop()
+        if self._connection:
+            with suppress(OSError):
+                send(self._connection, {"type": "close"})
+            self._connection.close()
+        if self._process:
+            with suppress(ProcessLookupError):  # a game may be a script that starts another program
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        self._connection = self._process = None
 
     def __del__(self) -> None:
         """End the game with its owner, as engines close no environment."""
-        self._stop()
+        self.close()
 
     def _start(self, seed: int) -> None:
         self._begun = None
@@ -304,19 +312,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                     raise UserError(
                         f"{self._name}: ended with exit code {self._process.returncode} before it connected"
                     ) from None
-        self._stop()
+        self.close()
         raise UserError(f"{self._name}: did not connect within {START_SECONDS} s")
-
-    def _stop(self) -> None:
-        if self._connection:
-            with suppress(OSError):
-                send(self._connection, {"type": "close"})
-            self._connection.close()
-        if self._process:
-            with suppress(ProcessLookupError):  # a game may be a script that starts another program
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
-        self._connection = self._process = None
 
     def _ask(self, message: Mapping[str, Any], kind: str) -> dict[str, Any]:
         """Send a message and return the game's answer; any failure ends the game."""
@@ -337,7 +334,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             problem = (
                 f"answered {message['type']!r} with {answer.get('type')!r}; is its plugin of version 0.8?"
             )
-        self._stop()
+        self.close()
         raise UserError(f"{self._name}: {problem}")
 
     def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
@@ -350,7 +347,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             agents, acts, seen, shape, key = 0, {}, {}, (), ""
         sound = acts.get("action_type") in ("discrete", "continuous") and seen.get("space") == "box"
         if agents != 1 or not sound or len(shape) != 1 or key != "obs":
-            self._stop()
+            self.close()
             raise UserError(
                 f"{self._name}: must have one agent with one action and flat observations named 'obs'; "
                 f"it has {json.dumps({name: env_info.get(name) for name in _SPACES})}"

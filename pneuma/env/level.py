@@ -40,7 +40,8 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml
 LEVELS = Path(__file__).parent / "data" / "levels"
 RANDOM = "random:"
 START_CODE = 400
-EMPTY, WATER_CODE = -1, 0
+EMPTY, WATER, SNOW, GRASS, SAND, BRIDGE = range(-1, 5)
+"""Codes of the ground in shipped and random levels; a user's own level may have others."""
 MAX_SIDE = 1000
 LARGEST_LAYER = 16 * 2**20
 """Most bytes of a layer."""
@@ -60,7 +61,7 @@ class Header(Table):
     """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
     origin: Annotated[tuple[_Pixels, ...], Field(min_length=2, max_length=2)] | None = None
     """Column and row of the tile whose upper left corner is (0, 0); None: the centre."""
-    coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER_CODE,)
+    coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER,)
     """Ground codes where the land ends."""
 
 
@@ -357,7 +358,7 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
 
 
 def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
-    """Number the regions in which a body of `size` tiles a side can move, from 1.
+    """Number the regions in which a body of `abreast` tiles a side can move, from 1.
 
     Args:
         free: (rows, columns) bool, the tiles that do not stop a body.

@@ -70,7 +70,9 @@ class Ways:
         closed = [np.pad(stops >> each.terrain & 1 > 0, rim, constant_values=True) for each in levels]
         drowns = [np.pad((each.terrain == rules.COAST) & sea, rim) for each in levels]
         self._shape = closed[0].shape
-        self._fits = [self._room(~grid & ~water) for grid, water in zip(closed, drowns, strict=True)]
+        # The cells into which the body fits, in the shape of the grid.
+        free = [~grid & ~water for grid, water in zip(closed, drowns, strict=True)]
+        self._fits = [np.pad(walkable_regions(grid, rim) > 0, (0, rim - 1)) for grid in free]
         self._stops = [(grid.tolist(), grid.T.tolist()) for grid in closed]
         self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
         self._graphs = [_graph(fits) for fits in self._fits]
@@ -134,11 +136,6 @@ class Ways:
         return None if self._drowns[level] and self._meets_sea(level, place, end_place) else end_place
 
     # --- Distances -------------------------------------------------------------------------------
-
-    def _room(self, free: np.ndarray) -> np.ndarray:
-        """Return the cells into which the body fits, in the shape of the grid."""
-        fits = walkable_regions(free, self._abreast) > 0
-        return np.pad(fits, (0, self._abreast - 1))
 
     def _tiles(self, x: np.ndarray, y: np.ndarray, shift: float) -> np.ndarray:
         """Return the index of the tile at each place, moved by `shift` tiles."""

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from pneuma.env import rules
-from pneuma.env.level import RANDOM, Level, first_cut_off, walkable_regions
+from pneuma.env.level import BRIDGE, GRASS, RANDOM, SAND, SNOW, WATER, Level, first_cut_off, walkable_regions
 from pneuma.errors import UserError, nearest_name
 
 SPLITS = ("train", "test")
@@ -27,7 +27,6 @@ TILE = 64
 ORIGIN = (28, 25)
 STARTS = 6
 KINDS = ("bamboo",) * 14
-WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 
 MARGIN = 3
 """Water on every side, in tiles."""
@@ -128,7 +127,7 @@ def _draw_land(draw: Draw) -> np.ndarray:
     inside = np.zeros_like(land)
     inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     for _ in range(3):
-        land = _smooth(land) & inside
+        land = (_count_around(land) >= 5) & inside  # as most tiles around
     return _without_specks(~_without_specks(~land, 6), 12)
 
 
@@ -170,7 +169,7 @@ def _bridge_places(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndar
 
 def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
     """Return (rows, columns) uint8: the coast, and obstacles inland, with varying density."""
-    inland = _count_around(((ground != WATER) & (ground != BRIDGE)).astype(np.int64)) == 9
+    inland = _count_around((ground != WATER) & (ground != BRIDGE)) == 9
     chance = 0.01 + 0.12 * np.maximum(_draw_noise(draw, 5) - 0.4, 0)
     stones = inland & (draw(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < chance)
     terrain = np.where(stones, rules.SOLID, rules.OPEN)
@@ -182,7 +181,7 @@ def _choose_places(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | 
     """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
     free = terrain == rules.OPEN
     regions = walkable_regions(free)
-    roomy = (regions == _largest(regions)) & (_count_around(free.astype(np.int64)) == 9)
+    roomy = (regions == _largest(regions)) & (_count_around(free) == 9)
     tiles = np.argwhere(roomy)
     tiles = tiles[np.argsort(draw(len(tiles)), kind="stable")]
     chosen: list[np.ndarray] = []
@@ -214,14 +213,9 @@ def _steps(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
     return whole, part * part * (3 - 2 * part)
 
 
-def _smooth(land: np.ndarray) -> np.ndarray:
-    """Return whether most tiles around, and the tile itself, are land."""
-    return _count_around(land.astype(np.int64)) >= 5
-
-
 def _count_around(tiles: np.ndarray) -> np.ndarray:
-    """Return the sum over each tile and its eight neighbours; tiles beyond the edge count 0."""
-    return np.asarray(convolve(tiles, np.ones((3, 3), np.int64), mode="constant"))
+    """Return how many of each tile and its eight neighbours are set, for (rows, columns) bool."""
+    return np.asarray(convolve(tiles.astype(np.int64), np.ones((3, 3), np.int64), mode="constant"))
 
 
 def _without_specks(tiles: np.ndarray, least: int) -> np.ndarray:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules, sprites
-from pneuma.env.characters import TICKS_PER_STEP
-from pneuma.env.level import Level
+from pneuma.env.characters import FACINGS, TICKS_PER_STEP
+from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, unknown_name
 
@@ -32,10 +32,11 @@ MAP_SIDE = 900
 MOST_TILES = 90_000
 BAR_WIDTH = 12
 PANEL_BAR = (48, 3)
-PANEL_GAP = 6  # art pixels between two things, and around all
+PANEL_GAP = 6
+"""Gap between items in the strip, and around them, in art pixels."""
 PANEL_LINE = 7
 PANEL_WIDTH = 360
-"""Gap between items in the strip, in art pixels."""
+"""Pixels of a frame's width for each step that the strip is enlarged by."""
 STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 
@@ -189,7 +190,7 @@ class Renderer:
 
     def _sword(self, player: Any, stats: Any) -> Item:
         """Return a player's sword, centred at its hilt."""
-        way, facing = player["facing"], sprites.FACINGS[player["facing"]]
+        way, facing = player["facing"], FACINGS[player["facing"]]
         moment = sprites.SWINGS[int(3 * (stats["swing"] - player["busy"]) // stats["swing"])]
         picture = sprites.sword_picture(facing, moment)
         x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
@@ -255,17 +256,17 @@ def _foot(body: Any, stats: Any) -> float:
 
 
 def ground_kinds(level: Level) -> np.ndarray:
-    """Return the ground of each tile of a level, (rows, columns) of `sprites.WATER` and so on.
+    """Return the ground of each tile of a level, (rows, columns) of `WATER` to `BRIDGE`.
 
     Any other code is drawn as grass. The coast is always water.
     """
-    kinds = np.where((level.ground >= 0) & (level.ground <= sprites.BRIDGE), level.ground, sprites.GRASS)
-    return np.where(level.terrain == rules.COAST, sprites.WATER, kinds)
+    kinds = np.where((level.ground >= 0) & (level.ground <= BRIDGE), level.ground, GRASS)
+    return np.where(level.terrain == rules.COAST, WATER, kinds)
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
     """Yield the obstacles' pictures, which depend on their ground."""
-    kinds = {sprites.SNOW: ("pine",), sprites.GRASS: ("tree", "tree", "rock"), sprites.SAND: ("cactus",)}
+    kinds = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
     shadow = sprites.shadow_picture(14)
     for row, column in np.argwhere(solid).tolist():
         names = kinds.get(int(ground[row, column]), ("rock",))
@@ -277,7 +278,7 @@ def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
 
 def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
     """Return a player standing, walking or attacking; the position decides which foot is in front."""
-    facing = sprites.FACINGS[player["facing"]]
+    facing = FACINGS[player["facing"]]
     if player["busy"] > 0:
         return sprites.player_picture(index, facing, "strike", flash)
     phase = int((player["x"] + player["y"]) // STRIDE) % 2

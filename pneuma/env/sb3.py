@@ -96,7 +96,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self._lengths = np.zeros(self.num_envs, np.int64)
         self._episodes = np.zeros(self.num_envs, np.int64)
         self._actions = np.zeros(self.num_envs, np.int64)
-        self._no_dones = np.zeros(self.num_envs, np.bool_)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed world i with seed + i at the next reset; return each slot's seed."""
@@ -133,18 +132,18 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Step all slots: observations, rewards, dones, infos."""
         slots = self.slots
-        ended = slots.step(self._actions)
+        slots.step(self._actions)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
         self._returns += slots.rewards
         self._lengths += 1
         self._steps_taken += 1
-        dones = slots.terminated | slots.truncated if ended else self._no_dones
+        dones = slots.terminated | slots.truncated
         infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
         if slots.world_over.any():
             self.state.reset(slots.world_over)
             self._lengths[np.repeat(slots.world_over, slots.players)] = 0  # idle slots start again too
         self._show()
-        return slots.observations, rewards, dones.copy(), infos
+        return slots.observations, rewards, dones, infos
 
     def _end(self, slot: int) -> dict[str, Any]:
         """Record an ended episode and return its info."""

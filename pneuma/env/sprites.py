@@ -14,12 +14,13 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import convolve1d
 
+from pneuma.env.characters import FACINGS
+from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER
+
 ART = Path(__file__).parent / "art"
 TILE = 16
 """Art pixels along a tile."""
 
-FACINGS = ("down", "left", "up", "right")
-"""Names of `rules.DOWN`, `LEFT`, `UP` and `RIGHT`."""
 POSES = ("stand", "stride", "strike")
 SWINGS = ("begin", "strike", "follow")
 """Three moments of a sword's swing."""
@@ -162,8 +163,6 @@ def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:
 
 
 # --- The ground ----------------------------------------------------------------------------------
-
-WATER, SNOW, GRASS, SAND, BRIDGE = range(5)
 
 _PATCHES = ("3a7fc5", "e9f0f9", "7fbd66", "eed798")
 """Colours of water, snow, grass and sand, in patches."""

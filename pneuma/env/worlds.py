@@ -63,6 +63,7 @@ class Worlds:
         levels: the levels played; one, unless random ones are drawn.
         usual_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
+        handle: the argument of the compiled rules; see `state.make_handle`.
 
     Raises:
         UserError: for a configuration that cannot be played.
@@ -146,7 +147,7 @@ class Worlds:
 
     def _take_addresses(self) -> None:
         """Store the addresses of the arrays, and views of them that are needed."""
-        self._handle = state.make_handle(self._arrays)
+        self.handle = state.make_handle(self._arrays)
         whole = self.worlds, self.players, self.monsters, self.events
         self.raw = tuple(state.raw(each) for each in whole)  # bytes: NumPy copies those faster
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
@@ -154,11 +155,6 @@ class Worlds:
     def __len__(self) -> int:
         """Return the number of worlds."""
         return len(self.worlds)
-
-    @property
-    def handle(self) -> np.ndarray:
-        """The argument of compiled rules, for compiled code elsewhere; see `state.make_handle`."""
-        return self._handle
 
     @property
     def level(self) -> Level:
@@ -232,8 +228,8 @@ class Worlds:
         usual = self.usual_starts if starts is None else _checked(starts, (len(self),), "iu", "starts")
         if usual.max(initial=0) >= (count := len(self.level.starts)):
             raise ValueError(f"start {usual.max()} is none of the level's {count}")
-        rules.reset_worlds(self._handle, usual, which)
-        self._observe()
+        rules.reset_worlds(self.handle, usual, which)
+        rules.observe_worlds(self.handle)
 
     def step(self, actions: np.ndarray) -> int:
         """Advance all running worlds; return how many episodes ended.
@@ -251,7 +247,7 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = int(rules.step_worlds(self._handle, actions))
+        ended = int(rules.step_worlds(self.handle, actions))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
@@ -348,7 +344,7 @@ class Worlds:
         self._refuse_nowhere()
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
-        self._observe()
+        rules.observe_worlds(self.handle)
 
     def _refuse_nowhere(self) -> None:
         """Refuse positions that the rules cannot look up. Dead monsters may be anywhere."""
@@ -365,9 +361,6 @@ class Worlds:
                     raise ValueError(f"{name}: x or y lies off the grid, {grid}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
-
-    def _observe(self) -> None:
-        rules.observe_worlds(self._handle)
 
 
 def world_key(seed: int) -> int:
@@ -388,5 +381,5 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("_handle", "_shown", "raw")
+_ADDRESSES = ("handle", "_shown", "raw")
 """Attributes of `Worlds` that are valid in one process only."""
