@@ -125,6 +125,7 @@ def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
         ((12.345, 12.33, 12.36), "12.345 [12.330, 12.360]"),
         ((0.5, np.nan, np.nan), "0.500"),
         ((0.0, np.nan, np.nan), "0"),
+        ((-6.7e-16, np.nan, np.nan), "0.000000"),
         ((np.nan, np.nan, np.nan), "–"),
         ((np.inf, np.nan, np.nan), "never"),
     ],
