@@ -96,3 +96,4 @@ OPTIMIZER_DEFAULTS: dict[str, Any] = {
 }
 
 OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)
+"""The fields that only some optimizers read."""
