@@ -169,7 +169,7 @@ def status(
                 rows.append((f"  {state.run['condition']}", f"seed {state.run['seed']}", run_id, label))
             if rows:
                 print_table([""] * 4, rows)
-        return {"schema": 1, "study": record["study"], "runs": runs, "jobs": queued}
+        return {"study": record["study"], "runs": runs, "jobs": queued}
 
     found = [standing(name)] if name else each_study(studies_run_here(store, picked.world), standing)
     if json:

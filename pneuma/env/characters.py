@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pneuma.env import state
-from pneuma.env.level import START_CODE, Level
+from pneuma.env.level import START_CODE, Level, Rounded
 from pneuma.env_fields import SHIPPED_CHARACTERS
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
@@ -36,8 +36,8 @@ _Hp = Annotated[float, Field(gt=0, le=1e6)]
 _Speed = Annotated[float, Field(ge=0, le=3000)]
 _Seconds = Annotated[float, Field(ge=0, le=60)]
 _Lasting = Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=60)]
-_Side = Annotated[float, Field(ge=1, le=4096)]
-_Offset = Annotated[float, Field(ge=-4096, le=4096)]
+_Side = Annotated[float, Field(ge=1, le=4096), Rounded]
+_Offset = Annotated[float, Field(ge=-4096, le=4096), Rounded]
 _Ahead = Annotated[float, Field(ge=0, le=4096)]
 _Box = Annotated[tuple[_Side, ...], Field(min_length=2, max_length=2)]
 _Place = Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=2)]

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from scipy.ndimage import label
 
 from pneuma.env import rules
@@ -49,7 +49,10 @@ MOST_PLACES = 1000
 """Most start places and monsters together in a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
 
-_Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+Rounded = AfterValidator(lambda pixels: round(pixels * 1024) / 1024)
+"""For lengths from which the rules compute where a body touches a wall. Their sums are then exact: a body
+that overlapped the wall by a rounding error could not slide along it."""
+_Tiles = Annotated[float, Field(ge=-1e6, le=1e6), Rounded]
 _GroundCode = Annotated[int, Field(ge=EMPTY, lt=2**28)]
 
 
@@ -57,9 +60,9 @@ class Header(Table):
     """The contents of `level.toml`."""
 
     title: Annotated[str, Field(min_length=1)]
-    tile: Annotated[float, Field(ge=8, le=4096)] = 64.0
+    tile: Annotated[float, Field(ge=8, le=4096), Rounded] = 64.0
     """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
-    origin: Annotated[tuple[_Pixels, ...], Field(min_length=2, max_length=2)] | None = None
+    origin: Annotated[tuple[_Tiles, ...], Field(min_length=2, max_length=2)] | None = None
     """Column and row of the tile whose upper left corner is (0, 0); None: the centre."""
     coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER,)
     """Ground codes where the land ends."""

@@ -241,7 +241,7 @@ DTYPES = State(
 DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
-"""The parts of a `State` that are saved."""
+"""Identifies the layout of the parts of a `State` that are saved."""
 HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
 """A row for each array of a `State`; nobody reads the last field, see `pneuma.env.compiled`."""
 

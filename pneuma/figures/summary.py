@@ -115,7 +115,7 @@ def draw_comparison(
         caption = ["Differences of means of runs, with Welch's 95 % intervals.", *panels.notes_of(data)]
         if step := common_step(data):
             caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
-        inches = 2 * ROW_INCHES * len(rows) + 0.7
+        inches = 2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7
         panels.put_texts(figure, inches, panels.headline_of(data, "differences"), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
 

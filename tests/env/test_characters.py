@@ -11,7 +11,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
-from .arena import BAMBOO, write_level
+from .arena import BAMBOO, RIGHT, UP, begin, play, player_at, write_level
 
 # facts.md section 2, in its own units: points, milliseconds and pixels a tick.
 CLASSES = {  # HP, energy, attack, magic, speed
@@ -150,6 +150,15 @@ def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
     assert (wolf["bite_ticks"], wolf["safe"], wolf["knock_ticks"]) == (30, 6, -1)
     with pytest.raises(UserError, match="unknown code 500; known are"):
         Worlds(1, make_env_config({"level": level}))
+
+
+def test_a_body_of_any_size_slides_along_a_wall(tmp_path: Path) -> None:
+    # Unrounded, this one would overlap the wall at x = -512 by the last bit of its place.
+    file = write(tmp_path, "[players.base]\nbody = [5.1, 20]\nbody_at = [-2, 0]\n")
+    level = write_level(tmp_path / "wall", [(-544.0, 48.0)], [(400.0, 400.0)], [(2, 10)])
+    worlds = begin(1, level=level, characters=file)
+    play(worlds, RIGHT, RIGHT, UP)
+    assert player_at(worlds) == pytest.approx((-512 + 2 - 5.1 / 2, 48 - 40), abs=1e-3)
 
 
 # --- Mistakes in it ------------------------------------------------------------------------------
