@@ -224,14 +224,17 @@ def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 
     An arm is at the floor if it is not shown to play better than the random player, whatever its number of
     runs. Outcomes that are meaningful only for runs that learned need every arm above the floor. Outcomes
-    that measure play, and claims of no difference, need one.
+    that measure play, and claims of no difference, need one; differences of two effects need one for each.
     """
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).supposes_rise for part in outcome.split(MINUS)):
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
     of_play = _is_of_play(outcome) and not claim.event
-    if len(idle) == len(arms) > 1 and (of_play or claim.direction == "equal"):
-        return f"arms at floor: none of {', '.join(idle)} is shown to play better than the random player"
+    if not (of_play or claim.direction == "equal"):
+        return ""
+    for pair in ([*arms][:2], [*arms][2:]):
+        if len(pair) == 2 and all(name in idle for name in pair):
+            return f"arms at floor: none of {', '.join(pair)} is shown to play better than the random player"
     return ""
 
 

@@ -188,6 +188,14 @@ def test_a_difference_of_two_effects_is_welchs_over_four_arms(store: Store, tmp_
     assert own.contrast.p_greater == pytest.approx(stats.t.sf(0.4 / error, 28))
 
 
+def test_each_of_two_effects_needs_an_arm_that_learned(store: Store, tmp_path: Path) -> None:
+    claims = changed(('b = "low"', 'b = "low"\nc = "middle"\nd = "other"'))
+    around = [0.02 * (-1) ** k * (1 + k % 4) for k in range(8)]  # the random player's score is 0
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW, "middle": around, "other": around[::-1]})
+    reason = judge_one(store, tmp_path, claims).reason
+    assert reason == "arms at floor: none of middle, other is shown to play better than the random player"
+
+
 def test_a_gap_is_between_two_outcomes_of_one_run(store: Store, tmp_path: Path) -> None:
     """The best score of a run less its last: 0.1 in every run of high, none in those of low."""
     claims = changed(('"final-share-killed"', '"best-score - normalised-score"'))
