@@ -1,9 +1,9 @@
-"""What tests of several folders share: TensorBoard logs written by hand, and a reader of web pages."""
+"""What tests of several folders share: a results folder, training in this process, a reader of web pages."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,9 +14,6 @@ from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
 from .training import training_here
-
-Points = Sequence[tuple[str, int, float]]
-WriteEvents = Callable[[Path, Points], Path]
 
 # As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
 os.environ.update(one_thread_environment())
@@ -43,27 +40,6 @@ def trains_here() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session")
-def write_events() -> WriteEvents:
-    """A function that writes points (tag, step, value) as an event file, one a second, in their order."""
-    from tensorboard.compat.proto.event_pb2 import Event
-    from tensorboard.summary.writer.record_writer import RecordWriter
-
-    def write(path: Path, points: Points) -> Path:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            writer = RecordWriter(file)
-            writer.write(Event(wall_time=1e9, file_version="brain.Event:2").SerializeToString())
-            for second, (tag, step, value) in enumerate(points):
-                event = Event(wall_time=1e9 + second, step=step)
-                event.summary.value.add(tag=tag, simple_value=value)
-                writer.write(event.SerializeToString())
-            writer.flush()
-        return path
-
-    return write
-
-
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 """Elements that have no end."""
 
@@ -75,7 +51,6 @@ class Element:
     tag: str
     attributes: dict[str, str]
     text: str = ""
-    within: tuple[str, ...] = ()
 
 
 @dataclass
@@ -93,8 +68,7 @@ class Page(HTMLParser):
         assert self._open == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        within = tuple(each.tag for each in self._open)
-        element = Element(tag, {key: value or "" for key, value in attrs}, within=within)
+        element = Element(tag, {key: value or "" for key, value in attrs})
         assert len(element.attributes) == len(attrs)  # none twice
         self.elements.append(element)
         if tag not in VOID:

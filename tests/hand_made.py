@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -141,6 +142,27 @@ def one_action(first: int, last: int = 100) -> np.ndarray:
     updates = healthy()
     updates[first - 1 : last] = GONE
     return updates
+
+
+def encode_events(points: Sequence[tuple[str, int, float]]) -> bytes:
+    """Return points (tag, step, value) as an event file, one a second, in their order."""
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.summary.writer.record_writer import RecordWriter
+
+    writer = RecordWriter(written := io.BytesIO())
+    writer.write(Event(wall_time=1e9, file_version="brain.Event:2").SerializeToString())
+    for second, (tag, step, value) in enumerate(points):
+        event = Event(wall_time=1e9 + second, step=step)
+        event.summary.value.add(tag=tag, simple_value=value)
+        writer.write(event.SerializeToString())
+    return written.getvalue()
+
+
+def write_events(path: Path, points: Sequence[tuple[str, int, float]]) -> Path:
+    """Write points as an event file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_events(points))
+    return path
 
 
 UNLIKE = ("pipe", "device", "ring", "folder", "sparse")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +29,7 @@ from pneuma.study.store import Store
 from pneuma.study.tables import record_table, to_parquet
 
 from .cli.calls import policy_of
-from .hand_made import UNLIKE, put_unlike
+from .hand_made import UNLIKE, encode_events, put_unlike
 
 READERS: dict[str, Callable[[str], Any]] = {
     "study": load_study,
@@ -65,27 +64,11 @@ TABLE = "published/author-logs.parquet"
 ODD = [b"", b"\x00", b"\xff", b"-1", b"1e999", b"nan", b"9" * 5000, b"[" * 3000, b'"', b"\n", b"\x1b]0;a\x07"]
 
 
-def _study(path: Path) -> None:
-    load_study(str(path))
-
-
-def _search(path: Path) -> None:
-    load_search(str(path))
-
-
 def _checkpoint(path: Path) -> None:
     """Read a checkpoint whose checksum is right, whatever it holds."""
     told = read_checkpoint_name(file_name(256, path.read_bytes()))
     assert told
     read_checkpoint(CheckpointFile(path, *told))
-
-
-def _policy(path: Path) -> None:
-    read_sound_policy(path.read_bytes())
-
-
-def _run_table(path: Path) -> None:
-    record_table(path.read_bytes(), "metrics")
 
 
 def _published(path: Path) -> None:
@@ -97,42 +80,33 @@ def _published(path: Path) -> None:
     assert table.record["runs"]
 
 
-def _selection(path: Path) -> None:
-    Store(path.parent.parent).selection("mine")
-
-
 def _level(path: Path) -> None:
     (path.parent / "objects.csv").write_text("code,x,y\n400,-96,-64\n390,96,64\n")
     load_level(str(path.parent), {390: "bamboo"})
 
 
-def _events() -> bytes:
-    from tensorboard.compat.proto.event_pb2 import Event
-    from tensorboard.compat.proto.summary_pb2 import Summary
-    from tensorboard.summary.writer.record_writer import RecordWriter
-
-    written = io.BytesIO()
-    for step in range(3):
-        value = Summary.Value(tag="rollout/ep_rew_mean", simple_value=step)
-        RecordWriter(written).write(Event(step=step, summary=Summary(value=[value])).SerializeToString())
-    return written.getvalue()
-
-
 ROWS = [{"step": 256, "policy_loss": 0.1, "entropy": 1.0}, {"step": 512, "policy_loss": 0.2, "entropy": 0.9}]
 ROW = {**dict.fromkeys(EPISODE_COLUMNS, 1), "ending": "died"}
 CHECKPOINT = Checkpoint(256, {"weights": np.arange(6.0).reshape(2, 3)}, {"seed": 3}, Records(episodes=[ROW]))
+POINTS = [("rollout/ep_rew_mean", step, float(step)) for step in range(3)]
 HISTORY: dict[str, Any] = {"attempts": [], "resumes": []}
 FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
-    "study": ("mine.toml", (ROOT / "studies/activation.toml").read_bytes, _study),
-    "search": ("mine.toml", (ROOT / "studies/search/ppo.toml").read_bytes, _search),
+    "study": ("mine.toml", (ROOT / "studies/activation.toml").read_bytes, lambda path: load_study(str(path))),
+    "search": ("s.toml", (ROOT / "studies/search/ppo.toml").read_bytes, lambda path: load_search(str(path))),
     "claims": ("mine.toml", (ROOT / "studies/claims.toml").read_bytes, load_claims),
     "level": ("island/obstacles.csv", lambda: b"-1,-1,-1,-1,-1,-1\n" * 6, _level),
     "checkpoint": ("256.safetensors", lambda: encode(CHECKPOINT, HISTORY), _checkpoint),
-    "policy": ("policy.safetensors", lambda: policy_of().to_bytes(), _policy),
-    "run table": ("metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])), _run_table),
+    "policy": ("policy.safetensors", policy_of().to_bytes, lambda path: read_sound_policy(path.read_bytes())),
+    "run table": (
+        "metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])),
+        lambda path: record_table(path.read_bytes(), "metrics"),
+    ),
     "published": (TABLE, (ROOT / "results" / TABLE).read_bytes, _published),
-    "selection": ("studies/mine.json", lambda: seal({"study": "mine", "runs": []}), _selection),
-    "events": ("events.out.tfevents.1.host", _events, read_event_file),
+    "selection": (
+        "studies/mine.json", lambda: seal({"study": "mine", "runs": []}),
+        lambda path: Store(path.parent.parent).selection("mine"),
+    ),
+    "events": ("events.out.tfevents.1.host", lambda: encode_events(POINTS), read_event_file),
 }  # fmt: skip
 """Of every file that is read: its name, one that is sound, and its reader."""
 

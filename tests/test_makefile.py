@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,41 +15,25 @@ from pneuma.study.spec import list_studies, load_study
 
 ROOT = Path(__file__).parents[1]
 TARGETS = ("reproduction", "reproduction-rest", "reproduction-collapse", "reproduction-slow")
-COMMAND = re.compile(r"pneuma study run (\S+) --preset (\S+) --world (\S+) (.*?)--results \"results\"")
+COMMAND = re.compile(
+    r"pneuma study run (\S+) --preset (\S+) --world (\S+) +(?:--steps (\d+) +)?--results \"results\""
+)
 
 MAKE = shutil.which("make")
 pytestmark = pytest.mark.skipif(MAKE is None, reason="there is no make here")
 
 
-@cache
-def _told(target: str, *words: str) -> str:
-    """Return the commands of a target, which are not run."""
-    return subprocess.run(
-        [MAKE or "make", "--dry-run", "--assume-old=install", target, *words],
+def _trained(target: str) -> set[str]:
+    """Return the ids of the runs that a target would train, for whichever study; all commands are sound."""
+    told = subprocess.run(
+        [MAKE or "make", "--dry-run", "--assume-old=install", target],
         cwd=ROOT, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"},
     ).stdout  # fmt: skip
-
-
-def _commands(target: str) -> list[tuple[str, str, Selection]]:
-    """Return what a target would run: study, world and selection."""
-    return [
-        (study, world, Selection(preset, steps=_steps(options)))
-        for study, preset, world, options in COMMAND.findall(_told(target))
-    ]
-
-
-def _steps(options: str) -> int | None:
-    found = re.search(r"--steps (\d+)", options)
-    return int(found[1]) if found else None
-
-
-def _trained(target: str) -> set[str]:
-    """Return the ids of the runs that a target trains, for whichever study; all commands are sound."""
-    return {
-        cell.run_id
-        for study, world, selection in _commands(target)
-        for cell in make_plan(load_study(study, world), selection).cells
-    }
+    plans = (
+        make_plan(load_study(study, world), Selection(preset, steps=int(steps) if steps else None))
+        for study, preset, world, steps in COMMAND.findall(told)
+    )
+    return {cell.run_id for plan in plans for cell in plan.cells}
 
 
 @pytest.mark.slow

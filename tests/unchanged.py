@@ -7,20 +7,19 @@ training depend on the processor. Golden traces of rules and engines are tests o
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import json
 import sys
 from pathlib import Path
 
 from pneuma.analysis.published import published_studies
-from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
+
+from .cli.calls import call, described
 
 RECORD = Path(__file__).with_name("unchanged.json")
 WORLDS = ("text", "godot", "arena")
@@ -66,23 +65,14 @@ def _tables() -> dict[str, str]:
         name, world = split_world(study)
         for table in TABLES:
             at = (*(("--world", world) if study != name else ()), "--results", str(PUBLISHED))
-            code, printed = _pneuma("study", "export", name, "--table", table, "--out", "-", *at)
-            found[f"{study} {table}"] = "refused" if code else _digest(printed)
+            code, out, _ = call("study", "export", name, "--table", table, "--out", "-", *at)
+            found[f"{study} {table}"] = "refused" if code else _digest(out)
     return found
 
 
 def _verdicts() -> dict[str, str]:
-    code, printed = _pneuma("study", "verify", "--json", "--results", str(PUBLISHED))
-    assert code == 0
-    return {"published": _digest(json.dumps(json.loads(printed)["claims"], sort_keys=True))}
-
-
-def _pneuma(*words: str) -> tuple[int, str]:
-    """Run a command in this process; return its exit code and what it printed."""
-    stream = io.TextIOWrapper(io.BytesIO(), write_through=True)
-    with contextlib.redirect_stdout(stream):
-        code = main(words)
-    return code, stream.buffer.getvalue().decode()
+    told = described("study", "verify", "--json", "--results", PUBLISHED)
+    return {"published": _digest(json.dumps(told["claims"], sort_keys=True))}
 
 
 def _digest(text: str) -> str:

@@ -6,17 +6,13 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-from pneuma.analysis.claims import Claim, load_claims
+from pneuma.analysis.claims import load_claims
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
 from .claim_files import write_files
 
 SHIPPED = load_claims()
-
-
-def load_one(folder: Path, text: str) -> Claim:
-    return load_claims(write_files(folder, text)).claims["better"]
 
 
 def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:

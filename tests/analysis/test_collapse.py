@@ -16,7 +16,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
-from ..hand_made import BUDGET, collapse_record, healthy, learning, one_action, save_collapse
+from ..hand_made import BUDGET, collapse_record, healthy, learning, one_action, save_collapse, write_events
 
 
 def diagnosed(
@@ -195,11 +195,11 @@ def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
     np.testing.assert_array_equal(outcome_values(data, "relu", "relearned"), [0, 1, np.nan])
 
 
-def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path, write_events: object) -> None:
+def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
-    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)  # type: ignore[operator]
+    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     found = diagnose(data, data.runs[0])

@@ -33,14 +33,13 @@ Conditions = dict[str, tuple[dict[str, Any], Sequence[float]]]
 """Name to settings and the final share killed of each run."""
 
 
-def stored(folder: Path, conditions: Conditions, unfinished: str = "") -> StudyData:
+def stored(folder: Path, conditions: Conditions) -> StudyData:
     store = Store(folder / "results")
     cells: dict[tuple[str, int], str] = {}
     for name, (_, finals) in conditions.items():
         for seed, final in enumerate(finals):
             cells[name, seed] = f"{len(cells):016x}"
-            if name != unfinished:
-                save_collapse(store, cells[name, seed], healthy(), learning(final))
+            save_collapse(store, cells[name, seed], healthy(), learning(final))
     record = collapse_record(cells, {name: settings for name, (settings, _) in conditions.items()})
     store.save_selection("mine", record)
     return open_study(store, record)

@@ -18,7 +18,7 @@ from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
 from .. import hand_made
-from ..hand_made import record_of
+from ..hand_made import record_of, write_events
 from .published_runs import republished
 
 BUDGET = 1000
@@ -170,9 +170,7 @@ def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
 # --- What there is not ----------------------------------------------------------------------------
 
 
-def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(
-    tmp_path: Path, write_events: Any
-) -> None:
+def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     for seed, end in enumerate((1000, 1000, 1000, 980, 400, 100)):
         points = [("rollout/ep_rew_mean", step, float(step + seed)) for step in (10, end)]

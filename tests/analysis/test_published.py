@@ -18,8 +18,6 @@ from pneuma.study.store import Status, Store
 
 from .published_runs import CELLS, RECORD, SETTINGS, save_run
 
-TIMES = ("wall-seconds", "steps-per-second")
-
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:

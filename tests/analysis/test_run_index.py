@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +21,10 @@ from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Status, Store
 
-from ..hand_made import record_of
+from ..hand_made import record_of, write_events
 from .published_runs import publish, republished, save_run
 
 BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
-WriteEvents = Callable[[Path, Any], Path]
 SHIPPED = Path(__file__).parents[2] / "results"
 B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
 
@@ -39,7 +37,7 @@ def trained(store: Store) -> dict[str, Any]:
     return record_of({("b", 0): B0, ("a", 0): A0, ("b", 1): B1, ("a", 1): A1})
 
 
-def imported(store: Store, write_events: WriteEvents) -> dict[str, Any]:
+def imported(store: Store) -> dict[str, Any]:
     """Import a study of two runs of `b`, one of them cut short, and one of `a`."""
     logs = store.root.parent / "logs"
     for number, (name, end) in enumerate((("b_0", BUDGET), ("b_1", 400), ("a_0", BUDGET))):
@@ -63,9 +61,9 @@ def partly_published(store: Store, record: dict[str, Any], **options: Any) -> St
 
 
 @pytest.fixture(params=["runs", "logs", "published runs", "published logs", "partly runs", "partly logs"])
-def data(request: pytest.FixtureRequest, tmp_path: Path, write_events: WriteEvents) -> StudyData:
+def data(request: pytest.FixtureRequest, tmp_path: Path) -> StudyData:
     store = Store(tmp_path / "results")
-    record = imported(store, write_events) if "logs" in request.param else trained(store)
+    record = imported(store) if "logs" in request.param else trained(store)
     if request.param.startswith("partly"):
         return partly_published(store, record)
     found = open_study(store, record)
@@ -107,7 +105,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(data: StudyData, tmp
 # --- Values by hand -------------------------------------------------------------------------------
 
 
-def test_logs_give_what_was_logged(tmp_path: Path, write_events: WriteEvents) -> None:
+def test_logs_give_what_was_logged(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     points = [("rollout/ep_rew_mean", 100 * k, float("nan") if k == 2 else k / 4) for k in range(1, 11)]
     points += [("train/entropy_loss", 100, -0.125), ("charts/SPS", 150, 9.0), ("own", 1000, 2.0)]

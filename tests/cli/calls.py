@@ -14,18 +14,6 @@ from pneuma.cli import main
 from pneuma.engines.policy import Policy
 from pneuma.study.store import Store
 
-SMALL_RUN = """
-[run]
-horizon = 64
-minibatch = 32
-epochs = 1
-actor = [8]
-critic = [8]
-evaluation_episodes = 2
-episode_steps = 40
-"""
-"""Of a study file: what makes its runs as short as can be."""
-
 _SETTINGS = ("horizon=64", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
 TINY = [
     "--steps", "250",  # 4 horizons of 64 are 256

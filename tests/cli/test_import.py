@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from ..hand_made import write_events
 from .calls import call
 
-WriteEvents = Callable[[Path, Any], Path]
 FILE = "events.out.tfevents.1700000000.host"
 RETURN, LENGTH = "rollout/ep_rew_mean", "rollout/ep_len_mean"
 
 
 @pytest.fixture
-def logs(tmp_path: Path, write_events: WriteEvents) -> Path:
+def logs(tmp_path: Path) -> Path:
     folder = tmp_path / "old"
     for number, name in enumerate(("tanh_1", "tanh_2", "relu_1")):
         points = [(tag, 100 * k, k + number / 4) for k in range(1, 11) for tag in (RETURN, LENGTH)]

@@ -29,10 +29,6 @@ def results(tmp_path: Path) -> Path:
     return study.store.root
 
 
-def _plot(results: Path, *words: str) -> tuple[int, str, str]:
-    return call("study", "plot", *words, "--format", "svg", "--results", results)
-
-
 def _index(folder: Path) -> dict[str, dict[str, Any]]:
     document = json.loads((folder / "index.json").read_text(encoding="utf-8"))
     assert document["schema"] == 1

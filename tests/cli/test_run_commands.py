@@ -1,9 +1,8 @@
-"""`pneuma run list | show | export`, on stored runs whose every figure is known."""
+"""`pneuma run list | show`, on stored runs whose every figure is known."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,13 +23,12 @@ ALIKE = "00aa111111111111"
 MACHINE = {"wall_seconds": 12.5, "packages": {"pneuma": "0.1.0", "torch": "2.13.0"}, "cpu": "A processor"}
 
 
-def save(store: Store, run_id: str, run: Run, about: Any = MACHINE, **files: bytes) -> None:
+def save(store: Store, run_id: str, run: Run) -> None:
     contents = {
         "run.json": run_document(run, run_id),
-        "provenance.json": to_json(about),
+        "provenance.json": to_json(MACHINE),
         "policy.safetensors": policy_of(run.activation).to_bytes(),
     }
-    contents |= {name.replace("_", "."): data for name, data in files.items()}
     store.save_run(run_id, Status("done", run.steps), contents)
 
 
@@ -99,6 +97,3 @@ def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
         "more.txt": "unlisted",
     }
     assert "Fields" in printed("run", "show", ALONE)
-
-
-# --- export ----------------------------------------------------------------------------------------

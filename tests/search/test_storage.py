@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -13,13 +12,6 @@ from pneuma.search.trials import EndedTrial, Task
 from pneuma.study.store import Store
 
 from .conftest import MakeTask, solve
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    store = Store(tmp_path / "results")
-    store.check_writable()
-    return store
 
 
 def save(store: Store, task: Task, told: list[EndedTrial]) -> RecordedSearch:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from pneuma.study.executors.local import one_thread_environment
 
@@ -26,19 +24,13 @@ def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = 
     return path
 
 
-def begin(
-    folder: Path,
-    study: Path,
-    *options: str,
-    limit: str = "",
-    environment: Mapping[str, str] | None = None,
-) -> subprocess.Popen[str]:
-    """Start `study run` in `folder`, with its results beside the study, after a shell's `limit`."""
+def begin(folder: Path, study: Path, *options: str) -> subprocess.Popen[str]:
+    """Start `study run` in `folder`, with its results beside the study."""
     command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
     process = subprocess.Popen(
-        ["bash", "-c", f'{limit} exec "$@"', "bash", *command, "--checkpoint-seconds", "0.1", *options],
+        [*command, "--checkpoint-seconds", "0.1", *options],
         cwd=folder,
-        env={**one_thread_environment(), **(environment or {})},
+        env=one_thread_environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -53,15 +45,6 @@ def end_begun() -> None:
         process = BEGUN.pop()
         process.kill()
         process.communicate()
-
-
-def run(folder: Path, study: Path, *options: str, limit: str = "") -> Any:
-    """Run `study run` to its end; return exit code, told and the statuses of its document."""
-    process = begin(folder, study, *options, limit=limit)
-    out, told = process.communicate(timeout=120)
-    assert "Traceback" not in told, told
-    runs = json.loads(out)["runs"] if out else []
-    return process.returncode, told, [(row["status"], row["trained"]) for row in runs]
 
 
 def wait_until(true: Callable[[], object], seconds: float = 60.0) -> None:

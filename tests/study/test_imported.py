@@ -6,9 +6,8 @@ import csv
 import os
 import struct
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +24,8 @@ from pneuma.study.imported import (
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
-WriteEvents = Callable[[Path, Any], Path]
+from ..hand_made import write_events
+
 RETURN, LOSS = "rollout/ep_rew_mean", "train/value_loss"
 NOT_IN_TENSORBOARD = ("time/iterations", "time/time_elapsed", "time/total_timesteps", "train/n_updates")
 """What Stable-Baselines3 leaves out of TensorBoard's logs."""
@@ -108,9 +108,7 @@ def test_scalars_of_torchs_writer_are_read_among_texts_and_histograms(tmp_path: 
 POINTS = [(RETURN, 256 * k, float(k)) for k in range(1, 6)]
 
 
-def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(
-    tmp_path: Path, write_events: WriteEvents
-) -> None:
+def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(tmp_path: Path) -> None:
     path = write_events(tmp_path / FILE, POINTS)
     data = path.read_bytes()
     begins, place = [], 0  # a length of 8 bytes, 4 of checksum, the event, 4 of checksum
@@ -126,7 +124,7 @@ def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(
             assert [scalar[:3] for scalar in read_event_file(path)] == sound
 
 
-def test_a_torn_file_is_imported_and_one_too_large_is_told(tmp_path: Path, write_events: WriteEvents) -> None:
+def test_a_torn_file_is_imported_and_one_too_large_is_told(tmp_path: Path) -> None:
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
     (run,), _ = _import(tmp_path)

@@ -21,9 +21,9 @@ RUN = make_run({**SETTINGS, "steps": 500, "learning_rate": 0.5})
 TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 
-def train(runs: dict[str, Run], folder: Path, how: Supervision = Supervision(1)) -> list[Event]:  # noqa: B008
+def train(runs: dict[str, Run], folder: Path) -> list[Event]:
     events: list[Event] = []
-    local.run_groups([runs], Store(folder / "results"), how, events.append)
+    local.run_groups([runs], Store(folder / "results"), Supervision(1), events.append)
     return events
 
 

@@ -12,6 +12,8 @@ from pneuma.study.claimed import claims_preset
 from pneuma.study.plan import Selection, differing_fields, make_plan
 from pneuma.study.spec import Preset, Study, load_study
 
+from ..analysis.claim_files import write_files
+
 STUDY = """\
 title = "Optimizers"
 base = "table-6-2"
@@ -74,60 +76,21 @@ def test_what_differs_between_conditions_is_told(study: Study) -> None:
 
 # --- Presets of single conditions ------------------------------------------------------------------
 
-OWN_PRESET = """\
-title = "T"
-base = "table-6-2"
-
-[conditions.small]
-
-[conditions.big]
-actor = [1024]
-
-[presets.quick]
-seeds = 3
-steps = 2_048
-
-[presets.quick.conditions.big]
-seeds = [1]
-steps = 1_024
-"""
-
 
 def test_a_preset_may_say_less_for_one_condition(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(OWN_PRESET, encoding="utf-8")
-    plan = make_plan(load_study(str(path)), Selection())
+    path.write_text(f"{STUDY}[presets.quick.conditions.sgd]\nseeds = [1]\nsteps = 1_024\n")
+    plan = make_plan(load_study(str(path)), Selection(conditions=("adam", "sgd")))
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
-        ("small", 0, 2048), ("small", 1, 2048), ("big", 1, 1024), ("small", 2, 2048),
+        ("adam", 0, 50_176), ("adam", 1, 50_176), ("sgd", 1, 1024),
     ]  # fmt: skip
-    plan = make_plan(load_study(str(path)), Selection(seeds=(5,), steps=512))
+    plan = make_plan(load_study(str(path)), Selection(seeds=(5,), steps=512, conditions=("adam", "sgd")))
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
-        ("small", 5, 512), ("big", 5, 512),
+        ("adam", 5, 512), ("sgd", 5, 512),
     ]  # fmt: skip
 
 
 # --- The preset claims: the runs that a file of claims fixes --------------------------------------
-
-CLAIMED = """\
-title = "Mine"
-base = "table-6-2"
-
-[conditions.low]
-epochs = 5
-[conditions.middle]
-epochs = 6
-[conditions.high]
-epochs = 7
-[conditions.unclaimed]
-epochs = 8
-
-[presets.quick]
-seeds = 3
-steps = 512
-[presets.paper]
-seeds = 2
-steps = 1024
-"""
 
 CLAIMS = """\
 [defaults]
@@ -154,9 +117,7 @@ seeds = 9
 
 
 def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
-    (folder / "mine.toml").write_text(CLAIMED, encoding="utf-8")
-    (folder / "claims.toml").write_text(claims, encoding="utf-8")
-    return load_study(str(folder / "mine.toml"), world)
+    return load_study(str(write_files(folder, claims).with_name("mine.toml")), world)
 
 
 def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:

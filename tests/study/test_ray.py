@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +20,7 @@ from pneuma.study.executors.base import Supervision
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
-from .begun import begin as begin_locally
-from .begun import end_begun, outcome, wait_until, write_study
-from .begun import run as run_locally
+from .begun import begin, end_begun, outcome, wait_until, write_study
 
 pytest.importorskip("ray")
 
@@ -68,18 +66,12 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
     process, nodes = start_nodes(2)
     folder = tmp_path_factory.mktemp("compiled")
     try:
-        first = begin(folder, write_study(folder), "--address", nodes.address)
+        first = begin(folder, write_study(folder), "--executor", "ray", "--address", nodes.address)
         assert first.wait(timeout=240) == 0
         yield nodes
     finally:
         end_begun()
         end_nodes(process)
-
-
-def begin(
-    folder: Path, study: Path, *options: str, environment: Mapping[str, str] | None = None
-) -> subprocess.Popen[str]:
-    return begin_locally(folder, study, "--executor", "ray", *options, environment=environment)
 
 
 def checkpoint_folders(folder: Path) -> set[Path]:
@@ -101,7 +93,7 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
 @pytest.mark.slow
 def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: Path, cluster: Nodes) -> None:
     study = write_study(tmp_path, steps=64 * 1500, seeds=2)
-    process = begin(tmp_path, study, "--address", cluster.address)
+    process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)
     wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
     os.kill(cluster.nodes[0], signal.SIGKILL)
     out, told = process.communicate(timeout=300)
@@ -109,5 +101,6 @@ def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: 
     assert [run["status"] for run in json.loads(out)["runs"]] == ["done", "done"]
     assert not checkpoint_folders(tmp_path)
     (tmp_path / "results").rename(tmp_path / "away")
-    assert run_locally(tmp_path, study)[0] == 0
+    local = begin(tmp_path, study)
+    assert local.communicate(timeout=120) and local.returncode == 0
     assert outcome(tmp_path / "away") == outcome(tmp_path / "results")

@@ -63,10 +63,10 @@ steps = 4096
 """
 
 
-def _load(folder: Path, text: str) -> Study:
+def _load(folder: Path, text: str, world: str = "text") -> Study:
     path = folder / "mine.toml"
     path.write_text(text, encoding="utf-8")
-    return load_study(str(path))
+    return load_study(str(path), world)
 
 
 # --- What a file says ----------------------------------------------------------------------------
@@ -111,20 +111,17 @@ def test_every_combination_is_a_condition_with_a_name_that_tells_it(tmp_path: Pa
 
 # --- How mistakes are told -----------------------------------------------------------------------
 
-Mistake = tuple[str, str, int, tuple[str, ...]]
-OF_PLAIN: dict[str, Mistake] = {
-    # name: (text in STUDY, what it becomes, line of the mistake, words of the message)
-    "unknown baseline": ('baseline = "relu"', 'baseline = "rleu"', 5, ("'rleu'", "did you mean relu?")),
-    "unfit for its base": ('activation = "tanh"', "minibatch = 257", 11, ("minibatch = 257", "256")),
-}  # fmt: skip
-
-
-OF_CROSSED: dict[str, Mistake] = {
-    "set twice": ("epsilon = 1e-6", 'reward = "godot"', 12, ("betas: fast", "reward", "another factor")),
-    "values that do not go together": ("reward = [", "minibatch = [64, 512]\nreward = [", 10, ("512", "256")),
-    "too many": ("[3e-4, 1e-3]", f"{[i / 1000 for i in range(1, 140)]}", 8, ("1,112 conditions",)),
+MISTAKES: dict[str, tuple[str, str, str, int, tuple[str, ...]]] = {
+    # name: (study, a text in it, what that becomes, line of the mistake, words of the message)
+    "no baseline": (STUDY, 'baseline = "relu"', 'baseline = "rleu"', 5, ("'rleu'", "did you mean relu?")),
+    "unfit for its base": (STUDY, 'activation = "tanh"', "minibatch = 257", 11, ("minibatch = 257", "256")),
+    "twice": (CROSSED, "epsilon = 1e-6", 'reward = "godot"', 12, ("betas: fast", "reward", "another factor")),
+    "values that do not go together": (
+        CROSSED, "reward = [", "minibatch = [64, 512]\nreward = [", 10, ("512", "256"),
+    ),
+    "too many": (CROSSED, "[3e-4, 1e-3]", f"{[i / 1000 for i in range(1, 140)]}", 8, ("1,112 conditions",)),
     "one name for two": (
-        "[factors.betas]",
+        CROSSED, "[factors.betas]",
         '[factors.first]\n"a" = { epochs = 3 }\n"a, b" = { epochs = 4 }\n'
         '[factors.second]\n"b, c" = { horizon = 512 }\n"c" = { horizon = 1024 }\n[factors.betas]',
         8, ("both called",),
@@ -132,16 +129,9 @@ OF_CROSSED: dict[str, Mistake] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("text", "mistake"),
-    [
-        *((STUDY, each) for each in OF_PLAIN.values()),
-        *((CROSSED, each) for each in OF_CROSSED.values()),
-    ],
-    ids=[*OF_PLAIN, *OF_CROSSED],
-)
-def test_a_mistake_is_told_with_line_and_what_to_mend(text: str, mistake: Mistake, tmp_path: Path) -> None:
-    old, new, line, words = mistake
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_told_with_line_and_what_to_mend(name: str, tmp_path: Path) -> None:
+    text, old, new, line, words = MISTAKES[name]
     assert text.count(old) == 1
     with pytest.raises(UserError) as caught:
         _load(tmp_path, text.replace(old, new))
@@ -152,42 +142,18 @@ def test_a_mistake_is_told_with_line_and_what_to_mend(text: str, mistake: Mistak
 
 # --- The worlds of a study ------------------------------------------------------------------------
 
-PLAIN = """\
-title = "T"
-figure = "fig"
-base = "table-6-2"
-
-[run]
-env = "pneuma/Pneuma-v0"
-
-[conditions.low]
-epochs = 5
-
-[conditions.high]
-epochs = 10
-
-[presets.quick]
-seeds = 1
-steps = 4096
-"""
-
-
-def _write(folder: Path, text: str, name: str = "mine.toml") -> str:
-    (folder / name).write_text(text, encoding="utf-8")
-    return str(folder / name)
-
 
 def test_godots_world_is_the_published_code(tmp_path: Path) -> None:
     """Facts 3: four slots, clip range 0.2, actor [256]; facts 1: the environment."""
-    study = load_study(_write(tmp_path, PLAIN), "godot")
-    run = make_run(study.fields("low"))
+    text = STUDY.replace("[run]", '[run]\nenv = "pneuma/Pneuma-v0"')
+    run = make_run(_load(tmp_path, text, "godot").fields("tanh"))
     assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaGodot-v0", 4, 0.2, (256,))
-    assert (run.scale, run.order, run.reward, run.epochs) == ("raw", "fixed", ("godot",), 5)
+    assert (run.scale, run.order, run.reward, run.activation) == ("raw", "fixed", ("godot",), "tanh")
 
 
 def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path) -> None:
-    text = PLAIN.replace("epochs = 5", "actor = [64]").replace("[run]", "[run]\nclip_range = 0.3")
-    study = load_study(_write(tmp_path, text), "godot")
+    text = STUDY.replace('activation = "tanh"', "actor = [64]").replace("[run]", "[run]\nclip_range = 0.3")
+    study = _load(tmp_path, text, "godot")
     runs = [make_run(study.fields(name)) for name in study.conditions]
     assert [run.actor for run in runs] == [(64,), (128,)]  # the second as in Table 6.2, not [256]
     assert [run.clip_range for run in runs] == [0.3, 0.3]

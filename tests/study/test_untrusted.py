@@ -17,7 +17,7 @@ import pneuma
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
-from pneuma.study.checkpoints import CheckpointFile, checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.files import checksum, seal, to_json
@@ -149,16 +149,6 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
 
 
 WHOLE = Checkpoint(64, {"weights": np.arange(3.0)})
-ATTEMPT = {"started": "2026-01-01T00:00:00+00:00", "wall_seconds": 1.0, "step": 64, "machine": {}}
-
-
-def a_file(folder: Path, data: bytes, step: int = 64) -> CheckpointFile:
-    """Put bytes where a run's checkpoint is looked for, under the name that fits them."""
-    path = folder / NAME / "checkpoints" / file_name(step, data)
-    path.parent.mkdir(parents=True)
-    path.write_bytes(data)
-    (file,) = checkpoint_files(folder / NAME)
-    return file
 
 
 @pytest.mark.parametrize(
@@ -174,7 +164,11 @@ def a_file(folder: Path, data: bytes, step: int = 64) -> CheckpointFile:
     ],
 )  # fmt: skip
 def test_what_is_no_checkpoint_of_that_run_and_step_counts_as_damaged(tmp_path: Path, data: bytes) -> None:
-    assert read_checkpoint(a_file(tmp_path, data)) is None
+    path = tmp_path / NAME / "checkpoints" / file_name(64, data)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(data)
+    (file,) = checkpoint_files(tmp_path / NAME)
+    assert read_checkpoint(file) is None
 
 
 # --- Code and files that are named -----------------------------------------------------------------

@@ -8,7 +8,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,8 @@ TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
 class _Engine:
     """Trains nothing: seed 0 ends well, and seed 1 diverges or breaks the engine."""
 
-    def __init__(self, breaks: bool = False, after: float = 0.0) -> None:
-        self._breaks, self._after = breaks, after
+    def __init__(self, breaks: bool = False) -> None:
+        self._breaks = breaks
 
     def train(
         self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
@@ -44,7 +43,6 @@ class _Engine:
         for step in (256, 512):
             if not on_update(Progress(run, step, Records(), lambda: Checkpoint(256, {}))):
                 return Result(run, "stopped", step, Records(), None)
-            time.sleep(self._after * (run.seed == 0))
         if run.seed == 0:
             return Result(run, "done", 512, Records(), Policy("tanh", actor, critic))
         if self._breaks:
@@ -53,11 +51,11 @@ class _Engine:
 
 
 def _train(
-    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, **job: Any
+    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[int, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "load_engine", lambda _: engine)
     store, events = Store(folder), io.StringIO()
-    what = worker.Job(store, {run_id(run): run for run in RUNS}, **job)
+    what = worker.Job(store, {run_id(run): run for run in RUNS})
     code = worker.train_group(what, worker.Reporter(events), threading.Event())
     return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
