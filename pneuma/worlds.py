@@ -33,7 +33,7 @@ TEXT = "text"
 
 WORLDS = {
     TEXT: World("pneuma/Pneuma-v0", "the text's world"),
-    # facts 3: what the published code sets other than the thesis's tables
+    # the published code, where it sets other values than the thesis's tables
     "godot": World(
         "pneuma/PneumaGodot-v0", "the published code's world", {"clip_range": 0.2, "actor": (256,)}
     ),

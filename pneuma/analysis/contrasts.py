@@ -98,24 +98,24 @@ def compare(
     if kind == "mean":
         if value is not None:
             ways = pvalues.sign_flips(n, generator)
-            found = pvalues.one_mean_p_values((first - value)[None], margin, ways)
+            tested = pvalues.one_mean_p_values((first - value)[None], margin, ways)
             make = partial(intervals.mean_interval, first - value)
         else:
             ways = pvalues.relabel(n, m, generator)
-            found = pvalues.mean_p_values(first[None], second[None], margin, ways)
+            tested = pvalues.mean_p_values(first[None], second[None], margin, ways)
             make = partial(intervals.difference_interval, first, second)
-        made = _contrast(kind, effect, make, level, found, seeds, (1 / len(ways),) * 2)
+        made = _contrast(kind, effect, make, level, tested, seeds, (1 / len(ways),) * 2)
         return replace(made, margin=margin)
     count, other = _count(first), _count(second)
     if value is not None:
         test = partial(pvalues.one_share_p_values, runs=n, value=value)
-        found, extremes = test(np.array([count]), margin=margin), test(np.array([n, 0]), margin=None)
+        tested, extremes = test(np.array([count]), margin=margin), test(np.array([n, 0]), margin=None)
         make = partial(_share_interval, count, n, value)
     else:
-        found = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
+        tested = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
         extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
         make = partial(intervals.incidence_difference_interval, count, n, other, m)
-    return _contrast(kind, effect, make, level, found, seeds, (extremes.greater[0], extremes.less[1]))
+    return _contrast(kind, effect, make, level, tested, seeds, (extremes.greater[0], extremes.less[1]))
 
 
 def _share_interval(count: int, runs: int, value: float, level: float) -> Interval:
@@ -165,18 +165,29 @@ def _contrast(
     effect: float,
     interval: Callable[[float], Interval],
     level: float,
-    found: PValues,
+    tested: PValues,
     seeds: tuple[int, int],
     smallest: tuple[float, float],
 ) -> Contrast:
     """Return the contrast of one sample, with an interval at the 95 % level and one at the list's."""
-    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in found)
+    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in tested)
     least = 2 * min(smallest)
     reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
     return Contrast(
-        kind, effect, interval(intervals.LEVEL), greater, less, equivalent, seeds, reason,
-        float(smallest[0]), float(smallest[1]), far_greater, far_less, interval(level),
-    )  # fmt: skip
+        kind,
+        effect,
+        interval(intervals.LEVEL),
+        p_greater=greater,
+        p_less=less,
+        p_equivalent=equivalent,
+        seeds=seeds,
+        reason=reason,
+        smallest_greater=float(smallest[0]),
+        smallest_less=float(smallest[1]),
+        p_far_greater=far_greater,
+        p_far_less=far_less,
+        simultaneous=interval(level),
+    )
 
 
 def _too_few(kind: str, seeds: int) -> str:

@@ -158,21 +158,21 @@ def decisive_of(verdict: Verdict) -> list[Comparison]:
 
     It is the surest if one is enough for the verdict, else the least sure.
     """
-    found, need = [], verdict.claim.need
+    deciding, need = [], verdict.claim.need
     for outcome in dict.fromkeys(comparison.outcome for comparison in verdict.comparisons):
         each = [comparison for comparison in verdict.comparisons if comparison.outcome == outcome]
         word = together([comparison.verdict for comparison in each], need) or INCONCLUSIVE
-        deciding = [comparison for comparison in each if comparison.verdict == word] or each
+        agreeing = [comparison for comparison in each if comparison.verdict == word] or each
         one_is_enough = word == (REFUTED if need == "all" else SUPPORTED)
-        found.append((min if one_is_enough else max)(deciding, key=lambda comparison: comparison.p))
-    return found
+        deciding.append((min if one_is_enough else max)(agreeing, key=lambda comparison: comparison.p))
+    return deciding
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
     """Return whether equivalence refutes a claim although its interval supports the direction."""
     low, high = contrast.interval.low, contrast.interval.high
     as_claimed = (direction != "less" and low > 0) or (direction != "greater" and high < 0)
-    return found(contrast) == "equal" and as_claimed
+    return what_it_shows(contrast) == "equal" and as_claimed
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
@@ -280,14 +280,14 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
         p_far = min(2 * min(contrast.p_far_less, contrast.p_far_greater), 1.0)
         p, so = min(contrast.p_equivalent, p_far), contrast.p_equivalent <= p_far
     else:
-        what = found(contrast)
+        what = what_it_shows(contrast)
         p = contrast.p_equivalent if what == "equal" else contrast.p_different
         so = what in _supporting(claimed)
     corrected = min(p * factor, 1.0)
     return (SUPPORTED if so else REFUTED) if corrected <= alpha else INCONCLUSIVE, corrected
 
 
-def found(contrast: Contrast) -> str:
+def what_it_shows(contrast: Contrast) -> str:
     """Return what a significant contrast shows: "greater", "less" or "equal".
 
     It follows from the smaller p-value only. To use the other one too would be a second test of the same

@@ -123,7 +123,7 @@ probability of 0.985 or more where the others share the rest."""
 MOST_OF_ONE = 0.95
 """Share of a rollout's actions. Thesis 6.1: the agent "always picked a single state"."""
 MOST_DEAD = 0.5
-"""Share of hidden units, actor and critic together, that are constant over a rollout."""
+"""Share of hidden units, actor and critic together, that are dead over a rollout."""
 
 Stretch = tuple[float, float]
 """Step of the first and of the last update over which a sign holds."""

@@ -82,7 +82,7 @@ def summary(
     }
     measured = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))
     if outcomes_shown := measured if all_ else outcome:
-        statistics = list(dict.fromkeys(condition for _, name, condition in cells if name in outcomes_shown))
+        statistics = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes_shown))
         heads = ["outcome", "condition", "n", *statistics]
         runs = table.groupby(["outcome", "condition"])["runs"].first()
         rows = [

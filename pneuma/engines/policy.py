@@ -207,9 +207,10 @@ def activate(activation: str, x: np.ndarray) -> np.ndarray:
 
 
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
-    """Return the share of hidden units, of actor and critic, that are constant over a rollout.
+    """Return the share of hidden units, of actor and critic, that are dead over a rollout.
 
-    A unit is dead if it is never above zero (ReLU and LeakyReLU), or always beyond 0.99 in size (tanh).
+    A unit is dead if it is never above zero (ReLU and LeakyReLU), or always beyond 0.99 in size (tanh: it is
+    saturated, though its sign may change).
     """
     networks = [forward(part, policy.activation, observations) for part in (policy.actor, policy.critic)]
     hidden = np.concatenate([layer for outputs in networks for layer in outputs[:-1]], axis=1)  # (N, units)

@@ -128,11 +128,12 @@ def places_of(claims: Verdicts) -> dict[str, str]:
 
 def compared(claim: Claim) -> str:
     """Describe what is compared, as 'monsters killed, last evaluation'."""
-    parts = (
-        ", less ".join(find_outcome(part).words for part in outcome.split(MINUS)) for outcome in claim.outcome
-    )
-    words = " and ".join(parts)
+    words = " and ".join(map(_words, claim.outcome))
     return f"share of runs, {words} {claim.event}" if claim.event else words
+
+
+def _words(outcome: str) -> str:
+    return ", less ".join(find_outcome(part).words for part in outcome.split(MINUS))
 
 
 def tested(claim: Claim) -> str:
@@ -192,8 +193,9 @@ def _tables(claims: Verdicts) -> str:
     rows = []
     for verdicts in claims.values():
         claim = claim_of(verdicts)
-        said = {"Claim": f"{tested(claim)}: {compared(claim)}"}
-        said["Thesis"] = f"{claim.section}: “{claim.quote}”"
+        context = f" ({claim.context})" if claim.context else ""
+        said = {"Claim": claim.name, "Tested": f"{tested(claim)}: {compared(claim)}"}
+        said["Thesis"] = f"{claim.section}: “{claim.quote}”{context}"
         rows.append(said | {title: _told(verdicts.get(place)) for place, title in places.items()})
     tables = (encode_frame(frame, "markdown").decode() for frame in (counts, pd.DataFrame(rows)))
     return "\n".join(["# Verdicts\n", *tables])
@@ -202,8 +204,12 @@ def _tables(claims: Verdicts) -> str:
 def _told(verdict: Verdict | None) -> str:
     if verdict is None or verdict.standing == NOT_RUN:
         return NOT_RUN if verdict else "–"
-    comparison = None if verdict.verdict == UNTESTABLE else decisive(verdict)
-    return f"{verdict.verdict} {effect(comparison) if comparison else ''}".strip()
+    if verdict.verdict == UNTESTABLE:
+        return f"{verdict.verdict}: {verdict.reason}"
+    word = verdict.verdict + ", by the letter" * (verdict.standing == BY_LETTER)
+    each = decisive_of(verdict)
+    effects = [f"{_words(one.outcome)} {effect(one)}" if len(each) > 1 else effect(one) for one in each]
+    return f"{word}: {'; '.join(effects)}"
 
 
 # --- The picture ----------------------------------------------------------------------------------

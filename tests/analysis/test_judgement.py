@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.contrasts import compare
-from pneuma.analysis.judgement import Verdict, found
+from pneuma.analysis.judgement import Verdict, what_it_shows
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -132,7 +132,7 @@ def test_where_relabelings_can_give_no_smaller_p_values_the_size_decides(effect:
     arms = effect + np.linspace(-0.1, 0.1, 30), np.linspace(-0.1, 0.1, 30)
     contrast = compare("mean", *arms, 1.0, np.random.default_rng(0))
     assert contrast.p_equivalent == contrast.p_different / 2 == contrast.smallest_less
-    assert found(contrast) == shown
+    assert what_it_shows(contrast) == shown
 
 
 # --- Two outcomes, two effects, gaps ----------------------------------------------------------------

@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.intervals import no_interval
-from pneuma.analysis.judgement import decide, found, smallest_p, together
+from pneuma.analysis.judgement import decide, smallest_p, together, what_it_shows
 from pneuma.analysis.pvalues import holm
 
 
@@ -108,11 +108,11 @@ def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
         ]
         verdicts = judged(*claims)
         assert verdicts.count("refuted") > 30
-        told = {found(c) for v, (c, _) in zip(verdicts, claims, strict=True) if v != "inconclusive"}
+        told = {what_it_shows(c) for v, (c, _) in zip(verdicts, claims, strict=True) if v != "inconclusive"}
         wrong += told > {"equal"}
         in_steps = holm([min(own.p_different, own.p_equivalent) for own, _ in claims]) <= 0.05
         wrong_in_steps += any(
-            found(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
+            what_it_shows(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
         )
     assert wrong_in_steps / 400 > 0.6
     assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)

@@ -243,5 +243,5 @@ def _activate(activation: str, x: Any) -> Any:
 
 
 def _dead(units: Any, activation: str) -> Any:
-    """Return which units are constant over a rollout; see `pneuma.engines.policy.dead_share`."""
+    """Return which units are dead over a rollout; see `pneuma.engines.policy.dead_share`."""
     return (jnp.abs(units) > 0.99 if activation == "tanh" else units <= 0).all(axis=0)
