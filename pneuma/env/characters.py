@@ -240,28 +240,10 @@ def monster_stats(
     return stats
 
 
-def margin(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return the greatest distance from its centre, on an axis, that a body can reach in one tick."""
-    walks = np.maximum(players["speed"], players["dash_speed"])
-    flies = np.maximum(monsters["knock_speed"], players["knock_speed"].max())
-    both = (players, walks), (monsters, np.maximum(monsters["speed"], flies))
-    reach = (np.maximum(stats["half_width"], stats["half_height"]) + speed for stats, speed in both)
-    return float(max(each.max(initial=0.0) for each in reach))
-
-
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return the greatest speed of any body, in pixels per tick."""
     speeds = [stats[name] for stats in (players, monsters) for name in ("speed", "knock_speed")]
     return float(max(each.max(initial=0.0) for each in (*speeds, players["dash_speed"])))
-
-
-def crowd(players: np.ndarray, monsters: np.ndarray) -> float:
-    """Return the greatest distance, on an axis, of two positions whose bodies can meet within a step."""
-    widest = 0.0
-    for stats in (players, monsters):
-        for half, at in (("half_width", "body_x"), ("half_height", "body_y")):
-            widest = max(widest, float((stats[half] + np.abs(stats[at])).max(initial=0.0)))
-    return 2 * (widest + fastest(players, monsters) * TICKS_PER_STEP) + 1.0
 
 
 # --- Filling the rows -----------------------------------------------------------------------------

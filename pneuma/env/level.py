@@ -231,30 +231,6 @@ def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
     return table
 
 
-def room_for_bodies(level: Level, margin: float) -> np.ndarray:
-    """Return where a body is too far from everything to meet it: (2 rows, 2 columns) uint8, half tiles.
-
-    A cell has room if every tile within `margin` pixels of it is open. The rules check this first, as most
-    moves need no closer look.
-    """
-    rows, columns = level.terrain.shape
-    closed = np.pad(level.terrain != rules.OPEN, 1, constant_values=True)
-    before = np.zeros((rows + 3, columns + 3), np.int32)  # closed tiles above and left of a corner
-    before[1:, 1:] = closed.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
-    top, bottom = _tiles_near(rows, level.tile, margin)
-    left, right = _tiles_near(columns, level.tile, margin)
-    met = (before[bottom] - before[top])[:, right] - (before[bottom] - before[top])[:, left]
-    return (met == 0).astype(np.uint8)
-
-
-def _tiles_near(count: int, tile: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slice, in a grid padded by one, of the tiles within `margin` of each half tile."""
-    edges = np.arange(2 * count + 1) * (tile / 2)
-    first = np.maximum((edges[:-1] - margin) // tile, -1)
-    last = np.minimum((edges[1:] + margin) // tile, count)
-    return first.astype(np.int64) + 1, last.astype(np.int64) + 2
-
-
 # --- Where bodies may begin ----------------------------------------------------------------------
 
 

@@ -135,13 +135,12 @@ def open_state(h: Array) -> State:
         carray(_pointer(h[4].address), (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
         carray(_pointer(h[5].address), (h[5].shape[0],), SETTINGS),
         carray(_pointer(h[6].address), (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
-        carray(_pointer(h[7].address), (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.uint8),
-        carray(_pointer(h[8].address), (h[8].shape[0], h[8].shape[1], h[8].shape[2]), np.float64),
-        carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1]), EVENTS),
-        carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.float32),
-        carray(_pointer(h[11].address), (h[11].shape[0], h[11].shape[1], h[11].shape[2]), np.int8),
-        carray(_pointer(h[12].address), (h[12].shape[0],), TICK),
-        carray(_pointer(h[13].address), (h[13].shape[0],), SCRATCH),
+        carray(_pointer(h[7].address), (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
+        carray(_pointer(h[8].address), (h[8].shape[0], h[8].shape[1]), EVENTS),
+        carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
+        carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
+        carray(_pointer(h[11].address), (h[11].shape[0],), TICK),
+        carray(_pointer(h[12].address), (h[12].shape[0],), SCRATCH),
     )
 
 
@@ -234,15 +233,12 @@ def _step_world(s: State, w: int, actions: Array) -> bool:
     world = s.worlds[w]
     settings = s.settings[0]
     count = _gather_active(s, w)
-    for p in range(s.players.shape[1]):
-        player = s.players[w, p]
-        s.tick[p].crowded = (count > 0 or s.players.shape[1] > 1) and _is_crowded(s, w, player.x, player.y)
     for _ in range(settings.ticks):
         for p in range(s.players.shape[1]):
             _begin_tick(s, w, p, actions[w, p])
         for i in range(count):
             if s.monsters[w, s.scratch[i].order].hp > 0.0:
-                _live(s, w, s.scratch[i].order, s.scratch[i].crowded)
+                _live(s, w, s.scratch[i].order)
         for p in range(s.players.shape[1]):
             if s.tick[p].there:
                 _end_tick(s, w, p)
@@ -284,7 +280,6 @@ def _gather_active(s: State, w: int) -> int:
         monster = s.monsters[w, m]
         if monster.hp > 0.0 and _may_stir(s, w, m):
             s.scratch[count].order = m
-            s.scratch[count].crowded = _is_crowded(s, w, monster.x, monster.y)
             count += 1
     return count
 
@@ -302,24 +297,6 @@ def _may_stir(s: State, w: int, m: int) -> bool:
         if player.hp > 0.0 and _gap(monster.x, monster.y, player, s.player_stats[p]) <= kind.reach_squared:
             return True
     return False
-
-
-@part
-def _is_crowded(s: State, w: int, x: float, y: float) -> bool:
-    """Return whether a body here, itself one of those counted, may meet another within the step."""
-    settings = s.settings[0]
-    if not settings.bodies_block:
-        return False
-    count = 0
-    for m in range(s.monsters.shape[1]):
-        other = s.monsters[w, m]
-        near = (abs(other.x - x) < settings.crowd) & (abs(other.y - y) < settings.crowd)
-        count += near & (other.hp > 0.0)
-    for p in range(s.players.shape[1]):
-        player = s.players[w, p]
-        near = (abs(player.x - x) < settings.crowd) & (abs(player.y - y) < settings.crowd)
-        count += near & (player.hp > 0.0)
-    return count > 1
 
 
 @part
@@ -394,11 +371,9 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
             player.hp = hp
     else:
         player.facing = action
-        stops = s.settings[0].player_stops
+        me, stops = s.monsters.shape[1] + p, s.settings[0].player_stops
         dx, dy = _walk(stats.speed, action)
-        player.x, player.y = _moved(
-            s, w, s.monsters.shape[1] + p, player.x, player.y, stats, dx, dy, stops, s.tick[p].crowded
-        )
+        player.x, player.y = _moved(s, w, me, player.x, player.y, stats, dx, dy, stops)
 
 
 @kernel
@@ -407,8 +382,8 @@ def _dash(s: State, w: int, p: int) -> None:
     player = s.players[w, p]
     stats = s.player_stats[p]
     dx, dy = _walk(stats.dash_speed, player.facing)
-    me, stops, crowded = s.monsters.shape[1] + p, s.settings[0].player_stops, s.tick[p].crowded
-    player.x, player.y = _moved(s, w, me, player.x, player.y, stats, dx, dy, stops, crowded)
+    me, stops = s.monsters.shape[1] + p, s.settings[0].player_stops
+    player.x, player.y = _moved(s, w, me, player.x, player.y, stats, dx, dy, stops)
 
 
 @part
@@ -460,7 +435,7 @@ def _die(player: Array, event: Array) -> None:
 
 
 @part
-def _live(s: State, w: int, m: int, crowded: int) -> None:
+def _live(s: State, w: int, m: int) -> None:
     """Run one living monster's tick."""
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
@@ -492,7 +467,7 @@ def _live(s: State, w: int, m: int, crowded: int) -> None:
         dy = _approach(s.players[w, target].y - monster.y, kind.stand_off, kind.speed)
     if dx != 0.0 or dy != 0.0:
         stops = s.settings[0].monster_stops
-        monster.x, monster.y = _moved(s, w, m, monster.x, monster.y, kind, dx, dy, stops, crowded)
+        monster.x, monster.y = _moved(s, w, m, monster.x, monster.y, kind, dx, dy, stops)
 
 
 @part
@@ -648,25 +623,21 @@ def _closeness(distance: float) -> float:
 
 @part
 def _moved(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int,
-    crowded: int,
-) -> tuple[float, float]:  # fmt: skip
+    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int
+) -> tuple[float, float]:
     """Return where a body moves, x first, among terrain and other bodies; slower on slow ground.
 
-    `me` is its index, players after monsters; `shape` its stats; `stops` the tiles that stop it.
+    `me` is its index, players after monsters, or -1 if no other body stops it; `shape` its stats; `stops`
+    the tiles that stop it.
     """
-    level, middle_x, middle_y = s.worlds[w].level, x + shape.body_x, y + shape.body_y
-    near_tiles = not _has_room(s, level, middle_x, middle_y)
-    if not (near_tiles or crowded):
-        return x + dx, y + dy
     slow = s.settings[0].slow_factor
-    if near_tiles and slow < 1.0 and _tile_at(s, level, middle_x, middle_y) == SLOW:
+    if slow < 1.0 and _tile_at(s, s.worlds[w].level, x + shape.body_x, y + shape.body_y) == SLOW:
         dx *= slow
         dy *= slow
     if dx != 0.0:
-        x = _moved_along(s, w, me, True, x, y, shape, dx, stops, near_tiles, crowded)
+        x = _moved_along(s, w, me, True, x, y, shape, dx, stops)
     if dy != 0.0:
-        y = _moved_along(s, w, me, False, x, y, shape, dy, stops, near_tiles, crowded)
+        y = _moved_along(s, w, me, False, x, y, shape, dy, stops)
     return x, y
 
 
@@ -677,30 +648,18 @@ def _tile_at(s: State, level: int, x: float, y: float) -> int:
     return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 
 
-@part
-def _has_room(s: State, level: int, x: float, y: float) -> bool:
-    """Return whether a body with its centre here is too far from all tiles to meet one within a tick."""
-    settings = s.settings[0]
-    column = int((x - settings.left) * settings.cells_per_pixel)
-    row = int((y - settings.top) * settings.cells_per_pixel)
-    return s.room[level, row, column] != 0
-
-
 @kernel
 def _moved_along(
-    s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: Array, distance: float, stops: int,
-    near_tiles: bool, crowded: int,
-) -> float:  # fmt: skip
+    s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: Array, distance: float, stops: int
+) -> float:
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
     start, _ = _turned(on_x, x, y)
     offset, _ = _turned(on_x, shape.body_x, shape.body_y)
     middle, aside = _turned(on_x, x + shape.body_x, y + shape.body_y)
     half, breadth = _turned(on_x, shape.half_width, shape.half_height)
     way = 1.0 if distance > 0.0 else -1.0
-    stop = math.inf  # of the box's centre, times `way`
-    if near_tiles:
-        stop = _stop_at_tiles(s, w, on_x, way, middle + distance, half, aside, breadth, stops)
-    if crowded:
+    stop = _stop_at_tiles(s, w, on_x, way, middle + distance, half, aside, breadth, stops)
+    if s.settings[0].bodies_block and me >= 0:
         stop = min(stop, _stop_at_bodies(s, w, me, on_x, way, middle, half, aside, breadth))
     if way * (middle + distance) <= stop:
         return start + distance
@@ -1020,15 +979,12 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     free = player.busy < s.settings[0].ticks
     for a in range(4):
         s.masks[w, p, a] = free
-    middle_x, middle_y = player.x + stats.body_x, player.y + stats.body_y
-    hemmed_in = stats.speed == 0.0 or not _has_room(s, s.worlds[w].level, middle_x, middle_y)
-    if free and hemmed_in:
-        s.masks[w, p, player.facing] = _may_walk(s, w, p, player.facing)
+    ahead = free and _may_walk(s, w, p, player.facing)
+    s.masks[w, p, player.facing] = ahead
     s.masks[w, p, ATTACK] = 1
     dash = s.settings[0].dash
     if dash >= 0:
-        ready = free and player.rest < s.settings[0].ticks  # possible up to the step's last tick
-        s.masks[w, p, dash] = ready and (not hemmed_in or _may_walk(s, w, p, player.facing))
+        s.masks[w, p, dash] = ahead and player.rest < s.settings[0].ticks  # up to the step's last tick
     if s.masks.shape[2] > HEAL:
         energy = player.energy
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick
@@ -1043,5 +999,5 @@ def _may_walk(s: State, w: int, p: int, action: int) -> bool:
     player = s.players[w, p]
     stats = s.player_stats[p]
     dx, dy = _walk(stats.speed, action)
-    x, y = _moved(s, w, -1, player.x, player.y, stats, dx, dy, s.settings[0].player_stops, 0)
+    x, y = _moved(s, w, -1, player.x, player.y, stats, dx, dy, s.settings[0].player_stops)
     return x != player.x or y != player.y

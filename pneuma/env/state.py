@@ -135,7 +135,6 @@ SETTINGS = _record(
     ("left", "f8"),  # of the tile grid
     ("top", "f8"),
     ("tile", "f8"),
-    ("cells_per_pixel", "f8"),  # of the finer grid that tells where there is room
     ("ticks", "i4"),  # of one agent step
     ("step_limit", "i8"),
     ("end_on_clear", "i4"),
@@ -147,7 +146,6 @@ SETTINGS = _record(
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
     ("dash_rest", "i4"),  # ticks from its end until the next one may begin
-    ("crowd", "f8"),  # on an axis, bodies further apart than this cannot meet within one step
     ("bite_while_knocked", "i4"),
     ("healing_cap", "i4"),  # whether the HP of a kill stop at full HP
     ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
@@ -188,7 +186,6 @@ EVENTS = _record(
 
 TICK = _record(
     ("there", "i4"),  # whether the player lives through this tick
-    ("crowded", "i4"),  # whether any body is near enough to be met within the step
     ("strikes", "i4"),  # whether a sword or a flame strikes the box below
     ("box_x", "f8"),
     ("box_y", "f8"),
@@ -208,7 +205,7 @@ TICK = _record(
 )
 """What a player does in one tick, and its results."""
 
-SCRATCH = _record(("order", "u8"), ("distance", "f8"), ("crowded", "i4"))
+SCRATCH = _record(("order", "u8"), ("distance", "f8"))
 
 
 class State(NamedTuple):
@@ -225,7 +222,6 @@ class State(NamedTuple):
     monster_stats: Array  # (L, M) MONSTER_STATS
     settings: Array  # (1,) SETTINGS
     terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID, COAST or SLOW
-    room: Array  # (L, 2 rows, 2 columns) uint8: whether a body has room, by half tiles
     starts: Array  # (L, S, 2) start places
     events: Array  # (N, P) EVENTS
     observations: Array  # (N, P, features) float32
@@ -235,10 +231,10 @@ class State(NamedTuple):
 
 
 DTYPES = State(
-    WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.uint8),
-    np.dtype(np.float64), EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH,
+    WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
+    EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH,
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 3, 2, 3, 3, 1, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
@@ -247,7 +243,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (14,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (13,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 
 from pneuma.env import characters, rules, state
-from pneuma.env.level import Level, load_levels, refuse_bad_places, room_for_bodies
+from pneuma.env.level import Level, load_levels, refuse_bad_places
 from pneuma.env.observation import fill_scales, observation_space
 from pneuma.env.reward import REWARD_CODES, custom_rewards, load_reward, present
 from pneuma.env_fields import DASH, EnvConfig, action_names, make_env_config
@@ -104,7 +104,6 @@ class Worlds:
 
     def _allocate(self, count: int, actions: int) -> None:
         players, monsters = len(self.player_stats), self.monster_stats.shape[1]
-        margin = characters.margin(self.player_stats, self.monster_stats.ravel())
         self.worlds = np.zeros(count, state.WORLD)
         fresh = np.random.SeedSequence()
         self.worlds["key"] = fresh.generate_state(count, np.uint64)  # until they are seeded
@@ -123,7 +122,6 @@ class Worlds:
             self.monster_stats,
             self.settings,
             np.ascontiguousarray([level.terrain for level in self.levels]),
-            np.ascontiguousarray([room_for_bodies(level, margin) for level in self.levels]),
             np.ascontiguousarray([level.starts for level in self.levels]),
             self.events,
             self.observations,
@@ -176,7 +174,6 @@ class Worlds:
         settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
         row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
-        row["cells_per_pixel"] = 2 / self.level.tile
         row["ticks"] = characters.TICKS_PER_STEP
         row["step_limit"] = config.episode_steps
         row["end_on_clear"] = config.end_on_clear
@@ -189,7 +186,6 @@ class Worlds:
         row["bodies_block"] = config.bodies == "block"
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
-        row["crowd"] = characters.crowd(self.player_stats, self.monster_stats.ravel())
         row["bite_while_knocked"] = config.bite_while_knocked
         row["healing_cap"] = config.healing_cap
         row["credit_near"] = config.kill_credit == "near"
