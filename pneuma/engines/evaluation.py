@@ -15,14 +15,17 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
-from pneuma.engines.acting import MOST_WEIGHTS, play_episodes
 from pneuma.engines.action_values import ActionValues
-from pneuma.engines.policy import Policy
+from pneuma.engines.mlp import ACTIVATION_CODES, choose
+from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import own_rewards
 from pneuma.errors import UserError
+
+MOST_WEIGHTS = 65_536
+"""Largest actor that is faster compiled than by a library's matrix product."""
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
@@ -131,43 +134,49 @@ class Evaluation:
             (N,) the return of each, the mean over its players.
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
-        if not isinstance(policy, OwnAgent):
-            asks = policy.exploration is not None or bool(own_rewards(self.run.reward))
-            if not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS:
-                self._begin()
-                return play_episodes(self.worlds, policy, self.episodes, generator)
+        players, features = self.worlds.observations.shape[1:]
+        observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
+        actions = np.zeros(self.worlds.players.shape, np.int64)
+        rows, first_best = actions.reshape(-1), self.episodes * players
 
-        first_best = self.episodes * self.worlds.players.shape[1]
-        actions = np.zeros(self.worlds.players.size, np.int64)
-
-        def act(worlds: Worlds) -> np.ndarray:
-            """Choose the actions of a group of rows, always of all rows until the whole group has ended.
+        def ask(worlds: Worlds) -> np.ndarray:
+            """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
 
             With fewer rows a policy's results would differ in the last bits.
             """
-            observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
             plays = worlds.worlds["ending"] == rules.RUNNING
             if plays[: self.episodes].any():
-                actions[:first_best] = policy.sample(observations[:first_best], generator)
+                rows[:first_best] = policy.sample(observations[:first_best], generator)
             if plays[self.episodes :].any():
-                actions[first_best:] = policy.best(observations[first_best:])
-            return actions.reshape(worlds.players.shape)
+                rows[first_best:] = policy.best(observations[first_best:])
+            return actions
 
-        return self._play(act)
+        if isinstance(policy, OwnAgent) or not self._is_compiled(policy):
+            return self._play(ask)
+        network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
 
-    def _begin(self) -> None:
-        """Start an episode in every world, always the same one."""
+        def compute(worlds: Worlds) -> np.ndarray:
+            """Compute the actions of all rows that play."""
+            plays = np.repeat(worlds.worlds["ending"] == rules.RUNNING, players)
+            choose(*network, observations, generator.random(first_best, np.float32), plays, rows)
+            return actions
+
+        return self._play(compute)
+
+    def _is_compiled(self, policy: Policy) -> bool:
+        """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
+        asks = policy.exploration is not None or bool(own_rewards(self.run.reward))
+        return not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
+
+    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
+        """Play one episode in every world, always the same one; return the same as `_play_policy`."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(worlds))])
         worlds.reset(starts=self._starts)
-
-    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
-        """Play one episode in every world, step by step in Python; return the same as `_play_policy`."""
-        self._begin()
-        worlds = self.worlds
         returns = np.zeros(len(worlds))
+        rewards = worlds.events["reward"].T  # (P, N)
         running = len(worlds)
         while running:
             running -= worlds.step(act(worlds))
-            returns += worlds.events["reward"].mean(axis=1)
+            returns += sum(rewards) / len(rewards)  # player by player: `mean` adds eight in another order
         return returns

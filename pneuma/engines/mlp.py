@@ -1,6 +1,6 @@
-"""The compiled forward pass of a policy, and the draw of an action from its logits.
+"""The compiled forward pass of a policy, and the choice of actions by its logits.
 
-weights, observations → outputs, an action
+weights, observations → outputs, actions
 
 A row of observations gives the same bits however many other rows there are, because products are summed input
 by input and not in blocks of rows.
@@ -90,12 +90,25 @@ def sample(logits: Any, draw: Any) -> int:
 
 
 @kernel
-def draw_actions(
-    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, scratch: Any, chosen: Any
+def choose(
+    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, plays: Any, chosen: Any
 ) -> None:
-    """Draw an action for every row of observations, (count, features), into `chosen`, (count,)."""
-    count = observations.shape[0]
-    scratch[0, :count, : widths[0]] = observations
-    logits = forward(weights, widths, activation, count, scratch)
-    for k in range(count):
-        chosen[k] = sample(logits[k], draws[k])
+    """Choose an action in every row that plays: a drawn one in the first rows, else the most probable.
+
+    Args:
+        weights: of the actor, as in `forward`.
+        widths: of its layers.
+        activation: of its hidden layers; its code.
+        observations: (rows, features).
+        draws: a number in [0, 1) for each of the first rows.
+        plays: (rows,) booleans; the other rows cost nothing.
+        chosen: (rows,) int64, into which the actions are written.
+    """
+    rows = np.flatnonzero(plays)
+    scratch = np.zeros((2, len(rows), widths.max()), np.float32)
+    for k in range(len(rows)):
+        scratch[0, k, : widths[0]] = observations[rows[k]]
+    logits = forward(weights, widths, activation, len(rows), scratch)
+    for k in range(len(rows)):
+        row = rows[k]
+        chosen[row] = sample(logits[k], draws[row]) if row < len(draws) else np.argmax(logits[k])

@@ -11,7 +11,7 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.rollout import ENDED, Rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
-from pneuma.engines.mlp import ACTIVATION_CODES, draw_actions
+from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 
@@ -43,13 +43,12 @@ class GymnasiumCollector:
         terminal: list[np.ndarray] = []
         weights, widths = flat(actor), sizes(actor)
         activation = ACTIVATION_CODES[self._run.activation]
-        scratch = np.zeros((2, count, int(widths.max())), np.float32)
-        draws = self.generator.random((steps, count), np.float32)
+        draws, plays = self.generator.random((steps, count), np.float32), np.ones(count, np.bool_)
         for step in range(steps):
             observations[:, step] = slots.observations
             starts[:, step] = self._begins
             chosen = actions[:, step]
-            draw_actions(weights, widths, activation, slots.observations, draws[step], scratch, chosen)
+            choose(weights, widths, activation, slots.observations, draws[step], plays, chosen)
             rewards[:, step], terminated, truncated = slots.step(chosen)
             self._begins[:] = over = terminated | truncated
             for slot in np.flatnonzero(over):
