@@ -39,7 +39,9 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what tries environments before their runs:
     "pneuma.study.execute": ("pneuma.engines.environment",),
     # what runs in the worker's own process:
-    "pneuma.study.worker": ("pneuma.engines.base", "pneuma.engines.policy", "pneuma.engines.records"),
+    "pneuma.study.worker": (
+        "pneuma.engines.base", "pneuma.engines.loop", "pneuma.engines.policy", "pneuma.engines.records",
+    ),
     "pneuma.study.live": ("pneuma.engines.base", "pneuma.engines.records"),
     # what says that programs have to be compiled:
     "pneuma.study.checkpoints": (

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pneuma.config import BASES, Run, make_run
+from pneuma.engines.loop import train_run
 from pneuma.study.executors.local import one_thread_environment
 
 SIZES: dict[str, dict[str, object]] = {"small": {}, "mid": {"actor": [512], "critic": [2048, 2048]}}
@@ -58,12 +59,6 @@ def engine_run(size: str, engine: str, seed: int, steps: int) -> Run:
 
 def engine_rates(compiled: Sequence[Run], reference: Run, rounds: int) -> tuple[list[float], list[float]]:
     """Return the steps per second of both engines in each round."""
-    from pneuma.engines import batched, sb3
-
-    def train(run: Run) -> None:
-        engine = batched if run.engine == "batched" else sb3
-        engine.train(run, lambda progress: True, evaluated=False)
-
     train(compiled[0])  # which compiles
     rates: tuple[list[float], list[float]] = ([], [])
     for _ in range(rounds):
@@ -73,6 +68,11 @@ def engine_rates(compiled: Sequence[Run], reference: Run, rounds: int) -> tuple[
                 train(run)
             rate.append(sum(run.steps for run in runs) / (time.perf_counter() - begun))
     return rates
+
+
+def train(run: Run) -> None:
+    """Train a run without evaluations."""
+    train_run(run, lambda progress: True, evaluated=False)
 
 
 if __name__ == "__main__":

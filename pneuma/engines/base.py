@@ -1,16 +1,14 @@
 """The contract between engines and studies.
 
-An engine module has one function, `train(run, on_update, checkpoint, evaluated)`, which returns a `Result`.
-After every update it calls `on_update` with a `Progress`; if that returns false, the training stops there. A
-run's result depends on the run alone, not on runs that the same process trained before.
+`loop.train_run` trains a run by its engine and returns a `Result`. After every update it calls `on_update`
+with a `Progress`; if that returns false, the training stops there. A run's result depends on the run alone,
+not on runs that the same process trained before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Protocol
 
 from pneuma.config import Run
 from pneuma.engines.policy import Policy
@@ -58,25 +56,6 @@ class Result:
 
 
 OnUpdate = Callable[[Progress], bool]
-
-
-class Engine(Protocol):
-    """The interface of an engine module."""
-
-    def train(
-        self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
-    ) -> Result:
-        """Train a run, from its start or from a checkpoint; with `evaluated=False`, without evaluations.
-
-        Raises:
-            CheckpointError: for a checkpoint from which the engine cannot resume.
-        """
-        ...
-
-
-def load_engine(name: str) -> Engine:
-    """Import an engine by its name in `pneuma.config.ENGINE_VERSIONS`."""
-    return import_module(f"pneuma.engines.{name}")
 
 
 def evaluation_updates(run: Run) -> set[int]:

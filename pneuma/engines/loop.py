@@ -1,14 +1,14 @@
 """The training loop that all engines share: update, evaluate, report, and stop.
 
-    trainer (an engine's) → update, judge, tell → result
+    run → trainer (its engine's) → update, judge, tell → result
 
-An engine provides a `Trainer`. Evaluation, divergence, stopping and the end of a run are the same for all
-engines.
+An engine is a `Trainer`. Evaluation, divergence, stopping and the end of a run are the same for all engines.
 """
 
 from __future__ import annotations
 
 from functools import partial
+from importlib import import_module
 from typing import Protocol
 
 from pneuma.config import Run
@@ -16,9 +16,16 @@ from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, Records, Row
 
+TRAINERS = {
+    "batched": "pneuma.engines.batched.training:BatchedTrainer",
+    "sb3": "pneuma.engines.sb3:Sb3Trainer",
+    "tabular": "pneuma.engines.tabular:TableTrainer",
+}
+"""The trainer of each of `pneuma.config.ENGINES`, imported when it trains, as most are heavy."""
+
 
 class Trainer(Protocol):
-    """An engine's part in training one run."""
+    """An engine's part in training one run, from which it is made."""
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
@@ -50,14 +57,14 @@ class Trainer(Protocol):
 
 
 def train_run(
-    run: Run,
-    trainer: Trainer,
-    on_update: OnUpdate,
-    checkpoint: Checkpoint | None,
-    evaluated: bool,
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
 ) -> Result:
-    """Train one run by an engine's trainer; see `pneuma.engines.base.Engine.train`."""
-    records, step = Records(), 0
+    """Train a run, from its start or from a checkpoint; with `evaluated=False`, without evaluations.
+
+    Raises:
+        CheckpointError: for a checkpoint from which the engine cannot resume.
+    """
+    trainer, records, step = _make_trainer(run), Records(), 0
     if checkpoint:
         trainer.restore(checkpoint)
         step = checkpoint.step
@@ -74,6 +81,12 @@ def train_run(
             status = "done" if update == run.updates else "stopped"
             return Result(run, status, step, records, trainer.policy())
     return Result(run, "done", step, records, trainer.policy())
+
+
+def _make_trainer(run: Run) -> Trainer:
+    module, name = TRAINERS[run.engine].split(":")
+    trainer: Trainer = getattr(import_module(module), name)(run)
+    return trainer
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:

@@ -20,9 +20,8 @@ from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
-from pneuma.engines.base import OnUpdate, Result
 from pneuma.engines.environment import make_evaluation, make_vec_env, slot_seeds
-from pneuma.engines.loop import begins_fork, train_run
+from pneuma.engines.loop import begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row, action_shares
 from pneuma.engines.sb3_learners import (
@@ -55,25 +54,16 @@ VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES
 """Metrics of what a policy visited and did."""
 
 
-def train(
-    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
-) -> Result:
-    """Train a run; see `pneuma.engines.base.Engine`."""
-    torch.set_num_threads(1)
-    model = make_model(run, make_vec_env(run))
-    with GradientNorms(model, run) as norms:
-        return train_run(run, Sb3Trainer(model, run, norms), on_update, checkpoint, evaluated)
-
-
 class Sb3Trainer:
     """Trains one run by a learner of Stable-Baselines3; implements `pneuma.engines.loop.Trainer`."""
 
-    def __init__(self, model: Any, run: Run, norms: GradientNorms) -> None:
+    def __init__(self, run: Run) -> None:
+        torch.set_num_threads(1)
         self.run = run
-        self._model, self._norms = model, norms
-        self._visited = Visited() if isinstance(model, DQN) else None
-        _, self._callback = model._setup_learn(run.steps, callback=self._visited or CallbackList([]))
-        self._policy = extract_policy(model, run)
+        self._model: Any = make_model(run, make_vec_env(run))
+        self._visited = Visited() if isinstance(self._model, DQN) else None
+        _, self._callback = self._model._setup_learn(run.steps, callback=self._visited or CallbackList([]))
+        self._policy = extract_policy(self._model, run)
 
     @cached_property
     def _evaluation(self) -> Any:
@@ -90,11 +80,12 @@ class Sb3Trainer:
     def update(self, before: int, after: int, records: Records) -> bool:
         """Let the learner collect and train."""
         model, run = self._model, self.run
-        if self._visited:
-            metrics = learn_by_values(model, run, self._visited)
-        else:
-            metrics = learn(model, run, self._policy, self._callback)
-        records.metrics.append({"step": after, **metrics, **self._norms.take()})
+        with GradientNorms(model, run) as norms:
+            if self._visited:
+                metrics = learn_by_values(model, run, self._visited)
+            else:
+                metrics = learn(model, run, self._policy, self._callback)
+        records.metrics.append({"step": after, **metrics, **norms.take()})
         records.episodes.extend(finished_episodes(model.env))
         if not is_finite(records.metrics[-1], model):
             return False

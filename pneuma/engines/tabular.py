@@ -13,8 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.base import OnUpdate, Result
-from pneuma.engines.loop import train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
     EVALUATION_COLUMNS,
@@ -30,13 +28,6 @@ from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, d
 NAN = float("nan")
 ENDING = "home"
 LONGEST_ROUTE = 2
-
-
-def train(
-    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
-) -> Result:
-    """Train a run; see `pneuma.engines.base.Engine`."""
-    return train_run(run, TableTrainer(run), on_update, checkpoint, evaluated)
 
 
 class TableTrainer:

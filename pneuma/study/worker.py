@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress, load_engine
+from pneuma.engines.base import Progress
+from pneuma.engines.loop import train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
@@ -182,7 +183,7 @@ def _train_once(
         return not stopping
 
     try:
-        result = load_engine(run.engine).train(run, update, start)
+        result = train_run(run, update, start)
     finally:
         if log:
             with suppress(OSError):

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from pneuma.config import make_run
-from pneuma.engines.base import Progress, load_engine
+from pneuma.engines.base import Progress
+from pneuma.engines.loop import train_run
 from pneuma.engines.records import Checkpoint, CheckpointError
 from pneuma.study.checkpoints import (
     decode,
@@ -74,7 +75,7 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
         kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {})))
         return True
 
-    load_engine(engine).train(run, keep)
+    train_run(run, keep)
     assert all(encode(checkpoint, {}) == at_once for checkpoint, at_once in kept)
 
 

@@ -10,7 +10,6 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study.identity import run_id
 
@@ -38,8 +37,7 @@ def forked(parent: Run, seed: int = 0, **changes: object) -> Run:
 def trainer_of(run: Run) -> Any:
     if run.engine == "batched":
         return BatchedTrainer(run)
-    model = sb3_learners.make_model(run, make_vec_env(run))
-    return sb3.Sb3Trainer(model, run, sb3.GradientNorms(model, run))
+    return sb3.Sb3Trainer(run)
 
 
 def begun(run: Run, checkpoint: Checkpoint) -> Any:

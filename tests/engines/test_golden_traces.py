@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import BASES, ENGINE_VERSIONS, make_run
-from pneuma.engines.base import load_engine
+from pneuma.engines.loop import train_run
 
 SMALL: dict[str, Any] = {
     **BASES["table-6-2"],
@@ -77,7 +77,7 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_is_trained_to_the_numbers_of_its_engines_version(name: str) -> None:
     run = make_run(RUNS[name])
-    records = load_engine(run.engine).train(run, lambda progress: True).records
+    records = train_run(run, lambda progress: True).records
     golden = GOLDEN[name, ENGINE_VERSIONS[run.engine]]
     assert len(records.episodes) == golden["episodes"]
     for place, told in golden["episode"].items():

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 from pneuma.config import Run
-from pneuma.engines.base import Progress, Result, load_engine
+from pneuma.engines.base import Progress, Result
+from pneuma.engines.loop import train_run
 from pneuma.engines.records import Checkpoint
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.tables import to_parquet
@@ -19,7 +20,7 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
         taken.append(progress.checkpoint())
         return True
 
-    return load_engine(run.engine).train(run, keep, checkpoint), taken
+    return train_run(run, keep, checkpoint), taken
 
 
 @lru_cache(maxsize=32)

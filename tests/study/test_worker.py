@@ -35,9 +35,7 @@ class _Engine:
     def __init__(self, breaks: bool = False) -> None:
         self._breaks = breaks
 
-    def train(
-        self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
-    ) -> Result:
+    def train(self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
         actor, critic = (((np.zeros((3, n), np.float32), np.zeros(n, np.float32)),) for n in (2, 1))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
         for step in (256, 512):
@@ -53,7 +51,7 @@ class _Engine:
 def _train(
     engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[int, Store, list[dict[str, Any]]]:
-    monkeypatch.setattr(worker, "load_engine", lambda _: engine)
+    monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
     what = worker.Job(store, {run_id(run): run for run in RUNS})
     code = worker.train_group(what, worker.Reporter(events), threading.Event())
