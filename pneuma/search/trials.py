@@ -24,7 +24,7 @@ from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
-from pneuma.search.spec import Budget, Objective, Search
+from pneuma.search.spec import Budget, Median, Objective, Pruner, Search
 from pneuma.study.execute import selection_record
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -173,7 +173,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
         Unfinished: when a run crashed.
     """
     search, budget = task.search, task.budget
-    rungs, first_trials = rung_steps(getattr(search.pruner, "rungs", 1), budget), search.first_trials
+    rungs, first_trials = rung_steps(search.pruner, budget), search.first_trials
     study = create_study(search)
     trained: list[Cell] = []
 
@@ -192,12 +192,16 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
         yield [_tell(study, search.objectives, each, outcomes) for each in asked]
 
 
-def rung_steps(count: int, budget: Budget) -> dict[int, int]:
+def rung_steps(pruner: Pruner, budget: Budget) -> dict[int, int]:
     """Return the steps of the trainings after which trials are compared, by rung from 1 on.
 
-    Each rung is a separate training with all seeds; the last has the whole budget.
+    Each rung is a separate training with all seeds, as a run's steps are part of its id. So the first are
+    short: of three rungs 1/9 and 1/3 of the budget. The last has the whole budget.
     """
-    return {rung: max(1, round(rung / count * budget.steps)) for rung in range(1, count + 1)}
+    if not isinstance(pruner, Median):
+        return {1: budget.steps}
+    rungs = range(1, pruner.rungs + 1)
+    return {rung: max(1, round(budget.steps / pruner.factor ** (pruner.rungs - rung))) for rung in rungs}
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneuma.search.spec import Budget
+from pneuma.search.spec import Budget, Median, NoPruner
 from pneuma.search.trials import EndedTrial, best_number, over_seeds, rung_steps
 from pneuma.study.plan import Cell, Plan
 
@@ -60,9 +60,10 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
 
 def test_rungs_of_the_budget(make_task: MakeTask) -> None:
     budget = Budget(8, (0, 1, 2), 9000)
-    assert rung_steps(3, budget) == {1: 3000, 2: 6000, 3: 9000}
-    assert rung_steps(1, budget) == {1: 9000}
-    # at a horizon of 256, rungs of 100 and 200 steps both are 256: one training
+    assert rung_steps(Median(name="median"), budget) == {1: 1000, 2: 3000, 3: 9000}
+    assert rung_steps(Median(name="median", factor=2), budget) == {1: 2250, 2: 4500, 3: 9000}
+    assert rung_steps(NoPruner(), budget) == {1: 9000}
+    # at a horizon of 256, rungs of 67 and 200 steps both are 256: one training
     more = '[run]\nhorizon = 256\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 8'
     task = replace(make_task(4, more), budget=Budget(4, (1000, 1001), 200))
     assert all(len(t.run_ids) == len({*t.run_ids}) == 2 for t in solve(task))
