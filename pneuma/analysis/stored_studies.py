@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -34,7 +33,7 @@ def study_record(
         UserError: where nothing is stored, or nothing that is picked.
     """
     asked = world
-    study, world = chosen_world(Path(name).stem if name.endswith(".toml") else shipped_name(name), world)
+    study, world = chosen_world(Path(name).stem if name.endswith(".toml") else name, world)
     stem = spec.name_in_world(study, world)
     records = store.selections(stem)
     if records and name.endswith(".toml"):
@@ -102,24 +101,6 @@ def _unknown(store: Store, name: str, stem: str) -> UserError:
 
 
 # --- Names ------------------------------------------------------------------------------------------
-
-
-def shipped_name(name: str) -> str:
-    """Return the shipped study of a figure or section, such as fig-6-4 or 6.1; any other name as it is.
-
-    Raises:
-        UserError: naming the studies, where they are several.
-    """
-    figure, world = split_world(name)
-    if not re.fullmatch(r"(fig|table)-[\w-]+|\d(\.\d+)?", figure):
-        return name
-    tables = {study: spec.read_head(study) for study in spec.list_studies()}
-    numbered = (figure, f"fig-{figure.replace('.', '-')}")
-    found = [study for study, head in tables.items() if head["figure"] in numbered]
-    found = found or [study for study, head in tables.items() if figure in head["section"].split(" and ")]
-    if len(found) > 1:
-        raise UserError(f"{name} is of several studies: name one of {', '.join(found)}")
-    return in_world(found[0], world) if found else name
 
 
 def is_shipped(name: str) -> bool:

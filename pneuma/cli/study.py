@@ -9,13 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.analysis.stored_studies import (
-    is_shipped,
-    known_studies,
-    shipped_name,
-    studies_run_here,
-    study_record,
-)
+from pneuma.analysis.stored_studies import is_shipped, known_studies, studies_run_here, study_record
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
@@ -81,8 +75,7 @@ def show(
     json: opt.Json = False,
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    name, store = shipped_name(name), Store(results)
-    study = None
+    store, study = Store(results), None
     if not is_shipped(name) and name in known_studies(store):  # a fork, imported logs, or a published one
         record = study_record(store, name, world=world)
     else:

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.analysis.stored_studies import shipped_name
 from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say
 from pneuma.cli.study_records import file_of
@@ -171,7 +170,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
-    study = spec.load_study(*file_of(chosen.store, shipped_name(name), chosen.world))
+    study = spec.load_study(*file_of(chosen.store, name, chosen.world))
     fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
     named_code = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):
