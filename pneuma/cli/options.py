@@ -8,7 +8,6 @@ import shlex
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -330,17 +329,14 @@ def most_workers(asked: int | None, place: Supervision = HERE) -> int:
 
 
 def selecting_words(selection: Selection) -> list[str]:
-    """Return a selection as words of a command."""
-    words = ["--preset", selection.preset] if selection.preset else []
+    """Return a selection of stored runs as words of a command."""
+    words = []
     if selection.seeds is not None:
         counted_up = selection.seeds == tuple(range(len(selection.seeds)))
         listed = ",".join(map(str, selection.seeds)) + ("," if len(selection.seeds) == 1 else "")
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
     words += ["--steps", str(selection.steps)] if selection.steps is not None else []
-    words += [word for name in selection.conditions for word in ("--condition", name)]
-    for key, value in (selection.settings or {}).items():
-        words += ["--set", f"{key}={value if isinstance(value, str) else dumps(value)}"]
-    return words + (["--as", selection.variant] if selection.variant else [])
+    return words + [word for name in selection.conditions for word in ("--condition", name)]
 
 
 def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:

@@ -5,7 +5,6 @@ The folder may be untrusted. Study files that only a record names are not loaded
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,15 +14,13 @@ from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import open_study
 from pneuma.analysis.stored_studies import known_studies, study_record
 from pneuma.analysis.summaries import summary_table
-from pneuma.cli.options import selecting_words
 from pneuma.cli.study_records import run_states
-from pneuma.config import BASES, as_fields, make_run
-from pneuma.errors import UserError, counted, plain
+from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, numbers_table, study_pictures
 from pneuma.figures.verdicts import Verdicts, judged_claims
-from pneuma.study import execute, spec
+from pneuma.study import spec
+from pneuma.study.plan import differing_fields
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import default_settings
 from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS, in_world, split_world
 
@@ -108,7 +105,7 @@ def _part(store: Store, study: str, world: str) -> Part:
     conditions = counted(len({run["condition"] for run in record["runs"]}), "condition")
     runs, steps = counted(len(states), "run"), max(run["run"]["steps"] for run in record["runs"])
     part.extent = f"{conditions}, {runs} of up to {steps:,} agent steps"
-    part.conditions = _conditions(study, name, record)
+    part.conditions = _conditions(name, record)
     part.runs = [
         (*(state.run[key] for key in ("run_id", "condition", "seed")), state.status.name,
          str(state.run["run"].get("engine") or "unknown"))
@@ -121,7 +118,7 @@ def _part(store: Store, study: str, world: str) -> Part:
     if missing:
         lacking = "are not here, not finished or damaged, and left out below"
         part.notes.append(f"{missing} of {len(states)} runs {lacking}.")
-        part.mend = _same_again(name, record) if shipped or record.get("path") else ""
+        part.mend = train if shipped or record.get("path") else ""
     if diverged:
         part.notes.append(f"{diverged} of {len(states)} runs diverged; they count in every number below.")
     if missing < len(states):
@@ -149,40 +146,19 @@ def _without_folder(store: Store, error: Exception) -> str:
     return str(error) if root == "." else str(error).replace(root, "results")
 
 
-def _same_again(name: str, record: Mapping[str, Any]) -> str:
-    """Return the command that trains a record's missing runs; empty if it is not known."""
-    path = record.get("path")
-    try:
-        words = selecting_words(execute.recorded_selection(record))
-    except (KeyError, TypeError, ValueError, AttributeError):  # it may be untrusted
-        return ""
-    return plain(f"{spec.run_command(name, Path(path).name if path else None)} {shlex.join(words)}".strip())
-
-
 # --- Settings and provenance -----------------------------------------------------------------------
 
 
-def _conditions(study: str, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+def _conditions(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a record's fields: a table of those in which conditions differ, and the shared ones."""
-    resolved: dict[str, Any] = {run["condition"]: run["run"] for run in record["runs"]}
-    some = next(iter(resolved.values()))
-    if study in spec.list_studies():
-        base = spec.load_study(study).base
-        usual: Mapping[str, Any] = as_fields(make_run(BASES[base]))
-    else:
-        base, usual = "the defaults", default_settings(some)
-    keys = [key for key in dict.fromkeys([*some, *usual]) if key not in ("seed", "steps")]
-    shown = {
-        key: [_value(fields.get(key, "unknown")) for fields in (usual, *resolved.values())] for key in keys
-    }
-    unlike = [key for key in keys if len(set(shown[key][1:])) > 1]
-    rows = [[label, *(shown[key][row] for key in unlike)] for row, label in enumerate((base, *resolved))]
+    resolved: dict[str, Mapping[str, Any]] = {run["condition"]: run["run"] for run in record["runs"]}
+    unlike = differing_fields(resolved)
+    rows = [[label, *(_value(values[label]) for values in unlike.values())] for label in resolved]
     caption, columns = f"What the conditions of {name} differ in", ("Condition", *unlike)
-    alike = {key: shown[key][:2] for key in keys if key not in unlike}  # in the base, and here
+    some = next(iter(resolved.values()))
     return {
-        "base": base,
         "differing": (caption, columns, rows, len(columns)) if unlike else None,
-        "alike": {key: value + f" ({base}: {of})" * (value != of) for key, (of, value) in alike.items()},
+        "alike": {key: _value(some[key]) for key in some if key not in (*unlike, "seed", "steps")},
     }
 
 

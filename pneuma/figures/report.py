@@ -54,7 +54,7 @@ class Part:
         mend: the command that trains what is missing.
         extent: the number of conditions, runs and steps.
         pictures: the result of `study_pictures`.
-        conditions: `base`; the `differing` fields, as a table; and those that are `alike`, by name.
+        conditions: the `differing` fields, as a table; and those that are `alike`, by name.
         runs: of each its id, condition, seed, status and engine.
         origins: the provenance of runs: facts by name, and the number of runs for which they hold.
     """

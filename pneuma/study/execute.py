@@ -16,7 +16,7 @@ from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config, is_gymnasium
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.files import parse_json, to_json
-from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_settings
 
@@ -264,11 +264,3 @@ def _check_same_variant(recorded: Mapping[str, Any], plan: Plan) -> None:
     stored = recorded["selection"].get("settings") or {}
     if plan.selection.variant and stored != parse_json(to_json(plan.selection.settings or {})):
         raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(stored)}")
-
-
-def recorded_selection(record: Mapping[str, Any]) -> Selection:
-    """Return the selection that a study's record was made from."""
-    known = Selection.__dataclass_fields__
-    values = {key: value for key, value in record["selection"].items() if key in known}
-    seeds = None if values["seeds"] is None else tuple(values["seeds"])
-    return Selection(**{**values, "seeds": seeds, "conditions": tuple(values["conditions"])})

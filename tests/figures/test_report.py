@@ -33,10 +33,7 @@ def _page(name: str = "tanh") -> bytes:
     part = Part(
         f"activation {name}", "In the text's world", notes=[name], mend=name,
         pictures=[{"source": PICTURE, "alt": name, "caption": name}], numbers=numbers,
-        conditions={
-            "base": name, "differing": (name, (name,), [[name]], 1),
-            "alike": {name: name},
-        },
+        conditions={"differing": (name, (name,), [[name]], 1), "alike": {name: name}},
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],
     )  # fmt: skip
