@@ -47,7 +47,7 @@ def plan_(
     planned = _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
-    broken = execute.broken_environments(todo)
+    execute.check_environments(todo.values())
     paces = estimate.stored_paces(store, statuses)
     seconds = {
         key: estimate.expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
@@ -60,7 +60,7 @@ def plan_(
             for cell in planned.cells
         ]
         return print_json({"study": planned.study.name, "runs": cells})
-    for note in (*planned.notes, *dict.fromkeys(broken.values())):
+    for note in planned.notes:
         say(f"Note: {note}.")
     rows = []
     for condition in planned.conditions:

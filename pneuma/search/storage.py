@@ -20,7 +20,7 @@ from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
-from pneuma.study.execute import broken_environments
+from pneuma.study.execute import check_environments
 from pneuma.study.files import names_in, read_sealed, seal, to_json
 from pneuma.study.identity import own_things
 from pneuma.study.locks import run_lock
@@ -59,9 +59,7 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTri
     """
     search = task.search
     check_budget(search, task.budget)
-    corners = {str(number): run for number, (_, run) in enumerate(search.space.corners())}
-    for reason in broken_environments(corners).values():
-        raise UserError(reason)
+    check_environments(run for _, run in search.space.corners())
     store.check_writable()
     with run_lock(store.root / "searches" / f".{search.name}") as mine:
         if not mine:

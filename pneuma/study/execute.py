@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config, is_gymnasium_id
+from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.files import parse_json, to_json
@@ -52,11 +52,9 @@ MOST_IN_GROUP = 8
 def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
     """Check a plan and record its selection; return the runs to train, by id, and notes for the user.
 
-    If the environment of some runs cannot be made, these runs are stored as crashed and the others train.
-
     Raises:
-        UserError: before anything is written, if no environment can be made, if the results folder cannot be
-            written, or if it has runs of another file of the same name.
+        UserError: before anything is written, if an environment cannot be made, if the results folder cannot
+            be written, or if it has runs of another file of the same name.
     """
     recorded = store.selection(plan.study.name)
     if recorded is not None and plan.study.own_path is not None:
@@ -65,12 +63,10 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
         _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
-    broken = broken_environments(todo)
+    check_environments(todo.values())
     store.check_writable()
     store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
-    for name, reason in broken.items():
-        store.save_failure(name, todo.pop(name), "crashed", reason)
-    return todo, [*dict.fromkeys(broken.values()), *_notes(plan, statuses, todo)]
+    return todo, _notes(plan, statuses, todo)
 
 
 def execute(
@@ -172,29 +168,18 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     return notes
 
 
-def broken_environments(runs: Mapping[str, Run]) -> dict[str, str]:
-    """Try to make each environment once; return, by run id, why those that fail cannot be made.
+def check_environments(runs: Iterable[Run]) -> None:
+    """Make each distinct environment of some runs once.
 
     Raises:
-        UserError: if none can be made, or if one of Pneuma's own cannot, which is a mistake in the study.
+        UserError: for the first that cannot be made, or in which its engine cannot train.
     """
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
     keys = ("env", *OF_GYMNASIUM, "engine", "algorithm")
-    by_environment: dict[Any, dict[str, Run]] = {}
-    for run_id, run in runs.items():
-        key = (env_config(run), *(getattr(run, key) for key in keys))
-        by_environment.setdefault(key, {})[run_id] = run
-    broken: dict[str, str] = {}
-    for same in by_environment.values():
-        run = next(iter(same.values()))
-        try:
-            check_environment(run)
-        except UserError as error:
-            broken |= dict.fromkeys(same, str(error))
-            if len(broken) == len(runs) or not is_gymnasium_id(run.env):
-                raise
-    return broken
+    distinct = {(env_config(run), *(getattr(run, key) for key in keys)): run for run in runs}
+    for run in distinct.values():
+        check_environment(run)
 
 
 def selection_record(plan: Plan) -> dict[str, Any]:
