@@ -2,7 +2,8 @@
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it. On file
 systems without locks, or with locks for one machine only, two processes may train the same run. Both give the
-same bits, and files are written whole, so that only time is lost.
+same bits, and files are written whole, so that only time is lost. A lock's file stays, held or not, until
+`Store.save_run` removes that of a finished run: of a file that is removed sooner two could hold a lock.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
@@ -33,16 +34,10 @@ def run_lock(folder: Path) -> Iterator[bool]:
         OSError: when it cannot be created, or its path is not a file.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path, mine = folder / ".lock", True
-    descriptor = _open(path, os.O_RDWR | os.O_CREAT)
+    descriptor = _open(folder / ".lock", os.O_RDWR | os.O_CREAT)
     try:
-        while (mine := _take(descriptor)) and not _is_there(path, descriptor):
-            os.close(descriptor)  # its holder released and removed it after it was opened here
-            descriptor = _open(path, os.O_RDWR | os.O_CREAT)
-        yield mine
+        yield _take(descriptor)
     finally:
-        if mine and _is_there(path, descriptor):
-            path.unlink(missing_ok=True)
         os.close(descriptor)
 
 
@@ -68,7 +63,7 @@ def _open(path: Path, flags: int) -> int:
     Raises:
         OSError: when it cannot be opened, or is not an ordinary file.
     """
-    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, f"{path.name} is no ordinary file; remove it")
@@ -86,11 +81,4 @@ def _take(descriptor: int) -> bool:
             return True
         else:
             return True
-    return False
-
-
-def _is_there(path: Path, descriptor: int) -> bool:
-    """Return whether the locked file is still the one that others would open."""
-    with suppress(FileNotFoundError):
-        return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor))
     return False

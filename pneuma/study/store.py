@@ -182,6 +182,9 @@ class Store:
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
+        if status.finished:  # whoever takes the lock from now on sees that nothing is left to train
+            with suppress(OSError):
+                (folder / ".lock").unlink()
 
     def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
         """Write how a run failed, and why.

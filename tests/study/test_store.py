@@ -139,6 +139,9 @@ def test_only_checkpoints_by_name_tell_how_far_a_run_is_and_a_lock_that_it_runs(
     assert store.status(NAME) == Status("killed", 512)
     with run_lock(store.run_folder(NAME)) as mine:
         assert mine and store.status(NAME) == Status("running", 512)
+    assert (store.run_folder(NAME) / ".lock").exists() and store.status(NAME) == Status("killed", 512)
+    store.save_run(NAME, Status("done", 512), FILES)
+    assert not (store.run_folder(NAME) / ".lock").exists()
 
 
 # --- Studies and the folder ----------------------------------------------------------------------
