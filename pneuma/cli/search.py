@@ -69,15 +69,15 @@ def show(
     search = find_search(Store(results), name, world)
     if json:
         return print_json(_written(search))
-    say(search.title + (f" (thesis section {search.section})" if search.section else ""))
-    for line in search.about.splitlines():
+    say(search.title + (f" (thesis section {search.spec.section})" if search.spec.section else ""))
+    for line in search.spec.about.splitlines():
         say(line)
     print("\nSpace:")
     print_table(("", ""), [(f"  {parameter.name}", str(parameter)) for parameter in search.space.parameters])
     print("\nObjectives:")
     for objective in search.objectives:
         say(f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
-    for preset, budget in search.presets.items():
+    for preset, budget in search.spec.presets.items():
         seeds = counted(len(budget.seeds), "seed")
         print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
     return None
@@ -85,12 +85,11 @@ def show(
 
 def _written(search: Search) -> dict[str, Any]:
     """Return a search as JSON, with the keys of its file."""
-    alike = ("title", "section", "about", "start", "generation", "sampler", "pruner", "presets")
     return {
         "search": search.name,
         "world": search.world,
-        **{key: getattr(search, key) for key in alike},
-        "base": search.space.base,
+        **search.spec.model_dump(),
+        "title": search.title,
         "run": search.space.fixed,
         "space": {parameter.name: parameter.written for parameter in search.space.parameters},
         "objectives": {each.name: each.model_dump(exclude={"name"}) for each in search.objectives},
@@ -242,10 +241,11 @@ def _task(
             raise unknown_name("key of --set", key, FIXABLE.names)
     over = {key: read_field(Run, key, value) for key, value in over.items()}
     search = find_search(store, name, world)
-    if preset not in search.presets:
-        raise unknown_name(f"preset of search {search.name}", preset, search.presets)
+    presets = search.spec.presets
+    if preset not in presets:
+        raise unknown_name(f"preset of search {search.name}", preset, presets)
     given = {key: value for key, value in amount.items() if value is not None}
-    return Task(search.with_settings(over, over), replace(search.presets[preset], **given), over)
+    return Task(search.with_settings(over, over), presets[preset].model_copy(update=given), over)
 
 
 def train(

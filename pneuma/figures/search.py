@@ -119,5 +119,5 @@ def _caption(searched: RecordedSearch) -> str:
     )
     return (
         f"Search {search.name}: {counts} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
-        f"steps; sampler {search.sampler.name}; {searched.task.digest}"
+        f"steps; sampler {search.spec.sampler.name}; {searched.task.digest}"
     )

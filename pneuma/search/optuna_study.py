@@ -36,7 +36,7 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
     """Return an in-memory study without trials, with the first `count` objectives."""
-    sought, pruner_options = search.objectives[:objectives], search.pruner
+    sought, pruner_options = search.objectives[:objectives], search.spec.pruner
     pruner = (
         MedianPruner(pruner_options.startup_trials, n_min_trials=1)
         if isinstance(pruner_options, Median)
@@ -61,7 +61,7 @@ def ask(
     if number < len(first_trials):
         study.enqueue_trial(dict(first_trials[number]))
     with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-        study.sampler = _sampler(search.sampler, stream_seed(search.name, "sampler", number) % 2**32)
+        study.sampler = _sampler(search.spec.sampler, stream_seed(search.name, "sampler", number) % 2**32)
         trial = study.ask()
         return trial, search.space.ask(lambda parameter: _suggest(trial, parameter))
 

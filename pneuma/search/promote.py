@@ -149,7 +149,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
         *map(_lineage, winners),
         "",
         f"title = {_toml('Winners of ' + ', '.join(winner.searched.task.search.name for winner in winners))}",
-        f"section = {_toml(search.section)}",
+        f"section = {_toml(search.spec.section)}",
         f"base = {_toml(search.space.base)}",
         f"baseline = {_toml(winners[0].name)}",
         'worlds = ["text"]',  # its environment stands in the tables below
@@ -206,7 +206,7 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     won, lost = (
         [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
     )
-    fresh = Task(task.search, Budget(1, planned.seeds, task.budget.steps))
+    fresh = Task(task.search, Budget(trials=1, seeds=planned.seeds, steps=task.budget.steps))
     outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
     searched_steps = make_run({**as_fields(won[0].run), "steps": task.budget.steps}).steps
     found = {}

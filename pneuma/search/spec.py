@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from annotated_types import Interval, MinLen
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import BASES, Steps, is_gymnasium_id
@@ -99,13 +99,51 @@ Sampler = Tpe | Random | Nsga
 Pruner = NoPruner | Median
 
 
-@dataclass(frozen=True)
-class Budget:
-    """The size of a search: trials, the seeds of each, and agent steps of each run."""
+def read_search_seeds(value: object) -> tuple[int, ...]:
+    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on.
 
-    trials: int
-    seeds: tuple[int, ...]
-    steps: int
+    Raises:
+        ValueError: for anything else.
+    """
+    seeds = read_seeds(value)
+    return seeds if isinstance(value, list | tuple) else tuple(FIRST_SEED + seed for seed in seeds)
+
+
+class Budget(Table):
+    """[presets.NAME]: the size of a search: trials, the seeds of each, and agent steps of each run."""
+
+    trials: Annotated[int, Interval(ge=1)]
+    seeds: Annotated[tuple[int, ...], Reads(read_search_seeds, SEEDS_ALLOWED)]
+    steps: Steps
+
+
+class SearchFile(Table):
+    """The whole file.
+
+    Attributes:
+        title, section, about: shown to users.
+        base: the fields to start from.
+        start: bases; the search begins with a trial of each.
+        generation: number of trials that are suggested before their results are reported.
+        run: fields of all trials.
+        objectives: one; several for a search of the Pareto front.
+        space: the searched parameters.
+        sampler, pruner: with all their options.
+        presets: by name.
+    """
+
+    title: Annotated[str, MinLen(1)]
+    section: str = ""
+    about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
+    base: Annotated[str, OneOf(tuple(BASES))]
+    start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
+    generation: Annotated[int, Interval(ge=1, le=256)] = 8
+    run: Annotated[dict[str, Any], FIXABLE] = {}
+    objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
+    space: Parameters
+    sampler: Annotated[Sampler, Field(discriminator="name")] = Tpe()
+    pruner: Annotated[Pruner, Field(discriminator="name")] = NoPruner()
+    presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Budget], MinLen(1)]
 
 
 @dataclass(frozen=True)
@@ -114,35 +152,32 @@ class Search:
 
     Attributes:
         name: the file's name; in another world than the text's it ends with the world.
-        title, section, about: shown to users.
+        spec: what its file says.
         space: the searched parameters and the fixed fields.
-        objectives: one; several for a search of the Pareto front.
-        start: bases; the search begins with a trial of each.
-        generation: number of trials that are suggested before their results are reported.
-        sampler, pruner: with all their options.
-        presets: by name.
         world: of `pneuma.worlds.WORLDS`.
         file: its path; empty for a shipped search.
     """
 
     name: str
-    title: str
-    section: str
-    about: str
+    spec: SearchFile
     space: Space
-    objectives: tuple[Objective, ...]
-    start: tuple[str, ...]
-    generation: int
-    sampler: Sampler
-    pruner: Pruner
-    presets: Mapping[str, Budget]
     world: str = TEXT
     file: str = ""
 
     @property
+    def title(self) -> str:
+        """Return its title, with the world if that is not the text's."""
+        return self.spec.title + (f" ({self.world})" if self.world != TEXT else "")
+
+    @property
+    def objectives(self) -> tuple[Objective, ...]:
+        """Return the objectives, the first of which leads."""
+        return tuple(self.spec.objectives.values())
+
+    @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
         """Return the first trials, from `start`, as far as the space contains them."""
-        return tuple(self.space.params_of(base) for base in self.start)
+        return tuple(self.space.params_of(base) for base in self.spec.start)
 
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
         """Return the search with more fields that all trials share.
@@ -176,8 +211,7 @@ class Search:
         if is_gymnasium_id(env := self.space.fixed.get("env")):
             raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
-        name = in_world(self.name, world)
-        return replace(changed, name=name, title=f"{self.title} ({world})", world=world)
+        return replace(changed, name=in_world(self.name, world), world=world)
 
 
 def list_searches() -> list[str]:
@@ -200,52 +234,11 @@ def load_search(name: str, world: str | None = None) -> Search:
     return replace(search, file=str(path.resolve()) if name.endswith(".toml") else "")
 
 
-def read_search_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    seeds = read_seeds(value)
-    return seeds if isinstance(value, list | tuple) else tuple(FIRST_SEED + seed for seed in seeds)
-
-
 def check_budget(search: Search, budget: Budget) -> None:
     """Refuse a budget that an objective cannot use."""
     for objective in search.objectives:
         if objective.over_seeds == "deviation" and len(budget.seeds) < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
-
-
-# --- What the file may hold ------------------------------------------------------------------------
-
-
-class BudgetTable(Table):
-    """[presets.NAME]."""
-
-    trials: Count
-    seeds: Annotated[tuple[int, ...], Reads(read_search_seeds, SEEDS_ALLOWED)]
-    steps: Steps
-
-
-class SearchFile(Table):
-    """The whole file."""
-
-    title: Annotated[str, MinLen(1)]
-    section: str = ""
-    about: str = ""
-    base: Annotated[str, OneOf(tuple(BASES))]
-    start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
-    generation: Annotated[int, Interval(ge=1, le=256)] = 8
-    run: Annotated[dict[str, Any], FIXABLE] = {}
-    objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
-    space: Parameters
-    sampler: Annotated[Sampler, Field(discriminator="name")] = Tpe()
-    pruner: Annotated[Pruner, Field(discriminator="name")] = NoPruner()
-    presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], BudgetTable], MinLen(1)]
-
-
-# --- The search that it makes ----------------------------------------------------------------------
 
 
 def read_search(path: Path) -> Search:
@@ -263,16 +256,4 @@ def read_search(path: Path) -> Search:
         raise UserError(f"{path}: {error}") from None
     if len(said.objectives) > 1 and said.pruner.name:
         raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
-    return Search(
-        name=path.stem,
-        title=said.title,
-        section=said.section,
-        about=" ".join(said.about.split()),
-        space=space,
-        objectives=tuple(said.objectives.values()),
-        start=said.start,
-        generation=said.generation,
-        sampler=said.sampler,
-        pruner=said.pruner,
-        presets={name: Budget(**preset.model_dump()) for name, preset in said.presets.items()},
-    )
+    return Search(path.stem, said, space)

@@ -198,7 +198,7 @@ def _read(path: Path, name: str, file: str) -> RecordedSearch:
     try:
         over = read_fields(Run, document["set"])
         identity, file = document["identity"], file or str(document["file"])
-        budget = Budget(int(document["trials_asked"]), tuple(identity["seeds"]), int(identity["steps"]))
+        budget = Budget(trials=document["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
         search = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
         task = Task(search, budget, over)
         if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:

@@ -63,9 +63,9 @@ class Task:
             "space": [parameter.identity for parameter in search.space.parameters],
             "objectives": [objective.model_dump() for objective in search.objectives],
             "start": search.first_trials,
-            "generation": search.generation,
-            "sampler": search.sampler.model_dump(),
-            "pruner": search.pruner.model_dump(),
+            "generation": search.spec.generation,
+            "sampler": search.spec.sampler.model_dump(),
+            "pruner": search.spec.pruner.model_dump(),
             "seeds": self.budget.seeds,
             "steps": self.budget.steps,
             "optuna": optuna.__version__,
@@ -173,12 +173,12 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
         Unfinished: when a run crashed.
     """
     search, budget = task.search, task.budget
-    rungs, first_trials = rung_steps(search.pruner, budget), search.first_trials
+    rungs, first_trials = rung_steps(search.spec.pruner, budget), search.first_trials
     study = create_study(search)
     trained: list[Cell] = []
 
-    for first in range(0, budget.trials, search.generation):
-        asked = [_PendingTrial(*ask(study, search, first_trials)) for _ in range(search.generation)]
+    for first in range(0, budget.trials, search.spec.generation):
+        asked = [_PendingTrial(*ask(study, search, first_trials)) for _ in range(search.spec.generation)]
         asked = asked[: budget.trials - first]
         for each in asked:
             try:
@@ -211,8 +211,8 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         name=name,
         path=None,
         title=task.search.title,
-        section=task.search.section,
-        about=task.search.about,
+        section=task.search.spec.section,
+        about=task.search.spec.about,
         figure=name,
         baseline=cells[0].condition,
         base=task.search.space.base,

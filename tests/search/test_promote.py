@@ -71,7 +71,7 @@ def test_the_promoted_condition_is_the_trial(make_task: MakeTask, tmp_path: Path
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", list_searches())
 def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, world: str, tmp_path: Path) -> None:
-    own = searched(Task(load_search(name, world), Budget(2, (1000, 1001), 2048)))
+    own = searched(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
     for trial in own.trials:
         assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == trial.run_ids[-2:]
 

@@ -69,7 +69,7 @@ def write(tmp_path: Path) -> Load:
 
 def test_a_search_is_read_whole(write: Load) -> None:
     search = write(GOOD)
-    assert search.presets["quick"].seeds == (1000, 1001)
+    assert search.spec.presets["quick"].seeds == (1000, 1001)
     assert [p.name for p in search.space.parameters] == [
         "learning_rate", "epochs", "optimizer", "momentum", "actor",
     ]  # fmt: skip
