@@ -1,16 +1,14 @@
-"""Shell completion: names of studies, conditions, fields, outcomes and so on.
+"""Shell completion: names of studies, conditions, fields and so on.
 
 Typer calls these while the user types, so they load nothing heavy and never fail: what cannot be read is not
-offered. `pneuma --install-completion` sets up a shell.
+offered, nor are outcomes, whose libraries take long to load. `pneuma --install-completion` sets up a shell.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -64,14 +62,8 @@ def _searches(typed: Mapping[str, Any]) -> list[str]:
     return [*shipped, *recorded, *_own_files("[space.")]
 
 
-def _outcomes(typed: Mapping[str, Any]) -> Iterable[str]:
-    found = find_spec("pneuma.analysis.outcomes")  # not imported, as its libraries take seconds to load
-    text = Path(found.origin).read_text(encoding="utf-8") if found and found.origin else ""
-    return re.findall(r'^    "([\w-]+)": Outcome\(', text, re.MULTILINE)
-
-
 studies = offering(lambda typed: [*spec.list_studies(), *_store(typed).studies(), *_own_files("[conditions")])
-searches, outcomes = offering(_searches), offering(_outcomes)
+searches = offering(_searches)
 conditions = offering(lambda typed: _study(typed).get("conditions", ()))
 presets = offering(lambda typed: [*_study(typed).get("presets", ()), spec.CLAIMS])
 fields = offering(lambda typed: [f"{name}=" for name in Run.__dataclass_fields__])

@@ -200,21 +200,11 @@ FigureFolder = Annotated[Path | None, option("--out", "DIR", "Draw a figure into
 PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
 Outcome = Annotated[
     str | None,
-    option(
-        "--outcome",
-        "NAME",
-        "One of docs/outcomes.md (default: monsters killed, or return).",
-        offer=complete.outcomes,
-    ),
+    option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return)."),
 ]
 Outcomes = Annotated[
     Several,
-    option(
-        "--outcome",
-        "NAME",
-        "One of docs/outcomes.md, instead of the usual (repeatable).",
-        offer=complete.outcomes,
-    ),
+    option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable)."),
 ]
 
 # --- Options that come together --------------------------------------------------------------------

@@ -26,10 +26,6 @@ OWN = "[conditions.mine]\nhorizon = 128\n[conditions.yours]\nhorizon = 256\n[pre
         ("study compare activation tanh rel", "relu"),
         ("study run activation --preset ", "claims paper quick standard"),
         ("study run activation --set learning_r", "learning_rate="),
-        ("study summary activation --outcome final-share", "final-share-killed"),
-        ("study compare activation tanh relu --outcome final-share", "final-share-killed"),
-        ("study effects magic --outcome final-share", "final-share-killed"),
-        ("study robustness magic --outcome final-share", "final-share-killed"),
         ("run show 01", "0123456789abcdef"),
         ("env play pneuma/PneumaA", "pneuma/PneumaArena-v0"),
         ("study show missing.toml --world ", "arena godot text"),
@@ -55,7 +51,7 @@ def test_names_are_offered(
     assert capsys.readouterr().out.split() == offered.split()
 
 
-@pytest.mark.parametrize("typed", ["study run act", "study summary activation --outcome fin", "run show 0"])
+@pytest.mark.parametrize("typed", ["study run act", "run show 0"])
 def test_completion_loads_nothing_heavy(typed: str) -> None:
     code = (
         "import atexit, sys; sys.argv = ['pneuma']; from pneuma.cli import run\n"
