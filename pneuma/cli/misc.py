@@ -106,20 +106,6 @@ def env(json: opt.Json = False) -> None:
     return print_rows("cases", bench_env(), json)
 
 
-@bench.command(short_help="Compare the engines in steps a second.")
-def engines(json: opt.Json = False) -> None:
-    """Compare the engines in steps a second on one core; takes about two minutes."""
-    from pneuma.bench.engines import bench_engines
-
-    report = bench_engines()
-    if json:
-        return print_json(report)
-    print_rows("cases", report["cases"], json)
-    for case, ratio in report["ratios"].items():
-        print(f"{case}: batched over sb3, median of rounds: {ratio:.2f}")
-    return None
-
-
 @bench.command(short_help="Simulate lists of claims whose truth is known.")
 def calibration(
     lists: Annotated[

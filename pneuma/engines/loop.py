@@ -56,10 +56,8 @@ class Trainer(Protocol):
         ...
 
 
-def train_run(
-    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, evaluated: bool = True
-) -> Result:
-    """Train a run, from its start or from a checkpoint; with `evaluated=False`, without evaluations.
+def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
+    """Train a run, from its start or from a checkpoint.
 
     Raises:
         CheckpointError: for a checkpoint from which the engine cannot resume.
@@ -70,7 +68,7 @@ def train_run(
         step = checkpoint.step
         if not begins_fork(run, checkpoint):
             records = checkpoint.records.copy()
-    judged = evaluation_updates(run) if evaluated else set()
+    judged = evaluation_updates(run)
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         before, step = step, update * run.steps_per_update
         if not trainer.update(before, step, records):
