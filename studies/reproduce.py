@@ -4,8 +4,8 @@
     python studies/reproduce.py small-networks plan       # as `make reproduction DO=plan`
     python studies/reproduce.py small-networks run --studies clip-range --seeds 2 --steps 4096
 
-Each step is `pneuma study COMMAND STUDY`, to which options other than --studies are passed on. A run that
-crashed stops no other study.
+Each step is `pneuma study COMMAND STUDY`, to which other options are passed on. A run that crashed stops no
+other study.
 """
 
 from __future__ import annotations
@@ -32,30 +32,36 @@ PARTS = {
     "crossed": ("collapse", "robustness"),
 }  # fmt: skip
 """Of the networks of chapter 6 the runs that claims fix; of the others the preset `paper`."""
+WORLDS = ("arena", "text", "godot")
 CURVES = {"tabular": "return,length", "collapse": "entropy,dead_units,actions", "robustness": "none"}
 """The curves that a published table keeps, where they are not the usual ones."""
-ORDER = ("arena", "text", "godot")
-FAILED = {"publish": 2}
-"""The exit code after which the other studies go on, where it is not 1 (a run crashed)."""
 
 
-def commands(part: str, command: str, studies: Sequence[str], options: Sequence[str]) -> Iterator[list[str]]:
+def commands(
+    part: str,
+    command: str = "run",
+    studies: Sequence[str] = (),
+    worlds: Sequence[str] = WORLDS,
+    steps: int | None = None,
+    options: Sequence[str] = (),
+) -> Iterator[list[str]]:
     """Yield the command lines of a part, without the name of the program."""
     preset = "claims" if part.endswith("-networks") else "paper"
     for name in studies or PARTS[part]:
         study = load_study(name)
-        for world in (world for world in ORDER if world in study.worlds):
-            budgets = [*fixed_amounts(study.in_world(world))] if preset == "claims" else [None]
-            for place, steps in enumerate(budgets):
-                words = ["study", command, name, "--world", world, *options]
-                if command in ("run", "plan"):
-                    words += ["--preset", preset]
-                if len(budgets) > 1 and "--steps" not in options:
-                    words += ["--steps", str(steps)]
+        for world in (world for world in worlds if world in study.worlds):
+            fixed = [*fixed_amounts(study.in_world(world))] if preset == "claims" else []
+            if preset == "claims" and not fixed:
+                continue  # no claim is about the study there
+            budgets = [steps] if steps or len(fixed) < 2 else fixed
+            for place, budget in enumerate(budgets):
+                words = ["study", command, name, "--world", world]
+                words += ["--preset", preset] if command in ("run", "plan") else []
+                words += ["--steps", str(budget)] if budget else []
                 if command == "publish":
                     words += ["--curves", CURVES[name]] if name in CURVES else []
-                    words += ["--as", f"{name}-{steps}"] if place else []  # one table has one budget
-                yield words
+                    words += ["--as", f"{name}-{budget}"] if place else []  # one table has one budget
+                yield [*words, *options]
 
 
 def main() -> None:
@@ -63,18 +69,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0], allow_abbrev=False)
     parser.add_argument("part", choices=PARTS)
     parser.add_argument("command", nargs="?", default="run", help="of `pneuma study` (default: run)")
-    parser.add_argument("--studies", nargs="+", default=[], help="only these")
-    known, options = parser.parse_known_args()
-    signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C ends the command, whose code ends all
-    begun, failed = time.monotonic(), []
-    for words in commands(known.part, known.command, known.studies, options):
+    parser.add_argument("--studies", nargs="+", default=[], help="only these of the part")
+    parser.add_argument("--world", choices=WORLDS, help="only this world")
+    parser.add_argument("--steps", type=int, help="in place of the steps of claims and presets")
+    asked, options = parser.parse_known_args()
+    if unknown := {*asked.studies} - {*PARTS[asked.part]}:
+        parser.error(f"{', '.join(sorted(unknown))}: {asked.part} has {', '.join(PARTS[asked.part])}")
+    worlds = [asked.world] if asked.world else WORLDS
+    goes_on = 1 if asked.command in ("run", "plan") else 2  # after a crash, or where nothing is stored
+
+    begun, failed, stopped = time.monotonic(), [], []
+    signal.signal(signal.SIGINT, lambda *_: stopped.append(True))  # Ctrl-C ends the command, then this
+    for words in commands(asked.part, asked.command, asked.studies, worlds, asked.steps, options):
         code = subprocess.run([sys.executable, "-m", "pneuma", *words]).returncode
-        if code == FAILED.get(known.command, 1):
+        if stopped:
+            sys.exit(130)
+        if code == goes_on:
             failed.append(" ".join(words))
         elif code:
             sys.exit(code)
     minutes, seconds = divmod(round(time.monotonic() - begun), 60)
-    print(f"{known.part}: {minutes // 60} h {minutes % 60} min {seconds} s.")
+    print(f"{asked.part}: {minutes // 60} h {minutes % 60} min {seconds} s.")
     if failed:
         sys.exit("\n".join(["Failed, as said above:", *failed]))
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import runpy
+import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,13 +14,14 @@ from pneuma.study.claimed import fixed_amounts
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
-REPRODUCE = runpy.run_path(str(Path(__file__).parents[1] / "studies/reproduce.py"))
+ROOT = Path(__file__).parents[1]
+REPRODUCE = runpy.run_path(str(ROOT / "studies/reproduce.py"))
 
 
 def _trained(part: str) -> set[str]:
     """Return the ids of the runs that a part would train."""
     ids: set[str] = set()
-    for words in REPRODUCE["commands"](part, "run", [], []):
+    for words in REPRODUCE["commands"](part):
         _, _, study, *rest = words
         options = dict(zip(rest[::2], rest[1::2], strict=True))
         steps = int(options["--steps"]) if "--steps" in options else None
@@ -36,3 +40,55 @@ def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
         ]
         for study, selection in fixed or [(study, Selection("paper")) for study in studies]:
             assert {cell.run_id for cell in make_plan(study, selection).cells} <= trained, study.name
+
+
+def test_options_narrow_the_commands_of_a_part() -> None:
+    commands = REPRODUCE["commands"]
+    both = commands("other-networks", "publish", ["architecture"], options=["--results", "mine"])
+    words = "study publish architecture --world arena --steps"
+    assert [" ".join(each) for each in both] == [
+        f"{words} 200000 --results mine",
+        f"{words} 40000 --as architecture-40000 --results mine",
+    ]
+    (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
+    assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
+    assert [each[4] for each in commands("crossed", "status", ["collapse"], ["text"])] == ["text"]
+
+
+def test_makefile_names_every_part() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    assert {*re.findall(r"\$\(REPRODUCE\) (\S+)", makefile)} == {*REPRODUCE["PARTS"]}
+
+
+@pytest.mark.parametrize(
+    ("command", "codes", "code", "trained"),
+    [
+        ("run", [0, 0], None, 2),
+        ("run", [1, 0], 1, 2),
+        ("run", [2], 2, 1),
+        ("publish", [2, 0], 1, 2),
+        ("run", [130], 130, 1),
+    ],
+)
+def test_a_failure_stops_no_other_study(
+    monkeypatch: pytest.MonkeyPatch, command: str, codes: list[int], code: int | None, trained: int
+) -> None:
+    """Those of a crashed run, and of a study that cannot be published; a mistake and Ctrl-C stop all."""
+    called: list[list[str]] = []
+
+    def run(words: list[str]) -> subprocess.CompletedProcess[bytes]:
+        called.append(words)
+        return subprocess.CompletedProcess(words, codes[len(called) - 1])
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(
+        "sys.argv", ["reproduce.py", "other-chapters", command, "--studies", "tabular", "magic"]
+    )
+    if code is None:
+        REPRODUCE["main"]()
+    else:
+        with pytest.raises(SystemExit) as ended:
+            REPRODUCE["main"]()
+        assert ended.value.code == code or (code == 1 and "Failed" in str(ended.value.code))
+    assert len(called) == trained

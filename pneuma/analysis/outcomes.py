@@ -289,7 +289,7 @@ OUTCOMES: dict[str, Outcome] = {
     "least-entropy": Outcome(
         "least entropy of any update", "nats", "", POSITIVE, "entropy", _peaks("entropy", np.min)),
     "max-grad-norm": Outcome(
-        "greatest gradient norm of any update, a mean over its minibatches", "", DOWN, POSITIVE, "grad_norm",
+        "greatest gradient norm of any update (mean over its minibatches)", "", DOWN, POSITIVE, "grad_norm",
         _peaks("grad_norm", np.max)),
     "median-grad-norm": Outcome(
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm",

@@ -85,7 +85,7 @@ class Sb3Trainer:
                 metrics = learn_by_values(model, run, self._visited)
             else:
                 metrics = learn(model, run, self._policy, self._callback)
-        records.metrics.append({"step": after, **metrics, **norms.take()})
+        records.metrics.append({"step": after, **metrics, **norms.means()})
         records.episodes.extend(finished_episodes(model.env))
         if not is_finite(records.metrics[-1], model):
             return False
@@ -176,7 +176,7 @@ def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
 
 
 class GradientNorms:
-    """Measures the gradient norms of each minibatch before clipping; clips parts separately if asked.
+    """Measures the gradient norms of an update's minibatches before clipping; clips parts apart if asked.
 
     It uses torch's hooks, so that the learner's code and arithmetic are unchanged. TRPO is left out, because
     its actor takes no gradient steps.
@@ -194,16 +194,16 @@ class GradientNorms:
         self._in_parts = run.algorithm not in VALUE_BASED
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
+        self._optimizer = None if isinstance(model, TRPO) else model.policy.optimizer
         self._hooks: tuple[Any, ...] = ()
-        if isinstance(model, TRPO):
-            return
-        self._hooks = (
-            model.policy.optimizer.register_step_pre_hook(self._clip_parts),
-            torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure),
-        )
 
     def __enter__(self) -> GradientNorms:
         """Register the hooks."""
+        if self._optimizer is not None:
+            self._hooks = (
+                self._optimizer.register_step_pre_hook(self._clip_parts),
+                torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure),
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -224,15 +224,14 @@ class GradientNorms:
             ]
             nn.utils.clip_grad_norm_(part, self._limit)
 
-    def take(self) -> dict[str, float]:
-        """Return the mean norms over the minibatches since the last call.
+    def means(self) -> dict[str, float]:
+        """Return the mean norms over the update's minibatches.
 
         A network of action values has no actor and critic. Before the first gradient there is no norm.
         """
         if not self._norms:
             return dict.fromkeys(NORMS, NAN)
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
-        self._norms.clear()
         actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
         parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
         norms = {name: float(square.sqrt().mean()) for name, square in parts.items()}

@@ -205,8 +205,9 @@ def _told(verdict: Verdict | None) -> str:
     if verdict is None or verdict.standing == NOT_RUN:
         return NOT_RUN if verdict else "–"
     if verdict.verdict == UNTESTABLE:
-        return f"{verdict.verdict}: {verdict.reason}"
-    word = verdict.verdict + ", by the letter" * (verdict.standing == BY_LETTER)
+        return f"{verdict.standing}: {verdict.reason}"
+    word = verdict.standing if verdict.verdict == INCONCLUSIVE else verdict.verdict
+    word += ", by the letter" * (verdict.standing == BY_LETTER)
     each = decisive_of(verdict)
     effects = [f"{_words(one.outcome)} {effect(one)}" if len(each) > 1 else effect(one) for one in each]
     return f"{word}: {'; '.join(effects)}"

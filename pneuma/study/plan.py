@@ -155,11 +155,12 @@ def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dic
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the fields in which conditions differ: for each, its value in every condition."""
-    first: Mapping[str, Any] = next(iter(conditions.values()), {})
+    keys = dict.fromkeys(key for fields in conditions.values() for key in fields if key != "seed")
+    values = {key: {name: fields.get(key) for name, fields in conditions.items()} for key in keys}
     return {
-        key: {name: fields.get(key) for name, fields in conditions.items()}
-        for key in first
-        if key != "seed" and any(fields.get(key) != first[key] for fields in conditions.values())
+        key: of_key
+        for key, of_key in values.items()
+        if any(value != next(iter(of_key.values())) for value in of_key.values())
     }
 
 
