@@ -46,8 +46,8 @@ reproduction-slow: install  ## Train chapter 6's mid and big networks
 reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
 	$(REPRODUCE) other-chapters $(DO) $(ARGS)
 
-reproduction-collapse: install  ## Train the crossed studies: collapse and robustness
-	$(REPRODUCE) crossed $(DO) $(ARGS)
+reproduction-collapse: install  ## Train the studies of collapse, and robustness
+	$(REPRODUCE) collapse $(DO) $(ARGS)
 
 RIVALS_optimizers = adam l2 upgd sgd momentum rmsprop
 RIVALS_algorithms = ppo trpo a2c dqn double-dqn

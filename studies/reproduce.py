@@ -29,7 +29,7 @@ PARTS = {
         "tabular", "policy-gradient", "sigmoid", "magic", "classes", "perception", "vision", "algorithms",
         "published-logs",
     ),
-    "crossed": ("collapse", "robustness"),
+    "collapse": ("collapse", "late-collapse", "robustness"),
 }  # fmt: skip
 """Of the networks of chapter 6 the runs that claims fix; of the others the preset `paper`."""
 WORLDS = ("arena", "text", "godot")
