@@ -65,7 +65,7 @@ tuning-optimizers tuning-algorithms: tuning-%: install
 	$(BIN)/pneuma study run $(WINNERS) --steps $(STEPS_$*)
 
 docs: install  ## Build the pages of docs/ as a site in site/, with all commands and modules; broken links are errors
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 test: install lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow' -n auto --dist loadfile

@@ -91,15 +91,17 @@ def show(
     if study:
         say(study.about)
     differing = plan.differing_fields(fields)
-    print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
+    if len(fields) > 1:
+        print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
     for key, values in differing.items():
         having: dict[str, list[str]] = {}
         for condition, value in values.items():
             having.setdefault(shown_value(value), []).append(condition)
         each = (f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
         say(f"  {key}: {'; '.join(each)}")
-    say(f"Compared with: {record['baseline']}")
-    print("\nAll conditions share:")
+    if len(fields) > 1:
+        say(f"Compared with: {record['baseline']}")
+    print("\nAll conditions share:" if len(fields) > 1 else f"\nThe condition {record['baseline']}:")
     for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
             say(f"  {key} = {shown_value(value)}")

@@ -81,17 +81,10 @@ class NoPruner(Table):
 
 
 class Median(Table):
-    """[pruner]: stops trials that are below the median of the trials at a rung of the budget.
-
-    Attributes:
-        rungs: how many; the last is the whole budget.
-        factor: by which each is longer than the one before: the reduction factor of successive halving (Li et
-            al. 2018, Hyperband).
-    """
+    """[pruner]: stops trials that are below the median of the trials at a rung of the budget."""
 
     name: Literal["median"]
     rungs: Annotated[int, Interval(ge=2, le=5)] = 3
-    factor: Annotated[int, Interval(ge=2, le=10)] = 3
     startup_trials: Count = 5
 
 

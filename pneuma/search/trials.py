@@ -31,6 +31,9 @@ from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
+RUNG_FACTOR = 3
+"""By which a rung is longer than the one before; the usual one of successive halving (Li et al. 2018)."""
+
 Train = Callable[[Plan], None]
 """Trains a plan's missing runs; raises `Unfinished` if a run did not finish."""
 
@@ -201,7 +204,7 @@ def rung_steps(pruner: Pruner, budget: Budget) -> dict[int, int]:
     if not isinstance(pruner, Median):
         return {1: budget.steps}
     rungs = range(1, pruner.rungs + 1)
-    return {rung: max(1, round(budget.steps / pruner.factor ** (pruner.rungs - rung))) for rung in rungs}
+    return {rung: max(1, round(budget.steps / RUNG_FACTOR ** (pruner.rungs - rung))) for rung in rungs}
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:

@@ -61,7 +61,7 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
 def test_rungs_of_the_budget(make_task: MakeTask) -> None:
     budget = Budget(trials=8, seeds=(0, 1, 2), steps=9000)
     assert rung_steps(Median(name="median"), budget) == {1: 1000, 2: 3000, 3: 9000}
-    assert rung_steps(Median(name="median", factor=2), budget) == {1: 2250, 2: 4500, 3: 9000}
+    assert rung_steps(Median(name="median", rungs=2), budget) == {1: 3000, 2: 9000}
     assert rung_steps(NoPruner(), budget) == {1: 9000}
     # at a horizon of 256, rungs of 67 and 200 steps both are 256: one training
     more = '[run]\nhorizon = 256\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 8'
