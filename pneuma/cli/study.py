@@ -101,7 +101,7 @@ def show(
         say(f"  {key}: {'; '.join(each)}")
     if len(fields) > 1:
         say(f"Compared with: {record['baseline']}")
-    print("\nAll conditions share:" if len(fields) > 1 else f"\nThe condition {record['baseline']}:")
+    print("\nAll conditions share:" if len(fields) > 1 else "\nThe one condition has:")
     for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
             say(f"  {key} = {shown_value(value)}")
