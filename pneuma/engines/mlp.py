@@ -39,16 +39,22 @@ def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any
     for layer in range(len(widths) - 1):
         n, m = widths[layer], widths[layer + 1]
         out = scratch[(layer + 1) % 2]
+        matrix = weights[at : at + n * m].reshape(n, m)
         bias = weights[at + n * m : at + n * m + m]
         for k in range(count):
             for j in range(m):
                 out[k, j] = bias[j]
-        for i in range(n):
-            row = weights[at + i * m : at + (i + 1) * m]
+        several = n - n % 4
+        for i in range(0, several, 4):  # four inputs at a time, as loading and storing sums costs most
+            w0, w1, w2, w3 = matrix[i], matrix[i + 1], matrix[i + 2], matrix[i + 3]
             for k in range(count):
-                value = inputs[k, i]
+                x0, x1, x2, x3 = inputs[k, i], inputs[k, i + 1], inputs[k, i + 2], inputs[k, i + 3]
                 for j in range(m):
-                    out[k, j] += value * row[j]
+                    out[k, j] = out[k, j] + x0 * w0[j] + x1 * w1[j] + x2 * w2[j] + x3 * w3[j]
+        for i in range(several, n):
+            for k in range(count):
+                for j in range(m):
+                    out[k, j] += inputs[k, i] * matrix[i, j]
         at += n * m + m
         if layer < len(widths) - 2:
             for k in range(count):
@@ -105,7 +111,7 @@ def choose(
         chosen: (rows,) int64, into which the actions are written.
     """
     rows = np.flatnonzero(plays)
-    scratch = np.zeros((2, len(rows), widths.max()), np.float32)
+    scratch = np.empty((2, len(rows), widths.max()), np.float32)
     for k in range(len(rows)):
         scratch[0, k, : widths[0]] = observations[rows[k]]
     logits = forward(weights, widths, activation, len(rows), scratch)

@@ -184,7 +184,7 @@ class Collector:
         worlds = self.worlds
         chosen = np.zeros(worlds.players.shape, np.int64)
         over = np.zeros(len(worlds), np.bool_)
-        scratch = np.zeros((2, 1, int(widths.max())), np.float32)
+        scratch = np.zeros((2, len(self.idle), int(widths.max())), np.float32)
         count = 0
         for step, draw in enumerate(draws):
             _choose(handle, weights, widths, activation, draw, tape, step, chosen, scratch)
@@ -220,7 +220,7 @@ def _play(
     s = rules.open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
-    scratch = np.zeros((2, 1, widths.max()), np.float32)
+    scratch = np.zeros((2, len(tape.idle), widths.max()), np.float32)
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
@@ -244,9 +244,10 @@ def _choose(
         else:
             tape.observations[i, step] = s.observations[w, p]
         tape.starts[i, step] = tape.begins[i]
-        scratch[0, 0, : widths[0]] = tape.observations[i, step]
-        logits = forward(weights, widths, activation, 1, scratch)
-        chosen[w, p] = tape.actions[i, step] = sample(logits[0], draws[i])
+        scratch[0, i, : widths[0]] = tape.observations[i, step]
+    logits = forward(weights, widths, activation, len(draws), scratch)
+    for i in range(len(draws)):
+        chosen[i // players, i % players] = tape.actions[i, step] = sample(logits[i], draws[i])
 
 
 @kernel
