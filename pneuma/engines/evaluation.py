@@ -19,6 +19,7 @@ from pneuma.engines.action_values import ActionValues
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
+from pneuma.env.compiled import cached
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import own_rewards
@@ -26,6 +27,10 @@ from pneuma.errors import UserError
 
 MOST_WEIGHTS = 65_536
 """Largest actor that is faster compiled than by a library's matrix product."""
+STEPS_AT_ONCE = 128
+"""Steps of compiled play for which random numbers are drawn together."""
+
+kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
@@ -154,14 +159,11 @@ class Evaluation:
         if isinstance(policy, OwnAgent) or not self._is_compiled(policy):
             return self._play(ask)
         network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
-
-        def compute(worlds: Worlds) -> np.ndarray:
-            """Compute the actions of all rows that play."""
-            plays = np.repeat(worlds.worlds["ending"] == rules.RUNNING, players)
-            choose(*network, observations, generator.random(first_best, np.float32), plays, rows)
-            return actions
-
-        return self._play(compute)
+        returns, running = self._begin(), len(self.worlds)
+        while running:
+            draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
+            running -= _play_on(self.worlds.handle, *network, draws, returns)
+        return returns
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
@@ -170,13 +172,43 @@ class Evaluation:
 
     def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
         """Play one episode in every world, always the same one; return the same as `_play_policy`."""
-        worlds = self.worlds
-        worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(worlds))])
-        worlds.reset(starts=self._starts)
-        returns = np.zeros(len(worlds))
-        rewards = worlds.events["reward"].T  # (P, N)
-        running = len(worlds)
+        returns, running = self._begin(), len(self.worlds)
+        rewards = self.worlds.events["reward"].T  # (P, N)
         while running:
-            running -= worlds.step(act(worlds))
+            running -= self.worlds.step(act(self.worlds))
             returns += sum(rewards) / len(rewards)  # player by player: `mean` adds eight in another order
         return returns
+
+    def _begin(self) -> np.ndarray:
+        """Start the episodes, always the same ones; return their returns so far, (N,) zeros."""
+        self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
+        self.worlds.reset(starts=self._starts)
+        return np.zeros(len(self.worlds))
+
+
+@kernel
+def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any) -> int:
+    """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
+
+    The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
+    mean rewards are added to `returns`, (N,).
+    """
+    s = rules.open_state(handle)
+    worlds, players = s.players.shape
+    observations = s.observations.reshape(worlds * players, s.observations.shape[2])
+    actions = np.zeros((worlds, players), np.int64)
+    plays = np.zeros(worlds * players, np.bool_)
+    ended = 0
+    for step in range(len(draws)):
+        for row in range(len(plays)):
+            plays[row] = s.worlds[row // players].ending == rules.RUNNING
+        if not plays.any():
+            break
+        choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
+        ended += rules.step_worlds(handle, actions)
+        for w in range(worlds):
+            rewards = 0.0
+            for p in range(players):
+                rewards += s.events[w, p].reward
+            returns[w] += rewards / players
+    return ended

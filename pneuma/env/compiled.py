@@ -18,7 +18,7 @@ from numba import njit
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
     "env/compiled.py", "env/rules.py", "env/state.py",
-    "engines/batched/rollout.py", "engines/mlp.py",
+    "engines/batched/rollout.py", "engines/evaluation.py", "engines/mlp.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
