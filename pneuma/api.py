@@ -11,14 +11,17 @@ docs/python.md shows them at work.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import make_run
+from pneuma.algorithms import MAILMAN
+from pneuma.config import is_gymnasium_id, make_run
 from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.errors import UserError
+from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Supervision
 from pneuma.study.identity import own_things
@@ -71,9 +74,10 @@ def run_study(
         UserError: for an unknown study, selection or world, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
+    steps, workers, settings = map(plain, (steps, workers, settings))
     for name, count in (("steps", steps), ("workers", workers)):
-        if count is not None and count < 1:
-            raise UserError(f"{name} = {count} is not allowed: at least 1")
+        if count is not None and not (isinstance(count, int) and count >= 1):
+            raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
     selection = plan.Selection(
         preset=preset,
         seeds=None if seeds is None else _seeds(seeds),
@@ -152,10 +156,11 @@ def load_policy(
     Args:
         run_id: the run's id, or a prefix of four digits or more.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        trust: open level, characters and reward files that the run names.
+        trust: use level, characters and reward files, and modules, that the run names.
 
     Returns:
-        The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`.
+        The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`. If the
+        run has a module and wrappers of its own, you import and apply them.
 
     Raises:
         UserError: for an unknown run, a run without a policy, or one that needs `trust`.
@@ -167,11 +172,17 @@ def load_policy(
     run = stored_run(store, found).settings
     if POLICY_FILE not in store.file_names(found):
         raise UserError(f"run {found} left no policy")
-    settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
-    if (named_code := own_things(settings)) and not trust:
+    env = str(run.get("env"))
+    if is_gymnasium_id(env):
+        settings = json.loads(run.get("env_kwargs") or "{}")
+    elif env == MAILMAN:
+        settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
+    else:
+        settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+    if (named_code := own_things(run)) and not trust:
         mend = "if you trust its source, give --trust (in Python trust=True)"
         raise UserError(f"run {found} would {' and '.join(named_code.values())}: {mend}")
-    return read_sound_policy(store.read_file(found, POLICY_FILE)), str(run.get("env")), settings
+    return read_sound_policy(store.read_file(found, POLICY_FILE)), env, settings
 
 
 def evaluate(

@@ -155,12 +155,16 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
     return EnvConfig(**resolve_world(read_fields(EnvConfig, {**ENVIRONMENT_FIELDS[env], **given})))
 
 
+OF_PLAYERS = ("classes", "weapons", "reward")
+"""Fields with one name, or one for each player."""
+
+
 def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
     """Fill in what an observation layout implies, and check fields that depend on each other."""
     layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
     values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
     players = values.get("players", 1)
-    for key in ("classes", "weapons", "reward"):
+    for key in OF_PLAYERS:
         if len(values.get(key, ("",))) not in (1, players):
             raise UserError(
                 f"{key} has {len(values[key])} names for {players} players: give one, or one each"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -118,3 +119,13 @@ def settings_name(settings: Mapping[str, Any], *more: str) -> str:
 def as_tuple(value: Any) -> Any:
     """Return a list, as JSON and TOML have it, as a tuple; other values unchanged."""
     return tuple(value) if isinstance(value, list) else value
+
+
+def read_value(text: str) -> Any:
+    """Read a value as TOML would; brackets of lists and quotes of words may be left out."""
+    for form in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except (ValueError, RecursionError):
+            continue
+    return text

@@ -103,6 +103,19 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
     assert (env, settings["level"]) == ("pneuma/Pneuma-v0", "somebodys/isle")
 
 
+def test_the_settings_of_another_environment_are_its_own_arguments(tmp_path: Path) -> None:
+    run = make_run({"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
+    layers = ((np.zeros((4, 2), np.float32), np.zeros(2, np.float32)),)
+    critic = ((np.zeros((4, 1), np.float32), np.zeros(1, np.float32)),)
+    files = {
+        "run.json": json.dumps({"run": as_fields(run)}).encode(),
+        "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
+    }
+    store = Store(tmp_path)
+    store.save_run("0123456789abcdef", Status("done", run.steps), files)
+    assert load_policy("0123", tmp_path)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
+
+
 LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))
 POLICY = Policy("tanh", (LAYER,), (LAYER,))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,6 +20,7 @@ from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
 from pneuma.study.spec import load_study
+from pneuma.worlds import world_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -156,9 +158,18 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
             found = index.of_record(record)
             finished = any(record.status.finished for record in found.values())
             data = StudyData(found, record, str(store.root)) if finished else None
-            command = training_command(study, claims.path)
-            mend = f"{TRAIN_WITH} {command}{rest}" if command else ""
+            command = training_command(study, claims.path) or _command(claim, path, world)
+            mend = f"{TRAIN_WITH} {command}{rest}"
             yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.damaged)
+
+
+def _command(claim: Claim, study: str, world: str) -> str:
+    """Return the command that trains the runs of a claim in a list that is not beside the study's file."""
+    seeds = {seed for name in claim.conditions for seed in claim.seeds[name]}
+    words = ["pneuma", "study", "run", study, *world_option(world)]
+    words += [word for name in claim.conditions for word in ("--condition", name)]
+    steps = max(claim.steps.values())
+    return shlex.join([*words, "--seeds", f"{min(seeds)}..{max(seeds)}", "--steps", str(steps)])
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy import special
 
 from pneuma.analysis import EVALUATION_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import unknown_name
 
 Edges = tuple[np.ndarray, np.ndarray]
@@ -46,7 +47,7 @@ class Curve:
     @property
     def count(self) -> np.ndarray:
         """The number of runs with a value at each point, (points,)."""
-        return np.isfinite(self.runs).sum(axis=0)
+        return np.isfinite(self._values).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
@@ -107,13 +108,15 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
 def curve_names(data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
-    Of the evaluations, these are the quantities of which some run has a value.
+    Of the evaluations, these are the quantities of which some run has a value. Without monsters there are no
+    kills and no HP.
     """
+    trained = [name for name in data.quantities if not (is_foreign(data) and name in ("kills", "hp"))]
     if "evaluations" not in data.tables:
-        return data.quantities
+        return trained
     table = data.table("evaluations")
     evaluated = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
-    return [*evaluated, *data.quantities]
+    return [*evaluated, *trained]
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:

@@ -50,7 +50,9 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
     if form == "csv":  # so that spreadsheets run no text: names may be untrusted
         texts = frame.select_dtypes(include=["object", "string"])
-        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
+        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts}).rename(
+            columns=_as_text
+        )
         return safe.to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
@@ -59,7 +61,10 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     if form == "latex":
         columns = "".join("r" if right else "l" for right in numeric)
         return shown.to_latex(index=False, escape=True, column_format=columns).encode()
-    rows = [[*map(str, shown.columns)], ["---:" if right else "---" for right in numeric]]
+    rows = [
+        [str(name).translate(_MARKDOWN) for name in shown.columns],
+        ["---:" if right else "---" for right in numeric],
+    ]
     rows += [[str(cell).translate(_MARKDOWN) for cell in row] for row in shown.to_numpy()]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows).encode()
 

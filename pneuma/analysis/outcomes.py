@@ -59,22 +59,26 @@ class Outcome:
 
 
 def is_return(name: str) -> bool:
-    """Return whether an outcome is a return, which has the unit of its reward."""
-    return name.endswith("-return")
+    """Return whether an outcome is a return, or about one, which has the unit of its reward."""
+    return name.endswith("-return") or name.startswith("steps-to-return:")
 
 
 def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) -> bool:
     """Return whether returns of conditions (default: all) compare: same reward, as many players."""
+    return len(kinds_of_return(data, conditions)) <= 1
+
+
+def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[tuple[str, str]]:
+    """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
     names = data.conditions if conditions is None else conditions
     firsts = [runs[0].fields for name in names if (runs := data.of_condition(name))]
-    units = {
+    return {
         (
             fields["env"] if is_gymnasium_id(fields.get("env")) else "",
             str([fields.get("reward"), fields.get("players")]),
         )
         for fields in firsts
     }
-    return len(units) <= 1
 
 
 def is_foreign(data: StudyData) -> bool:

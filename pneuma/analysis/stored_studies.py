@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,9 @@ def study_record(
     """Return the record of a study or variant, with the runs that a selection picks.
 
     If the study was run with several budgets, this is the one with `picked.steps`, or else the one with the
-    most finished runs. A study that was run only in another world is returned as it was run, even if its runs
-    are published; one that was run only with changed fields likewise, if they are not. `tell` is then called.
+    most finished runs. Of equal budgets, as after its file was edited, it is the latest. A study that was
+    run only in another world is returned as it was run, even if its runs are published; one that was run
+    only with changed fields likewise, if they are not. `tell` is then called.
 
     Raises:
         UserError: where nothing is stored, or nothing that is picked.
@@ -36,6 +37,8 @@ def study_record(
     study, world = chosen_world(Path(name).stem if name.endswith(".toml") else name, world)
     stem = spec.name_in_world(study, world)
     records = store.selections(stem)
+    if not records and asked:  # a file that is not for the text's world has its first world in no name
+        records = [record for record in store.selections(study) if record.get("world") == asked]
     if records and name.endswith(".toml"):
         store.check_same_file(records[0], Path(name))
     otherwise = [] if records or asked else related_studies(store, stem)
@@ -50,9 +53,10 @@ def study_record(
         return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
-    fitting = [record for record in records if picked.steps is None or _has_steps(record, picked.steps)]
+    budgets = [*by_budget(records).values()]
+    fitting = [record for record in budgets if picked.steps is None or _has_steps(record, picked.steps)]
     if not fitting:
-        stored = ", ".join(f"{steps_of(record):,}" for record in records)
+        stored = ", ".join(f"{steps_of(record):,}" for record in budgets)
         raise UserError(f"--steps {picked.steps}: study {stem} has runs of {stored} steps")
     return _pick(fitting[0] if len(fitting) == 1 else max(fitting, key=store.finished), picked)
 
@@ -130,8 +134,16 @@ def steps_of(record: Mapping[str, Any]) -> int:
     return max((run["run"]["steps"] for run in record["runs"]), default=0)
 
 
+def by_budget(records: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
+    """Return the latest of a study's selections of each budget; they come latest first."""
+    latest: dict[int, dict[str, Any]] = {}
+    for record in records:
+        latest.setdefault(steps_of(record), record)
+    return latest
+
+
 def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
-    """Return whether a record's runs have so many steps, rounded up to whole updates."""
-    some: Mapping[str, Any] = next((run["run"] for run in record["runs"]), {})
-    horizon = math.prod(some.get(key) or 1 for key in ("horizon", "slots", "players"))
-    return math.ceil(steps / horizon) * horizon == steps_of(record)
+    """Return whether a record's runs have so many steps, rounded up to whole updates of each."""
+    fields = [[run["run"].get(key) or 1 for key in ("horizon", "slots", "players")] for run in record["runs"]]
+    updates = {*map(math.prod, fields)}
+    return max((math.ceil(steps / update) * update for update in updates), default=0) == steps_of(record)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import shlex
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supe
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
+from pneuma.values import read_value
 from pneuma.worlds import TEXT, WORLDS, world_option
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -120,16 +120,6 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
     if not (key and all(pair)) or len(parts) % 2:
         raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
     return key, read_value(pair[0]), read_value(pair[1])
-
-
-def read_value(text: str) -> Any:
-    """Read a value as TOML would; brackets of lists and quotes of words may be left out."""
-    for form in (text, f"[{text}]") if "," in text else (text,):
-        try:
-            return tomllib.loads(f"value = {form}")["value"]
-        except (ValueError, RecursionError):
-            continue
-    return text
 
 
 # --- The options -----------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from pneuma.study import plan, spec
 from pneuma.study.execute import selection_record
 from pneuma.study.store import Store
 from pneuma.values import shown_settings, shown_value
+from pneuma.worlds import split_world
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -76,7 +77,8 @@ def show(
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
     store, study = Store(results), None
-    if not is_shipped(name) and name in known_studies(store):  # a fork, imported logs, or a published one
+    own_name = split_world(name)[0]
+    if not is_shipped(name) and own_name in {split_world(known)[0] for known in known_studies(store)}:
         record = study_record(store, name, world=world)
     else:
         study = spec.load_study(name, world)

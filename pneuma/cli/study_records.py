@@ -7,14 +7,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pneuma.analysis.stored_studies import is_shipped, known_studies, related_studies, steps_of, study_record
+from pneuma.analysis.stored_studies import (
+    by_budget,
+    is_shipped,
+    known_studies,
+    related_studies,
+    steps_of,
+    study_record,
+)
 from pneuma.cli.options import Chosen
 from pneuma.cli.output import say
 from pneuma.errors import UserError, counted
 from pneuma.study import execute, spec
 from pneuma.study.identity import own_things
 from pneuma.study.store import Status, Store
-from pneuma.worlds import chosen_world, split_world
+from pneuma.worlds import WORLDS, chosen_world, in_world, split_world
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
@@ -26,10 +33,15 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
     """Return the name or path by which a study is loaded, and its world.
 
     Raises:
-        UserError: when the file names a user's own code or files, as the record may be untrusted.
+        UserError: for a variant's name; and when the file names a user's own code or files, as the record may
+            be untrusted.
     """
     own_name, asked = chosen_world(name, world)
-    path = (store.selection(spec.name_in_world(own_name, asked)) or {}).get("path")
+    if spec.VARIANT in own_name and not name.endswith(".toml"):
+        of = own_name.partition(spec.VARIANT)[0]
+        raise UserError(f"{name} is a variant: name the study, {of}, and give --set as when it was made")
+    recorded = (store.selection(in_world(own_name, each)) or {} for each in WORLDS)
+    path = next((record["path"] for record in recorded if record.get("path")), None)
     if name.endswith(".toml") or is_shipped(name) or not isinstance(path, str) or not Path(path).is_file():
         return name, world
     study = spec.load_study(path, asked)
@@ -57,19 +69,25 @@ def open_data(picked: Chosen, name: str, published: bool = True) -> StudyData:
 def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
     """Print what else is stored for a study: other budgets and variants."""
     study, shown = record["study"], steps_of(record)
-    amounts = {
-        steps_of(other): other for other in store.selections(study) if not execute.can_join(other, record)
-    }
+    selections, ids = store.selections(study), {run["run_id"] for run in record["runs"]}
+    amounts = by_budget(other for other in selections if not execute.can_join(other, record))
     others = [
         f"{counted(store.finished(other), 'run')} of {steps:,} steps (--steps {steps})"
         for steps, other in amounts.items()
         if steps != shown and store.finished(other)
     ]
+    hidden = [other for other in selections if steps_of(other) == shown and not _has(other, ids)]
+    if count := sum(map(store.finished, hidden)):
+        others.append(f"{counted(count, 'run')} of {shown:,} steps with other settings or code")
     world = split_world(study)[1]
     others += [name for name in related_studies(store, study) if split_world(name)[1] == world]
     if others:
         runs = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
         say(f"Note: {study} is shown with {runs}. Stored too: {'; '.join(others)}.", aside=True)
+
+
+def _has(record: Mapping[str, Any], ids: set[str]) -> bool:
+    return ids <= {run["run_id"] for run in record["runs"]}
 
 
 def tell_left_out(data: StudyData) -> None:

@@ -81,7 +81,8 @@ def summary(
         for row in table.to_dict("records")
     }
     measured = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))
-    if outcomes_shown := measured if all_ else outcome:
+    every = [name for name in dict.fromkeys(table["outcome"]) if name != "runs"]
+    if outcomes_shown := every if all_ else outcome:
         statistics = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes_shown))
         heads = ["outcome", "condition", "n", *statistics]
         runs = table.groupby(["outcome", "condition"])["runs"].first()

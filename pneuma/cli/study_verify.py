@@ -56,7 +56,7 @@ def verify(
             print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
     fixed = ", fixed before the runs" if file is None else ""
     print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {alpha:.0%} chance of any false verdict among all, by Bonferroni's correction.")
+    print(f"At most {100 * alpha:g}% chance of any false verdict among all, by Bonferroni's correction.")
     print("Intervals are simultaneous: all hold together with that chance of error.")
     return None
 

@@ -20,7 +20,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import Run, env_config, is_gymnasium_id
+from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
+from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import make_model
@@ -95,6 +96,15 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
         raise UserError(".zip is of actions to choose from, and this policy's are numbers: choose .onnx")
     features = policy.actor[0][0].shape[0]
     if is_gymnasium_id(run.env):
+        if (run.env_module or run.wrappers or run.env == GODOT) and not trust:
+            raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
+        env = make_env(run)
+        env.close()
+        if getattr(env.action_space, "start", 0):
+            raise UserError(f".zip counts actions from 0; those of {run.env} begin later: choose .onnx")
+        seen = env.observation_space
+        if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
+            return seen
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
     if (is_own_level(run.level) or are_own_characters(run.characters)) and not trust:
         raise UserError("names a level or characters file of its own, which --trust opens")

@@ -37,12 +37,17 @@ from pneuma.errors import UserError
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
+LONGEST_EPISODE = 50_000
+"""Most steps of an episode of an evaluation, which must end some time."""
 NAN = float("nan")
 
 
 def check_spaces(run: Run) -> None:
     """Make an environment and refuse spaces in which the run cannot be trained."""
-    if isinstance(Slots(run, [0]).action_space, spaces.Box):
+    space = Slots(run, [0]).action_space
+    if isinstance(space, spaces.Box):
+        if not space.is_bounded():
+            raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
         if run.algorithm in VALUE_BASED:
             raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
         if run.engine != "sb3":
@@ -109,7 +114,6 @@ class Slots:
         for slot, action in enumerate(self.actions(actions)):
             rewards[slot], ended, cut, info = self.step_one(slot, action)
             self.returns[slot] += rewards[slot]
-            self.lengths[slot] += 1
             if ended or cut:
                 terminated[slot], truncated[slot] = ended, not ended
                 self._end(slot, "terminated" if ended else "truncated")
@@ -130,6 +134,7 @@ class Slots:
             self._see(slot, observation)
             if not math.isfinite(reward := float(reward)):
                 raise ValueError(f"its reward is {reward}")
+        self.lengths[slot] += 1
         return reward, bool(ended), bool(cut), info
 
     def _see(self, slot: int, observation: Any) -> None:
@@ -176,12 +181,15 @@ class Slots:
         return {"actions": log, "seeds": np.array(self._seedings), **known}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Play all actions again from the first seeds.
+        """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
 
         Raises:
             ValueError: when that leads to another state, because the environment's randomness does not come
                 from the seed alone.
         """
+        for env in self.envs:
+            env.close()
+        self.envs = [make_env(self.run) for _ in self.envs]
         first, *others = saved["seeds"].tolist()
         self.begin(first[1:])
         for actions in saved["actions"]:
@@ -261,11 +269,20 @@ def _load(name: str) -> Any:
     module of a name.
     """
     path = Path(name).resolve() if name.endswith(".py") else None
-    with blamed(f"module {name} cannot be imported"), importing_from(path.parent if path else Path.cwd()):
-        module = import_module(path.stem if path else name)
+    folder, full_name = _in_package(path) if path else (Path.cwd(), name)
+    with blamed(f"module {name} cannot be imported"), importing_from(folder):
+        module = import_module(full_name)
         if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
-            raise ImportError(f"there is another module {path.stem}: give the file another name")
+            raise ImportError(f"there is another module {full_name}: give the file another name")
         return module
+
+
+def _in_package(path: Path) -> tuple[Path, str]:
+    """Return the folder from which a file is imported, and its full name in the packages that it is in."""
+    folder, name = path.parent, path.stem
+    while (folder / "__init__.py").is_file():
+        folder, name = folder.parent, f"{folder.name}.{name}"
+    return folder, name
 
 
 def module_files(name: str) -> list[Path]:
@@ -276,7 +293,7 @@ def module_files(name: str) -> list[Path]:
     """
     if name.endswith(".py"):
         path = Path(name).resolve()
-        return source_files(path.stem, path) if path.is_file() else []
+        return source_files(_in_package(path)[1], path) if path.is_file() else []
     spec = None
     with suppress(Exception, SystemExit), importing_from(Path.cwd()):  # of a package that it is in
         spec = find_spec(name)
@@ -344,7 +361,7 @@ class Evaluation:
 
 def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
     """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
-    returns, lengths, successes = np.zeros((3, len(slots.envs)))
+    returns, successes = np.zeros((2, len(slots.envs)))
     rows = np.arange(len(slots.envs))
     while len(rows):
         going_on = []
@@ -355,12 +372,14 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
         for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
             reward, ended, cut, info = slots.step_one(row, action)
             returns[row] += reward
-            lengths[row] += 1
             if ended or cut:
                 successes[row] = float(info.get("is_success", NAN))
             else:
                 going_on.append(row)
+        if slots.lengths.max() >= LONGEST_EPISODE:
+            mend = "set env_kwargs = { max_episode_steps = N }"
+            raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {mend}")
         rows = np.array(going_on, np.int64)
     for env in slots.envs:
         env.close()
-    return returns, lengths, successes
+    return returns, slots.lengths, successes

@@ -126,13 +126,16 @@ def _playable(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]
         env: gymnasium.Env[Any, Any] = gymnasium.make(name, **settings)
     except (gymnasium.error.Error, TypeError, ImportError) as error:
         raise UserError(f"{name}: cannot be made: {error}") from None
-    if isinstance(env.action_space, spaces.Box):
+    space = env.action_space
+    if isinstance(space, spaces.Box) and space.is_bounded():
         env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
-    elif not isinstance(env.action_space, spaces.Discrete):
-        raise UserError(f"{name}: its actions are {env.action_space}; a game here has Discrete or Box ones")
+    elif not isinstance(space, spaces.Discrete):
+        raise UserError(f"{name}: its actions are {space}; a game here has Discrete ones or a bounded Box")
     env = gymnasium.wrappers.FlattenObservation(env)
     env.reset(seed=0)
-    env.step(env.action_space.sample())  # compiled before a trainer waits for answers
+    reward: Any = env.step(env.action_space.sample())[1]  # compiled before a trainer waits for answers
+    if np.ndim(reward):
+        raise UserError(f"{name}: its reward is a vector; a game here has one number")
     return env
 
 

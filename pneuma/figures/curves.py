@@ -29,7 +29,7 @@ from pneuma.analysis.curves import (
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.env_fields import ACTION_NAMES
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.figures import panels, style
 
 _, TRAILING_WINDOW = WINDOWS
@@ -91,7 +91,11 @@ def draw_study(
             inches, named = _draw_conditions(figure, data, curves, drawing.band)
         else:
             inches, named = _draw_quantities(figure, data, curves, drawing, beside), ""
-        caption = [*panels.notes_of(data, "return" in curves), *_caption(data, curves, drawing.window), named]
+        caption = [
+            *panels.notes_of(data, "return" in curves, beside),
+            *_caption(data, curves, drawing.window),
+            named,
+        ]
         meaning = _meaning([curve for group in curves.values() for curve in group], drawing.band)
         panels.put_texts(
             figure,
@@ -363,6 +367,9 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         averaged.append(f"the updates {of_budget}")
     if averaged:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
-    if any(QUANTITIES[name].log for name in curves):
+    logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
+    if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
+        notes.append(f"{counted(at_zero, 'curve')} with values of 0, in no mean: such axes have no 0.")
+    if logarithmic:
         notes.append("On logarithmic axes means and bands are of logarithms.")
     return notes

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator
 
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.outcomes import have_one_return
+from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
 from pneuma.values import settings_name
@@ -26,6 +26,8 @@ FAR = 3.0
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 3
+LONGEST_LABEL = 40
+"""Most letters in a line of a row's label."""
 PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
 
 
@@ -68,13 +70,19 @@ def headline_of(data: StudyData, shown: str = "") -> str:
     return headline + (f"   (A/A: {same} are one configuration)" if same else "")
 
 
-def notes_of(data: StudyData, returns: bool = False) -> list[str]:
-    """Return notes for any figure of a study, or one of returns, the most important first."""
+def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
+    """Return notes for any figure of a study, or one of returns, the most important first.
+
+    Returns of `beside` are drawn with it. Imported logs do not tell their reward.
+    """
     notes = []
     engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
     if len(engines) > 1:
         notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
-    if returns and not have_one_return(data):
+    units = kinds_of_return(data) | (
+        kinds_of_return(beside) if beside and not beside.averaged_over else set()
+    )
+    if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
@@ -200,9 +208,13 @@ def per_cent(share: float) -> str:
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
-    """Label rows, the first at the top, in type that fits their height in inches."""
-    points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches)
-    axes.set_yticks(range(len(labels)), list(map(clean, labels)), fontsize=points)
+    """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
+    wrapped = [
+        label if "\n" in label else "\n".join(textwrap.wrap(clean(label), LONGEST_LABEL)) for label in labels
+    ]
+    lines = max((label.count("\n") + 1 for label in wrapped if len(label) > LONGEST_LABEL), default=1)
+    points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches / lines)
+    axes.set_yticks(range(len(labels)), wrapped, fontsize=points)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)

@@ -183,7 +183,8 @@ def _draw_improvement(
 def _draw_profiles(axes: Axes, values: Values, colours: Colours) -> None:
     """Draw the share of runs above each level; a higher line is better."""
     pooled = np.concatenate(list(values.values()))
-    levels = np.linspace(min(0, *pooled) if len(pooled) else 0, max(pooled, default=1), 201)
+    low, high = min([0.0, *pooled]), max(pooled, default=1.0)
+    levels = np.linspace(low - 0.05 * (high - low or abs(low)) if low < 0 else low, high, 201)
     for condition, runs in values.items():
         if len(runs):
             above = (runs > levels[:, None]).mean(axis=1)  # as rliable's performance profile: strictly

@@ -100,7 +100,8 @@ def judged_claims(
             verdicts.setdefault(one.claim.name, {})[one.place] = one
     note = (
         f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
-        f"verdict in the whole list of {len(known.claims)} is at most {known.head.alpha:.0%} (Bonferroni)."
+        f"verdict in the whole list of {len(known.claims)} is at most {100 * known.head.alpha:g}% "
+        "(Bonferroni)."
     )
     return verdicts, note
 

@@ -134,7 +134,9 @@ def claims_preset(study: Study, steps: int | None = None) -> dict[str, Preset]:
     """
     found = fixed_amounts(study)
     if not found:
-        raise UserError(f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it")
+        raise UserError(
+            f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it in this world"
+        )
     if len(found) > 1 and steps is None:
         budgets = " or ".join(f"{each:,}" for each in found)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.files import parse_json, to_json
+from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store
 from pneuma.values import shown_settings
@@ -65,7 +66,8 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
     todo = missing(plan, statuses, retry_failed)
     check_environments(todo.values())
     store.check_writable()
-    store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
+    with store.selecting():  # other commands may record other seeds of the study
+        store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
     return todo, _notes(plan, statuses, todo)
 
 
@@ -125,9 +127,9 @@ def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
     worker busy.
     """
     by_shape: dict[Any, list[tuple[str, Run]]] = {}
-    for run_id, run in todo.items():
+    for name, run in todo.items():
         shape = tuple(getattr(run, key) for key in SHAPED_BY)
-        by_shape.setdefault(run_id if run.engine == "sb3" else shape, []).append((run_id, run))
+        by_shape.setdefault(name if run.engine == "sb3" else shape, []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / workers))
     return [
         dict(runs[first : first + size]) for runs in by_shape.values() for first in range(0, len(runs), size)
@@ -209,13 +211,14 @@ def selection_record(plan: Plan) -> dict[str, Any]:
 def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the record of a plan, joined with those of earlier selections.
 
-    Earlier runs join it if they differ in seed or condition only. Other selections stay beside it.
+    Earlier runs join it if they differ in seed or condition only. Other selections, and runs of a user's
+    code or a version of Pneuma's that has changed since, stay beside it.
     """
     record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
     conditions, separate = list(plan.study.conditions), []
     runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
     for before in earlier:
-        if not can_join(before, record):
+        if not (can_join(before, record) and _is_of_same_code(before, plan)):
             keys = ("selection", "same", "runs", "saved")
             separate.append({key: before[key] for key in keys if key in before})
             continue
@@ -229,6 +232,13 @@ def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str
         selected = [] if present == {*conditions} else [name for name in conditions if name in present]
         record["selection"] |= {"seeds": sorted({seed for seed, _ in runs}), "conditions": selected}
     return {**record, "earlier": separate}
+
+
+def _is_of_same_code(before: Mapping[str, Any], plan: Plan) -> bool:
+    """Return whether the earlier runs of a plan's conditions would have the same ids now."""
+    now = {cell.condition: cell.run for cell in plan.cells}
+    some = {run["condition"]: run for run in before["runs"] if run["condition"] in now}.values()
+    return all(run_id(replace(now[run["condition"]], seed=run["seed"])) == run["run_id"] for run in some)
 
 
 def can_join(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

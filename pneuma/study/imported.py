@@ -98,6 +98,9 @@ def import_tensorboard(
             found[run.run_id] = run
     if not found:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
+    known = {(run["condition"], run["seed"]) for run in (store.selection(study) or {"runs": []})["runs"]}
+    if known - {(run.log.condition, run.log.seed) for run in found.values()}:
+        raise UserError(f"--name {study}: a study of that name has runs of other logs; give another")
     store.check_writable()
     rows = []
     for name, run in found.items():

@@ -14,7 +14,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
@@ -37,6 +37,22 @@ def run_lock(folder: Path) -> Iterator[bool]:
     descriptor = _open(folder / ".lock", os.O_RDWR | os.O_CREAT)
     try:
         yield _take(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def short_lock(path: Path) -> Iterator[None]:
+    """Hold a lock that every process gives back at once; wait for it, or do without where there are none.
+
+    Raises:
+        OSError: when it cannot be created, or its path is not a file.
+    """
+    descriptor = _open(path, os.O_RDWR | os.O_CREAT)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
     finally:
         os.close(descriptor)
 

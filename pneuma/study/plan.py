@@ -12,11 +12,11 @@ from itertools import product
 from typing import Any
 
 from pneuma.config import FORK_FIELDS, Run, beyond_engine, make_run
-from pneuma.env_fields import read_field
+from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
-from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, unread_fields
-from pneuma.values import settings_name
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
+from pneuma.values import read_value, settings_name
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
-    over, swept = _read_settings(settings)
+    over, swept = _read_settings(study, settings)
     if settings:
         study = study.variant(selection.variant or settings_name(settings))
     study, origins = _sweep(study, swept)
@@ -121,18 +121,30 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
 
 
-def _read_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """Split settings into fields with one value and fields with several values to sweep."""
+def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """Split settings into fields with one value and fields with several values to sweep.
+
+    Modules are looked for beside the study's file, as those in it are. Where there is one player, several
+    classes, weapons or rewards are swept.
+    """
+
+    def read(key: str, value: Any) -> Any:
+        field = {key: read_field(Run, key, value)}
+        return (modules_beside(study.path, field) if study.path else field)[key]
+
+    players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
     for key, value in settings.items():
-        values = value.split(",") if isinstance(value, str) else value
+        values = [read_value(part.strip()) for part in value.split(",")] if isinstance(value, str) else value
+        several = isinstance(values, list | tuple) and len(values) > 1
         try:
-            single[key] = read_field(Run, key, value)
+            single[key] = read(key, value)
         except UserError:
-            is_field = key in Run.__dataclass_fields__
-            if not is_field or not isinstance(values, list | tuple) or len(values) < 2:
+            if not several or key not in Run.__dataclass_fields__:
                 raise
-            swept[key] = [read_field(Run, key, one) for one in values]
+        if several and (key not in single or (key in OF_PLAYERS and {*players} == {1})):
+            swept[key] = [read(key, one) for one in values]
+            single.pop(key, None)
     return single, swept
 
 
@@ -147,10 +159,17 @@ def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dic
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     for *values, origin in product(*swept.values(), study.conditions):
         fields = dict(zip(swept, values, strict=True))
-        name = ", ".join([*(f"{key}={short(value)}" for key, value in fields.items()), origin])
+        name = ", ".join([*(f"{key}={short(_alone(value))}" for key, value in fields.items()), origin])
         crossed[name], origins[name] = {**study.conditions[origin], **fields}, origin
     baseline = next(name for name, origin in origins.items() if origin == study.baseline)
     return replace(study, conditions=crossed, baseline=baseline), origins
+
+
+def _alone(value: Any) -> Any:
+    """Return the text "none" for no value, and the only name of a list for the list."""
+    if value is None:
+        return "none"
+    return value[0] if isinstance(value, tuple) and len(value) == 1 and isinstance(value[0], str) else value
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -42,7 +42,7 @@ from pneuma.study.files import (
     seal,
     to_json,
 )
-from pneuma.study.locks import is_held, run_lock
+from pneuma.study.locks import is_held, run_lock, short_lock
 
 STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
@@ -246,6 +246,12 @@ class Store:
         return manifest if manifest and fits(manifest, Manifest) else None
 
     # --- Studies ------------------------------------------------------------------------------
+
+    def selecting(self) -> AbstractContextManager[None]:
+        """Return the lock to hold from reading a study's record until its next one is saved."""
+        folder = self.root / "studies"
+        folder.mkdir(parents=True, exist_ok=True)
+        return short_lock(folder / ".lock")
 
     def save_selection(self, study: str, record: Mapping[str, Any]) -> None:
         """Record a study's latest selection and its run ids.

@@ -197,6 +197,7 @@ def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     """Of 1, 10 and 100 the mean is 10, and its interval reaches as many times above as below it."""
     runs = np.array([[1.0, 5.0], [10.0, 0.0], [100.0, 5.0]])  # what is 0 has no logarithm
     curve = Curve("mine", np.array([1.0, 2.0]), runs, log=True)
+    assert curve.count.tolist() == [3, 2]
     assert curve.mean == pytest.approx([10.0, 5.0])
     low, high = curve.band("ci")
     half = stats.t.ppf(0.975, 2) / np.sqrt(3)  # of logarithms 0, 1 and 2, whose deviation is 1

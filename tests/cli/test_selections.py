@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from pneuma.analysis.stored_studies import study_record
 from pneuma.api import open_data
+from pneuma.config import ENGINE_VERSIONS
 from pneuma.study.execute import prepare
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -44,6 +46,7 @@ def test_a_variant_stands_under_its_own_name_and_beside_its_study(tmp_path: Path
     assert head.startswith("activation+slow (learning_rate = 1e-05): 6 done")
     again = ("study", "run", "activation", "--set", "gamma=0.5", "--as", "slow", "--results", store.root)
     assert "learning_rate = 1e-05" in refused(*again)
+    assert "is a variant" in refused("study", "plan", "activation+slow", "--results", store.root)
 
 
 def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> None:
@@ -61,6 +64,30 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert open_data("activation", tmp_path).record["runs"] == record["runs"]
 
 
+def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    old = _run(store, seeds=(0, 1), steps=512)
+    monkeypatch.setitem(ENGINE_VERSIONS, "batched", 10**6)
+    new = _run(store, seeds=(0,), steps=512)
+    assert _shown(store, "activation") == new and not {*old} & {*new}
+    told = call("study", "status", "activation", "--results", store.root)[2]
+    assert "4 runs of 512 steps with other settings or code" in told
+
+
+def test_commands_at_the_same_time_record_the_seeds_of_all(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with ThreadPoolExecutor() as pool:
+        ids = pool.map(lambda seed: _run(store, seeds=(seed,), steps=512), range(6))
+    assert {*_shown(store, "activation")} == {run_id for each in ids for run_id in each}
+
+
+def test_steps_are_rounded_up_for_the_horizon_of_each_run(tmp_path: Path) -> None:
+    picked = Selection(steps=1_000_000)  # 1,000,192 with a horizon of 256, and 1,001,472 with one of 2048
+    assert len(study_record(Store(tmp_path), "hyperparameters", picked, "arena")["runs"]) == 400
+
+
 def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     study, several = load_study("activation"), {"learning_rate": [1e-4, 3e-4], "betas": [0.9, 0.9]}
     plan = make_plan(study, Selection(seeds=(0,), steps=512, conditions=("relu",), settings=several))
@@ -68,6 +95,10 @@ def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     assert [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells] == [
         (1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9)),
     ]  # fmt: skip
+    for text in ("gradient_limit=none, 0.5", "reward=thesis, kills"):
+        key, _, values = text.partition("=")
+        plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
+        assert plan.conditions == tuple(f"{key}={value}, relu" for value in values.split(", "))
 
 
 def test_a_study_that_was_run_in_another_world_alone_is_shown_there(tmp_path: Path) -> None:

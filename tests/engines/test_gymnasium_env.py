@@ -32,7 +32,7 @@ CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.o
 CASES: dict[str, dict[str, Any]] = {
     "cartpole": {"env": "CartPole-v1"},
     "corridor": {**CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3}},
-    "wrapped": {**CORRIDOR, "wrappers": "tests.engines.own_envs:Doubled"},
+    "wrapped": {**CORRIDOR, "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled"},
     "sb3": {"env": "CartPole-v1", "engine": "sb3"},
     "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
     "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
