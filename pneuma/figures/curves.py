@@ -29,7 +29,7 @@ from pneuma.analysis.curves import (
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.env_fields import ACTION_NAMES
-from pneuma.errors import UserError, counted
+from pneuma.errors import UserError
 from pneuma.figures import panels, style
 
 _, TRAILING_WINDOW = WINDOWS
@@ -369,7 +369,7 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
     logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
     if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
-        notes.append(f"{counted(at_zero, 'curve')} with values of 0, in no mean: such axes have no 0.")
+        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: no mean there has them.")
     if logarithmic:
         notes.append("On logarithmic axes means and bands are of logarithms.")
     return notes
