@@ -369,7 +369,7 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
     logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
     if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
-        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: no mean there has them.")
+        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
     if logarithmic:
         notes.append("On logarithmic axes means and bands are of logarithms.")
     return notes
