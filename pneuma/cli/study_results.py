@@ -45,7 +45,7 @@ def _tell_step(data: StudyData) -> None:
 def _with_unit(outcome: str) -> str:
     from pneuma.analysis.outcomes import find_outcome
 
-    unit = find_outcome(outcome).unit
+    unit = "" if outcome == "diverged" else find_outcome(outcome).unit  # a run's status
     return f"{outcome} ({unit})" if unit else outcome
 
 
