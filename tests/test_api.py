@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,15 +88,21 @@ for cell in json.loads(pathlib.Path("cells.json").read_text()):
 """
 
 
-def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
-    store, run = Store(tmp_path), make_run({"level": "somebodys/isle"})
-    layers = ((np.zeros((60, 5), np.float32), np.zeros(5, np.float32)),)
-    critic = ((np.zeros((60, 1), np.float32), np.zeros(1, np.float32)),)
+def _store_run(folder: Path, settings: dict[str, Any]) -> None:
+    """Store a run 0123… with these settings and a policy of zeros."""
+    run = make_run(settings)
+    actor, critic = (
+        ((np.zeros((60, outputs), np.float32), np.zeros(outputs, np.float32)),) for outputs in (5, 1)
+    )
     files = {
         "run.json": json.dumps({"run": as_fields(run)}).encode(),
-        "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
+        "policy.safetensors": Policy("tanh", actor, critic).to_bytes(),
     }
-    store.save_run("0123456789abcdef", Status("done", run.steps), files)
+    Store(folder).save_run("0123456789abcdef", Status("done", run.steps), files)
+
+
+def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
+    _store_run(tmp_path, {"level": "somebodys/isle"})
     with pytest.raises(UserError, match="would read the level somebodys/isle: if you trust"):
         load_policy("0123", tmp_path)
     policy, env, settings = load_policy("0123", tmp_path, trust=True)
@@ -104,15 +111,7 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
 
 
 def test_the_settings_of_another_environment_are_its_own_arguments(tmp_path: Path) -> None:
-    run = make_run({"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
-    layers = ((np.zeros((4, 2), np.float32), np.zeros(2, np.float32)),)
-    critic = ((np.zeros((4, 1), np.float32), np.zeros(1, np.float32)),)
-    files = {
-        "run.json": json.dumps({"run": as_fields(run)}).encode(),
-        "policy.safetensors": Policy("tanh", layers, critic).to_bytes(),
-    }
-    store = Store(tmp_path)
-    store.save_run("0123456789abcdef", Status("done", run.steps), files)
+    _store_run(tmp_path, {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
     assert load_policy("0123", tmp_path)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
 
 

@@ -78,7 +78,7 @@ class ClaimRuns:
             engines = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
             return f"engines are mixed: {engines}"
         if missing := [*filter(None, map(self._missing, names))]:
-            return "; ".join(filter(None, [*missing, self.mend]))
+            return "; ".join([*missing, self.mend])
         timed = any(find_outcome(part).source == "times" for part in outcome.split(MINUS))
         return self._machines(names) if timed else ""
 

@@ -111,7 +111,7 @@ def curve_names(data: StudyData) -> list[str]:
     Of the evaluations, these are the quantities of which some run has a value. Without monsters there are no
     kills and no HP.
     """
-    trained = [name for name in data.quantities if not (is_foreign(data) and name in ("kills", "hp"))]
+    trained = [name for name in data.quantities if not (name in ("kills", "hp") and is_foreign(data))]
     if "evaluations" not in data.tables:
         return trained
     table = data.table("evaluations")

@@ -50,10 +50,8 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
     if form == "csv":  # so that spreadsheets run no text: names may be untrusted
         texts = frame.select_dtypes(include=["object", "string"])
-        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts}).rename(
-            columns=_as_text
-        )
-        return safe.to_csv(index=False, lineterminator="\n").encode()
+        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
+        return safe.rename(columns=_as_text).to_csv(index=False, lineterminator="\n").encode()
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
     shown = pd.DataFrame(_read_rows(frame), columns=frame.columns)

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.algorithms import MAILMAN
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, print_json, print_table, say, write_file
 from pneuma.cli.study_run import train
-from pneuma.config import FORK_RESETS, is_gymnasium_id, make_run
+from pneuma.config import FORK_RESETS, make_run
+from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.study import stored_runs
 from pneuma.study.executors.base import Supervision
@@ -146,6 +146,6 @@ def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
     if suffix == ".zip":
         return exports.to_sb3(policy, settings, exports.observation_space(policy, settings, trust))
     about = {"run_id": run.run_id, "env": settings.env}
-    if not is_gymnasium_id(settings.env) and settings.env != MAILMAN:
+    if settings.env in ENVIRONMENTS:
         about["observation"] = settings.observation
     return exports.to_onnx(policy, about)

@@ -76,7 +76,8 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
         for steps, other in amounts.items()
         if steps != shown and store.finished(other)
     ]
-    hidden = [other for other in selections if steps_of(other) == shown and not _has(other, ids)]
+    others_alike = (other for other in selections if steps_of(other) == shown)
+    hidden = [other for other in others_alike if ids - {run["run_id"] for run in other["runs"]}]
     if count := sum(map(store.finished, hidden)):
         others.append(f"{counted(count, 'run')} of {shown:,} steps with other settings or code")
     world = split_world(study)[1]
@@ -84,10 +85,6 @@ def tell_shown(store: Store, record: Mapping[str, Any]) -> None:
     if others:
         runs = f"{counted(len(record['runs']), 'run')} of {shown:,} steps"
         say(f"Note: {study} is shown with {runs}. Stored too: {'; '.join(others)}.", aside=True)
-
-
-def _has(record: Mapping[str, Any], ids: set[str]) -> bool:
-    return ids <= {run["run_id"] for run in record["runs"]}
 
 
 def tell_left_out(data: StudyData) -> None:

@@ -16,10 +16,9 @@ import numpy as np
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.action_values import ActionValues
-from pneuma.engines.mlp import ACTIVATION_CODES, choose
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, kernel
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
-from pneuma.env.compiled import cached
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import own_rewards
@@ -29,8 +28,6 @@ MOST_WEIGHTS = 65_536
 """Largest actor that is faster compiled than by a library's matrix product."""
 STEPS_AT_ONCE = 128
 """Steps of compiled play for which random numbers are drawn together."""
-
-kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
@@ -140,9 +137,17 @@ class Evaluation:
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
+        first_best = self.episodes * players
+        if isinstance(policy, Policy) and self._is_compiled(policy):
+            network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
+            returns, running = self._begin(), len(self.worlds)
+            while running:
+                draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
+                running -= _play_on(self.worlds.handle, *network, draws, returns)
+            return returns
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
-        rows, first_best = actions.reshape(-1), self.episodes * players
+        rows = actions.reshape(-1)
 
         def ask(worlds: Worlds) -> np.ndarray:
             """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
@@ -156,14 +161,7 @@ class Evaluation:
                 rows[first_best:] = policy.best(observations[first_best:])
             return actions
 
-        if isinstance(policy, OwnAgent) or not self._is_compiled(policy):
-            return self._play(ask)
-        network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
-        returns, running = self._begin(), len(self.worlds)
-        while running:
-            draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
-            running -= _play_on(self.worlds.handle, *network, draws, returns)
-        return returns
+        return self._play(ask)
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""

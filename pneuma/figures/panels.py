@@ -209,10 +209,9 @@ def per_cent(share: float) -> str:
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
-    wrapped = [
-        label if "\n" in label else "\n".join(textwrap.wrap(clean(label), LONGEST_LABEL)) for label in labels
-    ]
-    lines = max((label.count("\n") + 1 for label in wrapped if len(label) > LONGEST_LABEL), default=1)
+    parts = [[textwrap.fill(line, LONGEST_LABEL) for line in clean(label).split("\n")] for label in labels]
+    wrapped = list(map("\n".join, parts))
+    lines = max((label.count("\n") + 1 for label in wrapped), default=1)
     points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches / lines)
     axes.set_yticks(range(len(labels)), wrapped, fontsize=points)
     axes.set_ylim(len(labels) - 0.4, -0.6)

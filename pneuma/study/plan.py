@@ -18,6 +18,9 @@ from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
 from pneuma.values import read_value, settings_name
 
+Swept = Mapping[str, Sequence[tuple[Any, Any]]]
+"""The values of fields to sweep, each as the user wrote it and as it was read."""
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -121,7 +124,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
 
 
-def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
     """Split settings into fields with one value and fields with several values to sweep.
 
     Modules are looked for beside the study's file, as those in it are. Where there is one player, several
@@ -143,12 +146,12 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
             if not several or key not in Run.__dataclass_fields__:
                 raise
         if several and (key not in single or (key in OF_PLAYERS and {*players} == {1})):
-            swept[key] = [read(key, one) for one in values]
+            swept[key] = [(one, read(key, one)) for one in values]
             single.pop(key, None)
     return single, swept
 
 
-def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dict[str, str]]:
+def _sweep(study: Study, swept: Swept) -> tuple[Study, dict[str, str]]:
     """Cross a study's conditions with swept fields; also return the original condition of each new one."""
     if not swept:
         return study, {name: name for name in study.conditions}
@@ -157,19 +160,13 @@ def _sweep(study: Study, swept: Mapping[str, Sequence[Any]]) -> tuple[Study, dic
     crossed, origins = {}, {}
     if (count := math.prod(map(len, [study.conditions, *swept.values()]))) > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
-    for *values, origin in product(*swept.values(), study.conditions):
-        fields = dict(zip(swept, values, strict=True))
-        name = ", ".join([*(f"{key}={short(_alone(value))}" for key, value in fields.items()), origin])
+    for pairs, origin in product(product(*swept.values()), study.conditions):
+        said = [f"{key}={short(written)}" for key, (written, _) in zip(swept, pairs, strict=True)]
+        name = ", ".join([*said, origin])
+        fields = {key: value for key, (_, value) in zip(swept, pairs, strict=True)}
         crossed[name], origins[name] = {**study.conditions[origin], **fields}, origin
     baseline = next(name for name, origin in origins.items() if origin == study.baseline)
     return replace(study, conditions=crossed, baseline=baseline), origins
-
-
-def _alone(value: Any) -> Any:
-    """Return the text "none" for no value, and the only name of a list for the list."""
-    if value is None:
-        return "none"
-    return value[0] if isinstance(value, tuple) and len(value) == 1 and isinstance(value[0], str) else value
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -17,6 +17,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         self.action_space: Any = spaces.Discrete(2, start=first)
         if kind == "pairs":
             self.action_space = spaces.MultiDiscrete([2, 2])
+        if kind == "unbounded":
+            self.action_space = spaces.Box(-np.inf, np.inf, (1,))
         self.observation_space: Any = spaces.Box(-1, 5, (2,), np.float64)
         if kind == "dict":
             self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})

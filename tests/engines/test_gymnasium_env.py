@@ -103,6 +103,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "actions": ({"env_kwargs": {"kind": "pairs"}}, "actions in MultiDiscrete"),
     "observations": ({"env_kwargs": {"kind": "text"}}, "observations in Sequence"),
     "numbers": ({"env": "Pendulum-v1"}, 'engine = "sb3" alone'),
+    "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "have no bounds"),
     "values": ({"env": "Pendulum-v1", "algorithm": "dqn"}, "which dqn cannot"),
 }
 
