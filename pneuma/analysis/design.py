@@ -11,19 +11,20 @@ the command that printed it. A claim that cannot be decided in a world is not ad
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from pneuma.analysis.claims import Claim, ClaimList
-from pneuma.analysis.pvalues import count_chances, one_share_p_values, share_table
+from pneuma.analysis.pvalues import count_chances, incidence_p_values, one_share_p_values, share_table
 
 POWER = 0.8
 """The power at which contrasts are planned."""
 
 SHARES = np.linspace(0, 1, 101)
-"""True shares that are searched for the least detectable difference."""
+"""True shares that are searched for the least detectable difference, and margins for the least provable."""
 UNKNOWN_SHARE = 0.5
 """The share of runs with an event if no pilot tells it: where shares vary most."""
 
@@ -95,7 +96,10 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
     detectable = provable = None
     if claim.event:
         spread = UNKNOWN_SHARE if spread is None else spread
-        detectable = _least_share(claim, seeds, alpha, spread if claim.value is None else claim.value)
+        base = spread if claim.value is None else claim.value
+        detectable = _least_share(claim, seeds, alpha, base)
+        if claim.direction == "equal":
+            provable = _least_margin(seeds, alpha, base)
     elif spread is not None:
         error = spread * math.sqrt(sum(1 / count for count in seeds))
         welch = sum(1 / count**2 / max(count - 1, 1) for count in seeds)  # of arms that spread alike
@@ -139,3 +143,20 @@ def _least_share(claim: Claim, seeds: tuple[int, ...], alpha: float, base: float
             found = beyond[(chances @ decided >= POWER) & (beyond > 0)]
             least = min(least, float(found.min(initial=math.inf)))
     return least
+
+
+def _least_margin(seeds: tuple[int, ...], alpha: float, base: float) -> float:
+    """Return the least margin within which arms of the base share are shown to lie; infinite if none."""
+    counts = np.indices([runs + 1 for runs in seeds]).reshape(len(seeds), -1)
+    of_arms = [count_chances(runs, np.array([base]))[0][k] for runs, k in zip(seeds, counts, strict=True)]
+    chances = np.prod(of_arms, axis=0)
+
+    def shown(margin: float) -> bool:
+        if len(seeds) == 2:
+            p = incidence_p_values(counts[0], seeds[0], counts[1], seeds[1], margin)
+        else:
+            p = one_share_p_values(counts[0], seeds[0], base, margin)
+        return bool(chances @ (p.equivalent <= alpha) >= POWER)
+
+    place = bisect_left(SHARES, True, lo=1, key=shown)
+    return float(SHARES[place]) if place < len(SHARES) else math.inf

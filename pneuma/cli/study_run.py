@@ -164,7 +164,12 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     if find_spec("tensorboard") is None:
         raise UserError(f"--tensorboard needs the tensorboard package: {install_extra('tensorboard')}")
     of_study = folder.resolve() / planned.study.name
-    names = {name: re.sub(r"[^\w.=-]", "-", name) for name in planned.conditions}
+    names: dict[str, str] = {}
+    for condition in planned.conditions:
+        slug = re.sub(r"[^\w.=+-]", "-", condition)
+        while slug in names.values():
+            slug += "-"
+        names[condition] = slug
     return {cell.run_id: str(of_study / f"{names[cell.condition]}_{cell.seed}") for cell in planned.cells}
 
 

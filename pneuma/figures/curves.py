@@ -155,6 +155,7 @@ def _draw_quantities(
     rows = -(-len(curves) // style.COLUMNS)
     columns = -(-len(curves) // rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    width = style.characters(1.2 * style.TYPE_POINTS, style.WIDTH / columns)  # bold letters are wider
     labels = {name: panels.label_of(data, name) for name in data.conditions if data.of_condition(name)}
     looks = style.condition_looks(data.conditions)
     others: Curves = {}
@@ -175,7 +176,7 @@ def _draw_quantities(
             title = f"Share of action {name.removeprefix('action_')}"
         if data.averaged_over:  # in the log
             label = label.replace(" of an episode", f", mean of {data.averaged_over} episodes")
-        axes.set(title=title, ylabel=label, xlabel="Environment steps")
+        axes.set(title=textwrap.fill(title, width), ylabel=label, xlabel="Environment steps")
     for axes in grid[len(curves) :]:
         axes.remove()
     return rows * style.PANEL_INCHES * (1.2 if columns == 1 else 1)

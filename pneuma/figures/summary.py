@@ -102,22 +102,32 @@ def draw_comparison(
     outcomes = list(dict.fromkeys(table["outcome"]))
     with style.house_style():
         figure = Figure(layout="constrained")
-        grid = figure.subplots(1, len(outcomes), squeeze=False).ravel()
-        for axes, name in zip(grid, outcomes, strict=True):
+        lines = -(-len(outcomes) // style.COLUMNS)
+        columns = -(-len(outcomes) // lines)
+        grid = figure.subplots(lines, columns, squeeze=False).ravel()
+        for place, (axes, name) in enumerate(zip(grid, outcomes, strict=False)):
             rows = table[table["outcome"] == name].to_dict("records")
-            for place, row in enumerate(rows):
-                _draw_interval(axes, {**row, "value": row["difference"]}, place, "D", INK, 4)
+            for level, row in enumerate(rows):
+                _draw_interval(axes, {**row, "value": row["difference"]}, level, "D", INK, 4)
             axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
             axes.set(title=name, xlabel=find_outcome(name).unit)
             axes.xaxis.set_major_locator(panels.round_ticks(3))
-            labels = [f"{row['a']} -\n{row['b']} (n = {row['seeds_a']} and {row['seeds_b']})" for row in rows]
-            panels.label_rows(axes, labels if axes is grid[0] else [""] * len(rows), 2 * ROW_INCHES)
+            labels = [f"{row['a']} -\n{row['b']} ({_counts(table, row)})" for row in rows]
+            panels.label_rows(axes, [""] * len(rows) if place % columns else labels, 2 * ROW_INCHES)
+        for axes in grid[len(outcomes) :]:
+            axes.remove()
         caption = ["Differences of means of runs, with Welch's 95 % intervals.", *panels.notes_of(data)]
         if step := common_step(data):
             caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
-        inches = 2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7
+        inches = lines * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
         panels.put_texts(figure, inches, panels.headline_of(data, "differences"), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
+
+
+def _counts(table: pd.DataFrame, row: Mapping[Any, Any]) -> str:
+    """Return how many runs of each condition are compared, over all outcomes."""
+    same = table[(table["a"] == row["a"]) & (table["b"] == row["b"])]
+    return f"n = {panels.runs_told(same['seeds_a'])} and {panels.runs_told(same['seeds_b'])}"
 
 
 def _set_outcome(axes: Axes, outcome: str) -> None:

@@ -155,7 +155,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
         raise UserError(f"run {parent}: a fork would {' and '.join(named_code.values())}; --trust allows it")
     whole = make_run(settings)
     if run_id(whole) != parent:
-        why = "was trained by other rules or another engine, or its own files have changed"
+        why = "was imported, or trained by other rules or another engine, or its own files have changed"
         raise UserError(f"run {parent} {why}: a fork would not go on from where it stood")
     step = _checkpoint_step(store, parent, at, whole)
     return make_run({**as_fields(whole), "parent": parent, "fork_step": step, "fork_reset": ""})

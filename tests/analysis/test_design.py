@@ -97,6 +97,18 @@ def test_a_share_is_planned_by_exact_chances(against: str, tmp_path: Path) -> No
         assert (power >= 0.8) == enough
 
 
+def test_equal_shares_are_planned_by_the_margin_of_two_exact_tests(tmp_path: Path) -> None:
+    """Of 50 runs against 0.4: within the margin from above and from below, at 5 % each."""
+    equal = ('direction = "greater"', 'direction = "equal"\nmargin = 0.2')
+    plan = plan_of(tmp_path, *INCIDENCE, ('b = "low"', "value = 0.4"), equal)
+    counts, powers = np.arange(51), []
+    assert plan.provable is not None and plan_of(tmp_path, *INCIDENCE, equal).provable is not None
+    for margin in (plan.provable, plan.provable - 0.01):
+        above, below = stats.binom.cdf(counts, 50, 0.4 + margin), stats.binom.sf(counts - 1, 50, 0.4 - margin)
+        powers.append(stats.binom.pmf(counts, 50, 0.4)[np.maximum(above, below) <= 0.05].sum())
+    assert powers[1] < 0.8 <= powers[0]
+
+
 def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: Path) -> None:
     """Though its runs are there; of two outcomes one is enough."""
     low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01\nfinal-return = 0.01")
