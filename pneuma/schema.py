@@ -33,7 +33,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from typing_extensions import TypedDict
 
 from pneuma.errors import UserError, nearest_name, unknown_name
-from pneuma.reading import read_text
+from pneuma.files import read_text
 
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""

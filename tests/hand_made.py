@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.study.files import to_json
+from pneuma.files import to_json
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import to_parquet
 

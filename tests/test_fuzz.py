@@ -20,12 +20,12 @@ from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
 from pneuma.env.level import load_level
 from pneuma.errors import UserError
+from pneuma.files import seal
 from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
-from pneuma.study.files import read_checkpoint_name, seal
 from pneuma.study.imported import read_event_file
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
+from pneuma.study.store import Store, read_checkpoint_name
 from pneuma.study.tables import record_table, to_parquet
 
 from .cli.calls import policy_of

@@ -16,7 +16,7 @@ MODULES = {
 
 BASE = (
     "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
-    "pneuma.worlds", "pneuma.schema", "pneuma.reading",
+    "pneuma.worlds", "pneuma.schema", "pneuma.files",
 )  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
@@ -29,8 +29,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     ),
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
-    "pneuma.reading": ("pneuma.errors",),
-    "pneuma.schema": ("pneuma.errors", "pneuma.reading"),
+    "pneuma.files": ("pneuma.errors",),
+    "pneuma.schema": ("pneuma.errors", "pneuma.files"),
     "pneuma.values": (),
     "pneuma.worlds": ("pneuma.errors",),
     "pneuma.env": (),
@@ -49,13 +49,13 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     ),
     # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
-        "pneuma.study.store", "pneuma.study.files", "pneuma.study.spec", "pneuma.study.tables",
+        "pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables",
         "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance", "pneuma.study.documents",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": (
         "pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch", "pneuma.study.store",
-        "pneuma.study.files", "pneuma.study.provenance",
+        "pneuma.study.provenance",
     ),
     "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
     "pneuma.doctor": ("pneuma.study",),

@@ -14,11 +14,11 @@ import pytest
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.published import NO_SUM, published_path, read_published, with_sum
+from pneuma.analysis.published import NO_SUM, read_published, with_sum
 from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
-from pneuma.study.files import read_json, read_whole
+from pneuma.files import read_json, read_whole
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -48,8 +48,8 @@ def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: 
         read_whole(store.selection_path("mine"))
     put_unlike(folder / "metrics.parquet", kind)
     assert store.status(RUN).name == "damaged"
-    store.write(published_path(store, "other"), b"")
-    put_unlike(published_path(store, "other"), kind)
+    store.write(store.published_path("other"), b"")
+    put_unlike(store.published_path("other"), kind)
     with pytest.raises(UserError, match="other.parquet: cannot be read"):
         read_published(store, "other")
     put_unlike(folder / ".lock", kind)
@@ -143,7 +143,7 @@ def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     sink = pa.BufferOutputStream()
     metadata = {"pneuma": json.dumps(told), "pneuma.checksum": NO_SUM}
     pq.write_table(table.replace_schema_metadata(metadata), sink, compression="none")
-    store.write(published_path(store, "mine"), with_sum(sink.getvalue().to_pybytes()))
+    store.write(store.published_path("mine"), with_sum(sink.getvalue().to_pybytes()))
     with pytest.raises(UserError, match="mine.parquet: is no published table of a study"):
         read_published(store, "mine")
     assert len(open_study(store, ONE).runs) == 1

@@ -12,7 +12,6 @@ import json
 import sys
 from pathlib import Path
 
-from pneuma.analysis.published import published_studies
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
@@ -61,7 +60,7 @@ def _run_ids() -> dict[str, str]:
 def _tables() -> dict[str, str]:
     """Digest what readers make of the published tables."""
     found = {}
-    for study in published_studies(Store(PUBLISHED)):
+    for study in Store(PUBLISHED).published():
         name, world = split_world(study)
         for table in TABLES:
             at = (*(("--world", world) if study != name else ()), "--results", str(PUBLISHED))

@@ -12,7 +12,6 @@ import numpy as np
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import FinishedRun, StudyData, view
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
-from pneuma.analysis.published import published_studies
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import as_fields
@@ -138,7 +137,7 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
         selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
         return make_plan(study, selection).cells
 
-    rest = " --unpublished" if published_studies(store) else ""
+    rest = " --unpublished" if store.published() else ""
     for claim in claims.claims.values():
         is_path = claim.study.endswith(".toml")
         path = str(claims.path.parent / claim.study) if is_path else claim.study

@@ -25,9 +25,9 @@ from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError, unknown_name
+from pneuma.files import checksum
 from pneuma.schema import CONFIG, Table, TomlFile, passes, read_model, read_toml
 from pneuma.study.claimed import ClaimedRuns, SeedsOf, StepsOf, fix_runs, listed
-from pneuma.study.files import checksum
 from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
 from pneuma.values import OneOf
 from pneuma.worlds import WORLDS

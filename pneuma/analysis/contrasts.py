@@ -27,8 +27,7 @@ class Contrast:
     """The result of one comparison.
 
     Attributes:
-        kind: mean, or incidence: the share of runs with an event.
-        effect: the mean or share of a, minus that of b or the constant.
+        effect: the mean of a, or its share of runs with an event, minus that of b or the constant.
         interval: its 95 % interval.
         p_greater: one-sided p-value that the effect is above zero.
         p_less: that it is below.
@@ -41,7 +40,6 @@ class Contrast:
         margin: that of the means; None without one, and of shares.
     """
 
-    kind: str
     effect: float
     interval: Interval
     p_greater: float
@@ -93,7 +91,7 @@ def compare(
     elif n and m:
         effect = float(first.mean() - second.mean())
     if too_few := _too_few(kind, n if value is not None else min(seeds)):
-        return undecided(kind, too_few, seeds, effect)
+        return undecided(too_few, seeds, effect)
     make: Callable[[float], Interval]
     if kind == "mean":
         if value is not None:
@@ -104,7 +102,7 @@ def compare(
             ways = pvalues.relabel(n, m, generator)
             tested = pvalues.mean_p_values(first[None], second[None], margin, ways)
             make = partial(intervals.difference_interval, first, second)
-        made = _contrast(kind, effect, make, level, tested, seeds, (1 / len(ways),) * 2)
+        made = _contrast(effect, make, level, tested, seeds, (1 / len(ways),) * 2)
         return replace(made, margin=margin)
     count, other = _count(first), _count(second)
     if value is not None:
@@ -115,7 +113,7 @@ def compare(
         tested = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
         extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
         make = partial(intervals.incidence_difference_interval, count, n, other, m)
-    return _contrast(kind, effect, make, level, tested, seeds, (extremes.greater[0], extremes.less[1]))
+    return _contrast(effect, make, level, tested, seeds, (extremes.greater[0], extremes.less[1]))
 
 
 def _share_interval(count: int, runs: int, value: float, level: float) -> Interval:
@@ -138,30 +136,27 @@ def compare_effects(
     values = [finite(arm) for arm in arms]
     seeds = min(of_arm.size for of_arm in values[:2]), min(of_arm.size for of_arm in values[2:])
     if too_few := _too_few("mean", min(seeds)):
-        return undecided("mean", too_few, seeds)
+        return undecided(too_few, seeds)
     means = [of_arm.mean() for of_arm in values]
     effect = float(means[0] - means[1] - means[2] + means[3])
     parts = np.array([of_arm.var(ddof=1) / of_arm.size for of_arm in values])
     error, degrees = float(np.sqrt(parts.sum())), np.array([of_arm.size - 1 for of_arm in values])
     if error == 0:
-        return undecided("mean", "all runs of every arm are equal", seeds, effect)
+        return undecided("all runs of every arm are equal", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
     size = max(np.abs(of_arm).max() for of_arm in values)  # so that units do not matter
     tails = pvalues.student_tails(shifted / size, np.full(shifted.shape, error / size), freedom)
     make = partial(intervals.around, effect, error, freedom, method="Welch t, four arms")
-    return _contrast("mean", effect, make, level, pvalues.p_values(*tails, 1), seeds, (0.0, 0.0))
+    return _contrast(effect, make, level, pvalues.p_values(*tails, 1), seeds, (0.0, 0.0))
 
 
-def undecided(
-    kind: str, reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")
-) -> Contrast:
+def undecided(reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")) -> Contrast:
     """Return a contrast that says nothing, with the reason."""
-    return Contrast(kind, effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
+    return Contrast(effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
 
 
 def _contrast(
-    kind: str,
     effect: float,
     interval: Callable[[float], Interval],
     level: float,
@@ -174,7 +169,6 @@ def _contrast(
     least = 2 * min(smallest)
     reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
     return Contrast(
-        kind,
         effect,
         interval(intervals.LEVEL),
         p_greater=greater,

@@ -28,6 +28,7 @@ from pneuma.analysis.pvalues import holm
 from pneuma.config import Run, stream_seed
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted
+from pneuma.study.plan import differing_fields
 from pneuma.values import as_tuple, shown_level, shown_value
 
 DRAWS = 5_000
@@ -112,7 +113,7 @@ def find_crossing(data: StudyData) -> tuple[dict[str, tuple[str, ...]], dict[str
     def seen(*keys: str) -> tuple[str, ...]:
         return tuple(dict.fromkeys(level(fields, keys) for fields in settings.values()))
 
-    groups: list[tuple[str, ...]] = [(key,) for key in _differing([*settings.values()])]
+    groups: list[tuple[str, ...]] = [(key,) for key in _levels(settings)]
     while pair := next(
         ((a, b) for a, b in combinations(groups, 2) if len(seen(*a, *b)) < len(seen(*a)) * len(seen(*b))),
         None,
@@ -264,7 +265,7 @@ def robustness_map(
         and settings[other] == {**settings[one], setting: values[1]}
     ]
     if not pairs:
-        differing = _differing([*settings.values()])
+        differing = _levels(settings)
         known = ", ".join(
             f"{key} ({', '.join(map(shown_level, levels))})" for key, levels in differing.items()
         )
@@ -274,7 +275,7 @@ def robustness_map(
         )
     for pair in pairs:
         refuse_unlike_returns(data, outcome, pair)
-    factors = _differing([settings[one] for one, _ in pairs])
+    factors = _levels({one: settings[one] for one, _ in pairs})
     contrasts = [_contrast(data, *pair, outcome, direction) for pair in pairs]
     corrected = holm([contrast.p_different for contrast in contrasts])
     cells = [
@@ -309,7 +310,7 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
     a, b = (direction * _values(data, name, outcome) for name in (better, worse))
     blank = int(np.isnan(a).sum() + np.isnan(b).sum())
     if blank:
-        return undecided("mean", f"{counted(blank, 'run')} without a value", (a.size, b.size))
+        return undecided(f"{counted(blank, 'run')} without a value", (a.size, b.size))
     return compare("mean", a, b, None, np.random.default_rng(stream_seed("robustness", better)))
 
 
@@ -328,11 +329,9 @@ def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _differing(settings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
+def _levels(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
     """Return the fields in which conditions differ, with their values in the study's order."""
-    keys = dict.fromkeys(key for fields in settings for key in fields)
-    levels = {key: tuple(dict.fromkeys(fields.get(key) for fields in settings)) for key in keys}
-    return {key: values for key, values in levels.items() if len(values) > 1}
+    return {key: (*dict.fromkeys(of_key.values()),) for key, of_key in differing_fields(settings).items()}
 
 
 def _values(data: StudyData, condition: str, name: str) -> np.ndarray:

@@ -197,7 +197,7 @@ def _judge_contrast(
     level = 1 - alpha / factor  # of the simultaneous intervals
     if reason:
         sizes = [counted.size for counted in values] + [0, 0]
-        contrast = undecided(claim.kind, reason, (sizes[0], sizes[1]))
+        contrast = undecided(reason, (sizes[0], sizes[1]))
     elif claim.c:
         contrast = compare_effects(values, margin, level)
     else:

@@ -16,7 +16,6 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -30,25 +29,12 @@ from pneuma.analysis import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.records import Records, told_seconds
 from pneuma.analysis.series import EXTREMES, GRID_POINTS, Stretch, make_grid, peak_curve
 from pneuma.errors import UserError
+from pneuma.files import parse_json, read_json, read_whole
 from pneuma.study.documents import Record, fits
-from pneuma.study.files import names_in, parse_json, read_json, read_whole
-from pneuma.study.store import FINISHED, Status, Store, shipped_tables
+from pneuma.study.store import FINISHED, Status, Store
 from pneuma.study.tables import from_parquet
 
-PUBLISHED = "published"
-"""The folder of published tables in a results folder."""
-SUFFIX, TIMES_SUFFIX = ".parquet", ".times.json"
-
-
-def published_path(store: Store, study: str) -> Path:
-    """Return the path of a study's published table."""
-    return store.root / PUBLISHED / f"{study}{SUFFIX}"
-
-
-def published_studies(store: Store, shipped: bool = False) -> list[str]:
-    """Return the studies with a published table here; with `shipped`, also those that come with Pneuma."""
-    names = [*names_in(store.root / PUBLISHED), *(names_in(shipped_tables()) if shipped else ())]
-    return [name.removesuffix(SUFFIX) for name in dict.fromkeys(names) if name.endswith(SUFFIX)]
+TIMES_SUFFIX = ".times.json"
 
 
 # --- The file ---------------------------------------------------------------------------------------

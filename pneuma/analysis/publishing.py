@@ -18,7 +18,7 @@ from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.series import EXTREMES, GRID_POINTS
 from pneuma.errors import UserError
-from pneuma.study.files import to_json
+from pneuma.files import to_json
 from pneuma.study.provenance import other_processors
 
 CURVES = (

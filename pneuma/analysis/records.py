@@ -32,7 +32,7 @@ from pneuma.analysis.series import (
     update_signs,
 )
 from pneuma.errors import UserError
-from pneuma.study.files import parse_json
+from pneuma.files import parse_json
 from pneuma.study.store import SCALARS_FILE, Status, Store
 from pneuma.study.tables import record_table
 

@@ -8,12 +8,12 @@ in every study. These are the tables in the folder and those that come with Pneu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.published import PublishedTable, published_path, published_studies, read_published
+from pneuma.analysis.published import PublishedTable, read_published
 from pneuma.analysis.records import LoggedRecords, Records
 from pneuma.errors import UserError
 from pneuma.study.store import SCALARS_FILE, Status, Store
@@ -58,13 +58,13 @@ class RunIndex:
 
     def _read_table(self, study: str) -> PublishedTable | None:
         """Return a study's published table, if it has one."""
-        path = (self.store.published_path if self._shipped else partial(published_path, self.store))(study)
+        path = self.store.published_path(study, self._shipped)
         return read_published(self.store, study) if path.exists() else None
 
     def _read_others(self) -> list[PublishedTable]:
         """Return all published tables that can be read."""
         tables = []
-        for study in published_studies(self.store, self._shipped):
+        for study in self.store.published(self._shipped):
             try:
                 tables += [table] if (table := self.table(study)) else []
             except UserError as error:
@@ -102,7 +102,7 @@ def join_studies(one: StudyData, other: StudyData) -> StudyData:
 def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
     """Return studies by the published tables of a results folder alone; all when none is named."""
     index = RunIndex(Store(results), stored=False, shipped=False)
-    tables = [read_published(index.store, name) for name in names or published_studies(index.store)]
+    tables = [read_published(index.store, name) for name in names or index.store.published()]
     return [open_study(index, table.record) for table in tables]
 
 

@@ -117,7 +117,7 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
 
     Names that end in .toml are left out, as only users may name files.
     """
-    names = {*store.studies(), *(path.stem for path in (store.root / "published").glob("*.parquet"))}
+    names = {*store.studies(), *store.published()}
     return sorted(
         name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )

@@ -182,7 +182,7 @@ def _contrasts(
         p = p_of_kind(kind, a, b, setting.margin(kind, seeds), generator)
         for row, (greater, less, equal, far_greater, far_less) in enumerate(zip(*p, strict=True)):
             contrast = Contrast(
-                kind, 0.0, nowhere, greater, less, equal, (seeds, seeds),
+                0.0, nowhere, greater, less, equal, (seeds, seeds),
                 p_far_greater=far_greater, p_far_less=far_less,
             )  # fmt: skip
             yield kind, truths[row % len(truths)], row, contrast

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.errors import UserError, nearest_name, plain
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.files import write_whole
+from pneuma.files import write_whole
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:

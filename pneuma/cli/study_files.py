@@ -209,11 +209,11 @@ def publish(
         world = split_world(record["study"])[1]
         table, (title, place, _) = in_world(as_, world), record["title"].partition(f" ({world})")
         record = {**record, "study": table, "figure": table, "title": f"{title}: {as_}{place}"}
-    from pneuma.analysis.published import TIMES_SUFFIX, published_path
+    from pneuma.analysis.published import TIMES_SUFFIX
     from pneuma.analysis.publishing import encode_study, encode_times
     from pneuma.analysis.run_index import RunIndex, open_study
 
-    index, path = RunIndex(store, shipped=False), published_path(store, record["study"])
+    index, path = RunIndex(store, shipped=False), store.published_path(record["study"], shipped=False)
     data = open_study(index, record, "own")
     new, staying = len(data.runs) - len(data.published), len(data.published)
     if not new:

@@ -37,9 +37,6 @@ ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
 """The oldest version with all operators used, so that older runtimes can read it."""
 
-_ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
-"""Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
-
 _ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "tanh": ("Tanh", {}),
     "relu": ("Relu", {}),
@@ -67,7 +64,6 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
     model = make_model(run, DummyVecEnv([lambda: _Spaces(space, len(policy.actor[-1][1]))]))
-    model.policy_kwargs = {**model.policy_kwargs, "activation_fn": _ACTIVATIONS[run.activation]}
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
     with torch.no_grad():

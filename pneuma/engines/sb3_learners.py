@@ -9,7 +9,7 @@ leaves out environment, random generators and last observation, and their `load`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,15 +23,11 @@ from torch import nn
 
 from pneuma.algorithms import OPTIMIZER_FIELDS
 from pneuma.config import Run, stream_seed
-from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.engines.upgd import UPGD
 
-ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
-    "tanh": nn.Tanh,
-    "relu": nn.ReLU,
-    "leaky-relu": lambda: nn.LeakyReLU(LEAKY_SLOPE),
-}
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
+"""Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
 OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,

@@ -34,7 +34,7 @@ from scipy.ndimage import label
 from pneuma.env import rules
 from pneuma.env_fields import SHIPPED_LEVELS, EnvConfig, is_own_level
 from pneuma.errors import UserError, unknown_name
-from pneuma.reading import read_text
+from pneuma.files import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"

@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.slots import Slots, chosen_starts, ending_info
-from pneuma.env.state import LAYOUT_DIGEST
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
 from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
@@ -194,16 +194,16 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         Worlds, players, monsters and events are bytes; `layout` describes them.
         """
         layout = np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)
-        return {"layout": layout} | {name: _bytes(array).copy() for name, array in self._state_arrays()}
+        return {"layout": layout} | {name: as_bytes(array).copy() for name, array in self._state_arrays()}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Resume from `saved_state`, in this process or another."""
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for name, array in self._state_arrays():
-            if saved[name].shape != _bytes(array).shape:
+            if saved[name].shape != as_bytes(array).shape:
                 raise ValueError(f"{name} of {saved[name].size} bytes where there are {array.nbytes}")
-            _bytes(array)[:] = saved[name]
+            as_bytes(array)[:] = saved[name]
         self.slots.begun = True
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
@@ -234,8 +234,3 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for each slot, of its world with its player in view."""
         return self._frames()
-
-
-def _bytes(array: np.ndarray) -> np.ndarray:
-    """Return an array's memory, (bytes,) uint8."""
-    return array.reshape(-1).view(np.uint8)

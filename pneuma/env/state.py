@@ -272,6 +272,11 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
+def as_bytes(array: np.ndarray) -> np.ndarray:
+    """Return an array's memory, (bytes,) uint8."""
+    return array.reshape(-1).view(np.uint8)
+
+
 def _no_events() -> Any:
     events = np.zeros(1, EVENTS)
     events["distance"] = np.inf

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import title_of
-from pneuma.reading import read_whole
+from pneuma.files import read_whole, to_json
 
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
@@ -62,8 +62,7 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
 def encode_index(entries: Sequence[Mapping[str, Any]]) -> bytes:
     """Encode an index as JSON, sorted by file; a later entry replaces an earlier one."""
     by_file = {entry["file"]: entry for entry in entries}
-    document = {"schema": SCHEMA, "figures": [by_file[name] for name in sorted(by_file)]}
-    return (json.dumps(document, indent=2) + "\n").encode()
+    return to_json({"schema": SCHEMA, "figures": [by_file[name] for name in sorted(by_file)]})
 
 
 def encode_contents(entries: Sequence[Mapping[str, Any]]) -> bytes:

@@ -45,7 +45,7 @@ from pneuma.figures.panels import stem_of
 from pneuma.figures.style import shrink
 from pneuma.figures.summary import draw_summary, shown_outcome
 from pneuma.figures.verdicts import judged_claims, write_verdicts
-from pneuma.study.files import write_whole
+from pneuma.files import write_whole
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.values import shown_value

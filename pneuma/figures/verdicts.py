@@ -39,7 +39,7 @@ from pneuma.analysis.judgement import (
 )
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
-from pneuma.study.files import write_whole
+from pneuma.files import write_whole
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 

@@ -17,11 +17,11 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.env_fields import read_fields
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.files import names_in, read_sealed, seal, to_json
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
 from pneuma.study.execute import check_environments
-from pneuma.study.files import names_in, read_sealed, seal, to_json
 from pneuma.study.identity import own_things
 from pneuma.study.locks import run_lock
 from pneuma.study.spec import files_called

@@ -31,10 +31,10 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import UserError
+from pneuma.files import SCHEMA, checksum, read_whole
 from pneuma.study.documents import History, fits
-from pneuma.study.files import CHECKPOINTS, SCHEMA, checksum, read_checkpoint_name, read_whole
 from pneuma.study.provenance import Attempt
-from pneuma.study.store import Store
+from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2

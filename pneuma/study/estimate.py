@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, as_fields
-from pneuma.study.provenance import machine, processors, stored_origins
+from pneuma.study.provenance import machine, processors
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
 
@@ -40,13 +40,14 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
     names, cpu = [*dict.fromkeys([*names_first, *store.runs()[:SAMPLE]])], machine()["cpu"]
     found: dict[str, list[float]] = {}
-    for name, origin in stored_origins(store, names):
+    for name in names:
         try:
+            origin = store.read_document(name, "provenance.json")
             settings = stored_settings(store, name)
             seconds = origin.get("training_seconds", origin["wall_seconds"])
             pace = seconds / (origin["attempts"][-1]["step"] - settings["fork_step"])
         except (KeyError, TypeError, ValueError, IndexError, ArithmeticError):
-            continue  # a diverged, damaged or untrusted run tells nothing
+            continue  # an imported, diverged, damaged or untrusted run tells nothing
         if pace > 0 and processors(origin) == (cpu,):
             found.setdefault(_kind(settings), []).append(pace)
     return {kind: statistics.fmean(paces) for kind, paces in found.items()}

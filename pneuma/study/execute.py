@@ -14,8 +14,8 @@ from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
 from pneuma.errors import UserError, counted
+from pneuma.files import parse_json, to_json
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
-from pneuma.study.files import parse_json, to_json
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from pneuma.errors import UserError, install_extra
-from pneuma.study.files import checksum, read_whole, to_json
+from pneuma.files import checksum, read_whole, to_json
 from pneuma.study.plan import Selection
 from pneuma.study.spec import list_studies
 from pneuma.study.store import SCALARS_FILE, Status, Store

@@ -9,15 +9,13 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
-
-from pneuma.study.store import Store
 
 PACKAGES = (
     "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
@@ -157,16 +155,6 @@ def _cpu() -> str:
 
 
 # --- Of stored runs --------------------------------------------------------------------------------
-
-
-def stored_origins(store: Store, run_ids: Iterable[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield run ids with their provenance, which may be untrusted, for runs that have one.
-
-    They are read one at a time, because a run that was requeued every hour names hundreds of machines.
-    """
-    for name in run_ids:
-        if (origin := store.read_document(name, "provenance.json")) and "imported" not in origin:
-            yield name, origin
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:

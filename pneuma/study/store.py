@@ -29,13 +29,11 @@ from typing import Any
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
-from pneuma.study.files import (
-    CHECKPOINTS,
+from pneuma.files import (
     SCHEMA,
     checksum,
     names_in,
     parse_json,
-    read_checkpoint_name,
     read_sealed,
     read_whole,
     replace_files,
@@ -55,7 +53,14 @@ FAILED = ("crashed", "timeout")
 SCALARS_FILE = "scalars.parquet"
 """The file of an imported run: every value in its logs."""
 
+PUBLISHED, TABLE = "published", ".parquet"
+"""The folder of published tables in a results folder, and the ending of their names."""
+
+CHECKPOINTS = "checkpoints"
+"""The folder of a run's checkpoints."""
+
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
+_CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
 _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 
@@ -301,12 +306,17 @@ class Store:
         """Return the path of a study's record."""
         return self.root / "studies" / f"{study}.json"
 
-    def published_path(self, study: str) -> Path:
-        """Return the path of a study's published table: here, or among those that come with Pneuma."""
-        own_path, shipped = (
-            folder / f"{study}.parquet" for folder in (self.root / "published", shipped_tables())
+    def published_path(self, study: str, shipped: bool = True) -> Path:
+        """Return the path of a study's published table: here, or with `shipped` among Pneuma's own."""
+        own_path, of_pneuma = (
+            folder / f"{study}{TABLE}" for folder in (self.root / PUBLISHED, shipped_tables())
         )
-        return shipped if shipped.exists() and not os.path.lexists(own_path) else own_path
+        return of_pneuma if shipped and of_pneuma.exists() and not os.path.lexists(own_path) else own_path
+
+    def published(self, shipped: bool = False) -> list[str]:
+        """Return the names of studies with a published table here; with `shipped`, also Pneuma's own."""
+        names = [*names_in(self.root / PUBLISHED), *(names_in(shipped_tables()) if shipped else ())]
+        return [name.removesuffix(TABLE) for name in dict.fromkeys(names) if name.endswith(TABLE)]
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""
@@ -335,6 +345,12 @@ class Store:
             raise UserError(
                 f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
             ) from None
+
+
+def read_checkpoint_name(name: str) -> tuple[int, str] | None:
+    """Return the step and checksum in a checkpoint's file name; None for any other file."""
+    match = _CHECKPOINT_NAME.fullmatch(name)
+    return (int(match[1]), match[2]) if match else None
 
 
 def shipped_tables() -> Path:

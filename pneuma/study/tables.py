@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneuma.study.files import LARGEST_BYTES
+from pneuma.files import LARGEST_BYTES
 
 _WHOLE = {"slot", "episode", "step", "length", "kills", "episodes", "argmax_starts"}
 _TEXT = {"ending", "tag"}

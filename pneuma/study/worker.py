@@ -30,8 +30,8 @@ from pneuma.engines.loop import train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
+from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.files import to_json
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
 from pneuma.study.provenance import Attempt, finished_provenance

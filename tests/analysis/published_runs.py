@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.published import TIMES_SUFFIX, published_path
+from pneuma.analysis.published import TIMES_SUFFIX
 from pneuma.analysis.publishing import encode_study, encode_times
 from pneuma.analysis.run_index import open_published
 from pneuma.engines.records import METRIC_COLUMNS
@@ -49,7 +49,7 @@ def save_run(
 
 def publish(data: StudyData, store: Store, times: bool = True, **options: Any) -> None:
     """Write a study's published table, and the times beside it, into a results folder."""
-    path = published_path(store, data.study)
+    path = store.published_path(data.study)
     store.write(path, encode_study(data, **options))
     if times:
         store.write(path.with_suffix(TIMES_SUFFIX), encode_times(data))

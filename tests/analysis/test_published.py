@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis.published import published_path, published_studies, read_published
+from pneuma.analysis.published import read_published
 from pneuma.analysis.publishing import encode_study, rounded
 from pneuma.analysis.run_index import RunIndex, open_study
 from pneuma.errors import UserError
@@ -31,8 +31,8 @@ def _publish(store: Store, record: dict[str, Any] = RECORD, **options: Any) -> P
     """Publish what is here, beside what was published before."""
     index = RunIndex(store)
     encoded = encode_study(open_study(index, record, "own"), before=index.table("mine"), **options)
-    store.write(published_path(store, "mine"), encoded)
-    return published_path(store, "mine")
+    store.write(store.published_path("mine"), encoded)
+    return store.published_path("mine")
 
 
 def _part(tmp_path: Path, seed: int, before: Store | None = None) -> Store:
@@ -42,7 +42,7 @@ def _part(tmp_path: Path, seed: int, before: Store | None = None) -> Store:
         if own == seed:
             save_run(store, run_id, own)
     if before:
-        store.write(published_path(store, "mine"), published_path(before, "mine").read_bytes())
+        store.write(store.published_path("mine"), before.published_path("mine").read_bytes())
     return store
 
 
@@ -95,7 +95,7 @@ def test_one_flipped_bit_anywhere_is_noticed_where_the_table_is_needed(store: St
     path.unlink()
     with pytest.raises(UserError, match="mine.parquet: cannot be read"):
         read_published(store, "mine")
-    assert published_studies(store) == []
+    assert store.published() == []
 
 
 # --- Part by part -----------------------------------------------------------------------------------
@@ -124,5 +124,5 @@ def test_evaluations_of_other_columns_join(
         for name in "ab":
             save_run(to, f"{name}{seed}" * 8, seed, **changed)
     before = _publish(parts[0])
-    parts[1].write(published_path(parts[1], "mine"), before.read_bytes())
+    parts[1].write(parts[1].published_path("mine"), before.read_bytes())
     assert _publish(parts[1]).read_bytes() == _publish(store).read_bytes()

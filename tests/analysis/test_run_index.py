@@ -13,7 +13,6 @@ from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import CURVES
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
 from pneuma.analysis.stored_studies import study_record
@@ -147,7 +146,7 @@ def test_a_name_stands_for_its_latest_selection_or_what_is_published(tmp_path: P
     assert "source" not in study_record(store, "mine")
     with pytest.raises(UserError, match="unknown study 'other'"):
         study_record(store, "other")
-    store.write(published_path(store, "bad"), b"PAR1")
+    store.write(store.published_path("bad"), b"PAR1")
     index = RunIndex(store)
     held = index.of_record(record)
     assert held[B0].status == Status("done", BUDGET) and held[A1].status == Status("planned")

@@ -20,7 +20,7 @@ def contrast(
 ) -> Contrast:
     interval = no_interval()
     return Contrast(
-        "mean", 0.0, interval, greater, less, equivalent, (10, 10),
+        0.0, interval, greater, less, equivalent, (10, 10),
         p_far_greater=far_greater, p_far_less=far_less,
     )  # fmt: skip
 
@@ -70,7 +70,7 @@ def test_a_difference_inside_the_margin_does_not_refute_that_there_is_none() -> 
 
 
 def test_the_smallest_p_is_of_the_claimed_direction() -> None:
-    few = Contrast("mean", 0.0, no_interval(), 1, 1, 1, (4, 4), smallest_greater=0.01, smallest_less=0.3)
+    few = Contrast(0.0, no_interval(), 1, 1, 1, (4, 4), smallest_greater=0.01, smallest_less=0.3)
     told = {way: smallest_p(few, way) for way in ("greater", "less", "different", "equal")}
     assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01}
 

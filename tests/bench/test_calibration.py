@@ -46,7 +46,7 @@ def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
 def test_what_counts_as_a_false_verdict(truth: str, claimed: str, p: tuple[float, ...], wrong: bool) -> None:
     greater, less, equal, far_greater, far_less = p
     own = Contrast(
-        "mean", 0.0, no_interval(), greater, less, equal, (9, 9),
+        0.0, no_interval(), greater, less, equal, (9, 9),
         p_far_greater=far_greater, p_far_less=far_less,
     )  # fmt: skip
     assert is_false(decide(own, claimed, 60)[0], own, truth, claimed) == wrong

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run, make_run
+from pneuma.files import to_json
 from pneuma.study.execute import selection_record
-from pneuma.study.files import to_json
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.published import published_path
 from pneuma.analysis.publishing import encode_study
 from pneuma.figures import paper
 
@@ -30,7 +29,7 @@ def published(study: HandMade, tmp_path: Path) -> Path:
     (fresh / "published").mkdir(parents=True)
     for name in ("mine", "mine-godot"):
         data.study = name
-        (fresh / "published" / published_path(study.store, name).name).write_bytes(encode_study(data))
+        (fresh / "published" / study.store.published_path(name).name).write_bytes(encode_study(data))
     return fresh
 
 

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.files import replace_files, to_json, write_whole
+from pneuma.files import replace_files, to_json, write_whole
 from pneuma.study.locks import run_lock
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet, to_parquet

@@ -17,10 +17,10 @@ import pneuma
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
+from pneuma.files import checksum, seal, to_json
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
-from pneuma.study.files import checksum, seal, to_json
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 

@@ -21,7 +21,7 @@ from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 from pneuma.env.compiled import cached
-from pneuma.env.state import LAYOUT_DIGEST
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_fields import own_rewards
 
@@ -139,25 +139,16 @@ class Collector:
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
         """Return a rollout's finished episodes as records, given the agent steps before it."""
-        return [
-            {
-                "slot": int(row["slot"]),
-                "episode": int(row["episode"]),
-                "step": first_step + int(row["step"]) * len(self.idle),
-                "return": float(row["return"]),
-                "length": int(row["length"]),
-                "kills": int(row["kills"]),
-                "hp": float(row["hp"]),
-                "ending": ENDINGS[int(row["ending"])],
-            }
-            for row in rollout.ended
-        ]
+        rows = [dict(zip(ENDED.names or (), row, strict=True)) for row in rollout.ended.tolist()]
+        for row in rows:
+            row |= {"step": first_step + row["step"] * len(self.idle), "ending": ENDINGS[row["ending"]]}
+        return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
         idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
         return {
-            **{f"worlds/{name}": _bytes(getattr(self.worlds, name)) for name in _WORLDS},
+            **{f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS},
             **{f"episodes/{name}": getattr(self, name) for name in (*_EPISODES, *idle)},
         }
 
@@ -197,11 +188,6 @@ def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
     """Return which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
     limit = ended["ending"] == rules.TIME_LIMIT
     return limit if run.time_limit == "truncate" else np.zeros_like(limit)
-
-
-def _bytes(array: np.ndarray) -> np.ndarray:
-    """Return an array's memory, (bytes,) uint8."""
-    return array.reshape(-1).view(np.uint8)
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:

@@ -29,8 +29,8 @@ from typing import IO, Any
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
+from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
-from pneuma.study.files import parse_json
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Status, Store

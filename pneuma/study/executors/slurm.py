@@ -29,9 +29,9 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
+from pneuma.files import replace_files, to_json
 from pneuma.study.executors.base import Detached, Job, OnEvent, Supervision, watch
 from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
-from pneuma.study.files import replace_files, to_json
 from pneuma.study.locks import is_held, run_lock
 from pneuma.study.store import Store
 

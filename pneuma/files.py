@@ -1,26 +1,59 @@
-"""Files in a results folder: written whole or not at all, and documents with a checksum."""
+"""Files: read with a limit on their size, written whole or not at all, and documents with a checksum.
+
+Files that are read may be untrusted; nothing waits for a pipe.
+"""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
-import re
+import stat
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError
-from pneuma.reading import LARGEST_BYTES as LARGEST_BYTES
-from pneuma.reading import read_whole as read_whole
 
 SCHEMA = 1
 _SEAL = "sha256"
 
-CHECKPOINTS = "checkpoints"
-"""The folder of a run's checkpoints."""
-_CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
+LARGEST_BYTES = 512 * 2**20
+"""Most bytes of a file that is read whole."""
+LARGEST_TEXT = 2**20
+"""Most bytes of a TOML file; a study of a thousand conditions has a tenth of it."""
+
+
+def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
+    """Return the contents of a file.
+
+    Raises:
+        OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
+    """
+    try:
+        with open(path, "rb", opener=_open_ordinary) as file:
+            data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
+    except MemoryError:
+        raise OSError(errno.ENOMEM, "does not fit into memory") from None
+    if data is None or len(data) > most:
+        raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
+    return data
+
+
+def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
+    """Return the text of a user's file, with all line ends as one character.
+
+    Raises:
+        UserError: when it cannot be read, is too large, or no text in UTF-8.
+    """
+    try:
+        text = read_whole(path, most).decode("utf-8-sig")
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise UserError(f"{path}: cannot be read: {reason}") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -113,12 +146,14 @@ def read_sealed(path: Path) -> dict[str, Any] | None:
     return document if sealed_with == checksum(to_json(document)) else None
 
 
-def read_checkpoint_name(name: str) -> tuple[int, str] | None:
-    """Return the step and checksum in a checkpoint's file name; None for any other file."""
-    match = _CHECKPOINT_NAME.fullmatch(name)
-    return (int(match[1]), match[2]) if match else None
-
-
 def checksum(data: bytes) -> str:
     """Return the hexadecimal SHA-256 of some bytes."""
     return hashlib.sha256(data).hexdigest()
+
+
+def _open_ordinary(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is no ordinary file")
+    return descriptor
