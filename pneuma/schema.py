@@ -243,6 +243,10 @@ def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, s
     if kind == "missing":
         (*where, key) = map(str, first["loc"])
         return tuple(where), "", f"the key {key!r} is missing"
+    if kind in ("union_tag_not_found", "union_tag_invalid"):  # of tables like [sampler], told by their name
+        known = re.findall(r"'([^']*)'", context.get("expected_tags", ""))
+        message = str(unknown_name("name", context["tag"], known)) if known else "the key 'name' is missing"
+        return tuple(map(str, first["loc"])), "name", message
     path: Where = ()
     value: Any = data
     for step in first["loc"]:  # a list is not looked into; which of several models it was is no key

@@ -62,11 +62,12 @@ class Parameter(Table):
         values = data.get("choices", ())
         if not isinstance(values, tuple) or len(values) == 1:
             raise wrong("choices: a list of two values or more", "choices")
-        return {
-            **data,
-            **ends,
-            "choices": {_name(value): value for value in (read("choices", v) for v in values)},
-        }
+        if values and (ends or "log" in data):
+            raise wrong("choices stand for themselves: leave out low, high and log", "choices")
+        choices = {_name(value): value for value in (read("choices", each) for each in values)}
+        if len(choices) < len(values):
+            raise wrong("choices: two values are equal", "choices")
+        return {**data, **ends, "choices": choices}
 
     @model_validator(mode="after")
     def _check_range(self) -> Parameter:
@@ -152,6 +153,8 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
     def value_of(name: str, value: Any) -> Any:
         if name not in read and name in space:
             raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
+        if name in read and not read[name].choices and not read[name].whole:
+            raise UserError(f"{name} is searched in a range, which never meets one value")
         if name not in read or not (choices := read[name].choices):
             return _read_field(name, value)
         if _name(value) not in choices:
@@ -245,6 +248,11 @@ class Space:
         """
         for key in self.fixed.keys() & self.keys:
             raise UserError(f"{key} is searched by [space.{key}]")
+        usual = self._usual_fields(self.base)
+        for parameter in self.parameters:
+            for key in parameter.when.keys() - self.keys:
+                if as_tuple(usual.get(key)) not in parameter.when[key]:
+                    raise UserError(f"{parameter.name} never applies: {key} is {shown(usual.get(key))}")
         corners = list(self.corners())
         for key in [parameter.name for parameter in self.parameters]:
             runs = [run for params, run in corners if key in params]

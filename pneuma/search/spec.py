@@ -18,7 +18,8 @@ from annotated_types import Interval, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, Steps, is_gymnasium_id
+from pneuma.config import BASES, Steps
+from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
@@ -33,7 +34,7 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
-from pneuma.worlds import TEXT, check_world, in_world, world_fields
+from pneuma.worlds import TEXT, WORLDS, check_world, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "deviation")
 """Functions that combine the outcomes of a trial's seeds."""
@@ -201,7 +202,8 @@ class Search:
         check_world(world)
         if world == self.world:
             return self
-        if is_gymnasium_id(env := self.space.fixed.get("env")):
+        env = self.space.fixed.get("env")
+        if env not in (None, ENVIRONMENTS[0], WORLDS[world].env):
             raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, name=in_world(self.name, world), world=world)

@@ -20,7 +20,8 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 from pydantic import BeforeValidator
 
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, is_gymnasium_id, make_run
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
+from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.spec import (
@@ -139,8 +140,9 @@ def read_study(path: Path) -> Study:
     if baseline not in conditions:
         unknown = unknown_name("condition", baseline, conditions)
         raise file.mistake((), f"baseline: {unknown}", "baseline")
-    fixed = any("env" in fields for fields in conditions.values()) or is_gymnasium_id(said.run.get("env"))
-    usual = (TEXT,) if fixed else tuple(WORLDS)
+    env = said.run.get("env", ENVIRONMENTS[0])
+    fixed = env != ENVIRONMENTS[0] or any("env" in fields for fields in conditions.values())
+    usual = [name for name, world in WORLDS.items() if name == TEXT or not fixed or world.env == env]
     study = Study(
         name=path.stem,
         path=path,
