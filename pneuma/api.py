@@ -145,7 +145,7 @@ def compare(
     from pneuma.analysis.summaries import compare_conditions
 
     data = study if isinstance(study, StudyData) else open_data(study, results)
-    return compare_conditions(data, a, b, outcomes)
+    return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else outcomes)
 
 
 def load_policy(
@@ -154,7 +154,7 @@ def load_policy(
     """Load the final policy of a stored run.
 
     Args:
-        run_id: the run's id, or a prefix of four digits or more.
+        run_id: the run's id, or its first digits if no other begins so.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
         trust: use level, characters and reward files, and modules, that the run names.
 
@@ -220,8 +220,6 @@ def evaluate(
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits
 
-    if episodes < 1:
-        raise UserError(f"episodes = {episodes} is not allowed: at least 1")
     world = asdict(make_env_config(dict(settings or {}), env_id))
     run = make_run({**world, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
     evaluation = Evaluation(run)
@@ -238,6 +236,7 @@ def _store(results: Where | None) -> Store:
 
 def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
     try:
-        return spec.read_seeds(seeds if isinstance(seeds, int) else list(seeds))
+        seeds = plain(seeds)
+        return spec.read_seeds(seeds if isinstance(seeds, int) else plain([*seeds]))
     except (ValueError, TypeError, UserError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None

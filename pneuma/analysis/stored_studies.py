@@ -101,6 +101,8 @@ def _unknown(store: Store, name: str, stem: str) -> UserError:
     if is_shipped(stem) or name.endswith(".toml"):
         ran = f"run `{spec.run_command(stem, name if name.endswith('.toml') else None)}` first"
         return UserError(f"study {stem} has no runs in {store.root}: {ran}, or give --results")
+    if elsewhere := related_studies(store, stem):
+        return UserError(f"study {stem} has no runs in {store.root}, which has {', '.join(elsewhere)}")
     return unknown_name("study", name, sorted({*spec.list_studies(), *known_studies(store)}))
 
 

@@ -373,7 +373,9 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
             reward, ended, cut, info = slots.step_one(row, action)
             returns[row] += reward
             if ended or cut:
-                successes[row] = float(info.get("is_success", NAN))
+                with blamed(f"{slots.run.env}: info['is_success']"):
+                    success = info.get("is_success")
+                    successes[row] = NAN if success is None else float(success)
             else:
                 going_on.append(row)
         if slots.lengths.max() >= LONGEST_EPISODE:

@@ -24,11 +24,13 @@ the events of a step in which nothing happened. `events["distance"]` is infinite
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
+from importlib.machinery import PathFinder
 from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
@@ -181,7 +183,7 @@ def module_files(name: str, path: Path) -> list[Path]:
     top = root / packages[0] if packages and _is_installed(root) else root
     if _is_installed(top):
         return [path]
-    finder = _Imports([str(root)], excludes=["pneuma"])
+    finder = _Imports(root, packages[0] if top != root else "")
     with suppress(ImportError, SyntaxError, ValueError, RecursionError):
         finder.import_hook(name)
     sources = (getattr(module, "__file__", None) for module in finder.modules.values())
@@ -189,14 +191,32 @@ def module_files(name: str, path: Path) -> list[Path]:
     return [path, *sorted(file for file in found - {path} if file.is_relative_to(top))]
 
 
+PY_SOURCE, PKG_DIRECTORY = 1, 5
+"""What `ModuleFinder` calls a source file, and a package."""
+
+
 class _Imports(ModuleFinder):
-    """Finds import statements without running anything."""
+    """Finds import statements without running anything; of an installed package only those within it."""
+
+    def __init__(self, root: Path, package: str = "") -> None:
+        super().__init__([str(root)], excludes=["pneuma"])
+        self.package = package
 
     def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        if self.package and path is None and name != self.package:
+            raise ImportError(name)
         try:
             return super().find_module(name, path, parent)
-        except TypeError:  # it does not know folders without __init__.py
-            raise ImportError(name) from None
+        except (AttributeError, TypeError):  # a folder without __init__.py, which it does not know
+            found = PathFinder.find_spec(name, path or self.path)
+            places = [*(found.submodule_search_locations or ())] if found else []
+            if not places:
+                raise ImportError(name) from None
+            return None, places[0], ("", "", PKG_DIRECTORY)
+        except ImportError:
+            if name != "__init__" or path is None:
+                raise
+            return io.StringIO(), "", (".py", "r", PY_SOURCE)
 
 
 def _is_installed(folder: Path) -> bool:

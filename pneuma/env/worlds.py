@@ -287,8 +287,7 @@ class Worlds:
         Raises:
             ValueError: for an unknown world, or one in which no episode has begun.
         """
-        if not 0 <= world < len(self):
-            raise ValueError(f"world {world}: there are worlds 0 to {len(self) - 1}")
+        self._check_number(world)
         if not self.worlds["players_left"][world] and self.ending(world) == "running":
             raise ValueError(f"no episode has begun in world {world}: reset it first")
         one = slice(world, world + 1)
@@ -303,8 +302,9 @@ class Worlds:
         observation, or `observe` at once.
 
         Raises:
-            ValueError: for a state that does not fit it.
+            ValueError: for an unknown world, or a state that does not fit it.
         """
+        self._check_number(world)
         if snapshot.fits != self._fits or snapshot.worlds["level"].item() >= len(self.levels):
             raise ValueError(
                 "a state of another number of players, another level, class, weapon or kind of monster, or "
@@ -314,6 +314,10 @@ class Worlds:
         for whole, array in zip(self.raw, saved, strict=False):
             whole[world] = array.view(whole.dtype)[0]
         self.raw[3][world] = state.NO_EVENTS
+
+    def _check_number(self, world: int) -> None:
+        if not 0 <= world < len(self):
+            raise ValueError(f"world {world}: there are worlds 0 to {len(self) - 1}")
 
     def _fingerprint(self) -> str:
         """Return a digest of levels, characters and what stops whom, without observations and rewards."""
