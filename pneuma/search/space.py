@@ -248,11 +248,6 @@ class Space:
         """
         for key in self.fixed.keys() & self.keys:
             raise UserError(f"{key} is searched by [space.{key}]")
-        usual = self._usual_fields(self.base)
-        for parameter in self.parameters:
-            for key in parameter.when.keys() - self.keys:
-                if as_tuple(usual.get(key)) not in parameter.when[key]:
-                    raise UserError(f"{parameter.name} never applies: {key} is {shown(usual.get(key))}")
         corners = list(self.corners())
         for key in [parameter.name for parameter in self.parameters]:
             runs = [run for params, run in corners if key in params]
@@ -261,6 +256,14 @@ class Space:
         runs = [run for _, run in corners]
         for key in unread_fields(runs, unread):
             raise UserError(does_nothing(key, runs))
+
+    def check_when(self) -> None:
+        """Refuse a parameter that never applies, because a field that is not searched has another value."""
+        usual = self._usual_fields(self.base)
+        for parameter in self.parameters:
+            for key in parameter.when.keys() - self.keys:
+                if as_tuple(usual.get(key)) not in parameter.when[key]:
+                    raise UserError(f"{parameter.name} never applies: {key} is {shown(usual.get(key))}")
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield trials at the ends of ranges, always the same ones, each with its run.

@@ -247,6 +247,7 @@ def read_search(path: Path) -> Search:
     space = Space(tuple(said.space.values()), modules_beside(path, said.run), said.base)
     try:
         space.check(unread=said.run)
+        space.check_when()  # `--set` may leave out a part of the space, a file may not
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     if len(said.objectives) > 1 and said.pruner.name:
