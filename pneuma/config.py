@@ -34,7 +34,6 @@ from pneuma.env_fields import (
     ENVIRONMENT_FIELDS,
     ENVIRONMENTS,
     EnvConfig,
-    is_random_level,
     read_fields,
     resolve_world,
 )
@@ -197,7 +196,7 @@ class Run(EnvConfig):
     utility_decay: Fraction | None = None
     """Decay of UPGD's mean utility of a weight."""
     noise: Annotated[float, Interval(ge=0, le=1000)] | None = None
-    """Standard deviation of the noise that UPGD adds to a gradient, before protection."""
+    """Standard deviation of the noise that UPGD adds to Adam's step, before protection."""
     weight_decay: Share = 0.0
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
@@ -317,8 +316,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"train_every = {run.train_every} is not allowed: {whole}")
     if run.learning_rate > 1 and run.algorithm in TABULAR:
         raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
-    if run.held_out_levels and not is_random_level(run.level):
-        raise UserError(f"held_out_levels = {run.held_out_levels} is not allowed: {run.level} is not random")
+    if run.held_out_levels and not run.level.startswith("random:train:"):
+        wrong = f"{run.level} is not of random:train:"
+        raise UserError(f"held_out_levels = {run.held_out_levels} is not allowed: {wrong}")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in fields_read(run):

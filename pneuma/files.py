@@ -34,7 +34,8 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
     """
     try:
         with open(path, "rb", opener=_open_ordinary) as file:
-            data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(size + 1) if size <= most else None  # memory is taken for as many as are asked
     except MemoryError:
         raise OSError(errno.ENOMEM, "does not fit into memory") from None
     if data is None or len(data) > most:

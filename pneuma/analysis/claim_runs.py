@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.frames import FinishedRun, StudyData, view
+from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
 from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
@@ -106,8 +106,9 @@ class ClaimRuns:
         """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
         claim, data, runs = self.claim, self.data, self.found(condition)
         assert data is not None
-        steps = {*claim.steps.values()}
-        at_step = float(min(steps)) if len(steps) > 1 else None
+        budgets = [cells[0].run.steps for cells in self.cells.values()]
+        unlike = max(budgets) > min(budgets) * (1 + SLACK)
+        at_step = float(min(claim.steps.values())) if unlike else None
         learned, reasons = _learned(data, runs, at_step), []
         if claim.only:
             counts = _values(data, runs, claim.only, at_step)

@@ -141,11 +141,11 @@ def compare_effects(
     effect = float(means[0] - means[1] - means[2] + means[3])
     parts = np.array([of_arm.var(ddof=1) / of_arm.size for of_arm in values])
     error, degrees = float(np.sqrt(parts.sum())), np.array([of_arm.size - 1 for of_arm in values])
-    if error == 0:
+    size = max(np.abs(of_arm).max() for of_arm in values)  # so that units do not matter
+    if error**2 <= pvalues.LEAST_VARIANCE * size**2:
         return undecided("all runs of every arm are equal", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
-    size = max(np.abs(of_arm).max() for of_arm in values)  # so that units do not matter
     tails = pvalues.student_tails(shifted / size, np.full(shifted.shape, error / size), freedom)
     make = partial(intervals.around, effect, error, freedom, method="Welch t, four arms")
     return _contrast(effect, make, level, pvalues.p_values(*tails, 1), seeds, (0.0, 0.0))

@@ -184,7 +184,8 @@ def _roughness(values: np.ndarray) -> float:
 
 def _most_of_one(seen: RunView) -> float:
     """Return the share of the most frequent action at the end of training."""
-    return max(_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES)))
+    shares = [_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES))]
+    return max(*shares, 1 - sum(shares))  # of the actions that have no columns, together
 
 
 def _early_variance(seen: RunView) -> float:

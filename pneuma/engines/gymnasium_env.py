@@ -378,7 +378,7 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
                     successes[row] = NAN if success is None else float(success)
             else:
                 going_on.append(row)
-        if slots.lengths.max() >= LONGEST_EPISODE:
+        if slots.lengths[going_on].max(initial=0) >= LONGEST_EPISODE:
             mend = "set env_kwargs = { max_episode_steps = N }"
             raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {mend}")
         rows = np.array(going_on, np.int64)

@@ -26,7 +26,7 @@ from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import Budget, Median, Objective, Pruner, Search
 from pneuma.study.execute import selection_record
-from pneuma.study.identity import run_id
+from pneuma.study.identity import contents, run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
@@ -60,7 +60,10 @@ class Task:
     def identity(self) -> dict[str, Any]:
         """Return everything that the suggestions depend on, except the number of trials."""
         search = self.search
+        values = [{key: value} for key, each in search.space.all_values().items() for value in each]
+        code = [*filter(None, map(contents, values))]
         return {
+            **({"contents": code} if code else {}),
             "base": search.space.base,
             "fixed": search.space.fixed,
             "space": [parameter.identity for parameter in search.space.parameters],

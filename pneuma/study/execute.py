@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config
+from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config, make_run
 from pneuma.errors import UserError, counted
 from pneuma.files import parse_json, to_json
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
@@ -235,10 +235,18 @@ def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str
 
 
 def _is_of_same_code(before: Mapping[str, Any], plan: Plan) -> bool:
-    """Return whether the earlier runs of a plan's conditions would have the same ids now."""
+    """Return whether the earlier runs of a study's conditions would have the same ids now."""
     now = {cell.condition: cell.run for cell in plan.cells}
-    some = {run["condition"]: run for run in before["runs"] if run["condition"] in now}.values()
-    return all(run_id(replace(now[run["condition"]], seed=run["seed"])) == run["run_id"] for run in some)
+    for run in {run["condition"]: run for run in before["runs"]}.values():
+        if (name := run["condition"]) in plan.study.conditions:
+            kept = {key: run["run"][key] for key in ("seed", "steps", *(plan.selection.settings or {}))}
+            try:
+                again = now.get(name) or make_run({**plan.study.fields(name), **kept})
+            except UserError:
+                return False
+            if run_id(replace(again, seed=run["seed"])) != run["run_id"]:
+                return False
+    return True
 
 
 def can_join(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

@@ -39,20 +39,20 @@ def run_id(run: Run) -> str:
         hashed[WRAPPERS] = [Path(name).name for name in fields[WRAPPERS]]
     identity = {
         "run": hashed,
-        "contents": _contents(run),
+        "contents": contents(fields),
         "rules": RULES_VERSION,
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _contents(run: Run) -> str:
-    """Return a digest of the user's own files that a run reads: level, characters, and modules.
+def contents(fields: Mapping[str, Any]) -> str:
+    """Return a digest of the user's own files in a run's fields: level, characters, and modules; "" of none.
 
     Shipped files are part of the rules' version.
     """
     paths: list[Path] = []
-    for key, named in own_names(as_fields(run)).items():
+    for key, named in own_names(fields).items():
         module, function = _FILES[key]
         paths += getattr(import_module(module), function)(named)
     digest = hashlib.sha256()

@@ -133,8 +133,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
     Raises:
         UserError: when the queue does not answer, or refuses the jobs.
     """
-    live = queued(store)
-    _put_away(store, live)
+    live = _put_away(store)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     fresh = [group for group in fresh if group]
     for array in (fresh[first : first + MOST_IN_ARRAY] for first in range(0, len(fresh), MOST_IN_ARRAY)):
@@ -162,7 +161,7 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
     printed = f"what it printed lies in {_folder(store)}, the same command submits it again"
     watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}")
     with suppress(UserError):  # remaining files are removed next time
-        _put_away(store, queued(store))
+        _put_away(store)
 
 
 # --- The queue, and what was submitted to it ----------------------------------------------------------
@@ -175,18 +174,28 @@ def _folder(store: Store) -> Path:
 
 def _noted(store: Store) -> dict[str, list[list[str]]]:
     """Return the runs of all submitted jobs that were not cleared away yet, by the name of their array."""
-    notes = sorted(_folder(store).glob(f"*/{NOTE}"))
-    return {note.parent.name: json.loads(note.read_bytes()) for note in notes}
+    noted = {}
+    for note in sorted(_folder(store).glob(f"*/{NOTE}")):
+        with suppress(FileNotFoundError):  # another command has cleared it away
+            noted[note.parent.name] = json.loads(note.read_bytes())
+    return noted
 
 
-def _put_away(store: Store, live: Iterable[str]) -> None:
-    """Clear away submissions that are not `live`; the output of failed runs stays."""
-    for name, groups in _noted(store).items():
+def _put_away(store: Store) -> dict[str, Job]:
+    """Clear away submissions that are not in the queue; the output of failed runs stays.
+
+    Returns:
+        The queue, as `queued` does.
+    """
+    before = {name: runs for name, runs in _noted(store).items() if not is_held(_folder(store) / name)}
+    live = queued(store)  # asked afterwards: what others submit meanwhile stays
+    for name, groups in before.items():
         runs = {run for group in groups for run in group}
-        if runs.isdisjoint(live) and not is_held(_folder(store) / name):  # or it is being submitted
+        if runs.isdisjoint(live):
             (_folder(store) / name / NOTE).unlink(missing_ok=True)
             if all(store.status(run).finished for run in runs):
                 shutil.rmtree(_folder(store) / name, ignore_errors=True)
+    return live
 
 
 def queued(store: Store) -> dict[str, Job]:
