@@ -231,6 +231,7 @@ def read_model(
 
 PLAINER = {
     "a valid integer": "a whole number", "valid ": "", "a tuple": "a list",
+    "Tuple should have": "must have", " after validation": "",
     "greater than or equal to": "at least", "less than or equal to": "at most",
 }  # fmt: skip
 """Words of Pydantic's messages, and those used here."""

@@ -84,7 +84,8 @@ def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
     """
     for row in frame.to_dict("records"):
         if {"value", "low", "high"} <= row.keys():
-            places = decimals(row["value"], row["low"], row["high"])
+            whole = row.get("statistic") == "count"
+            places = 0 if whole else decimals(row["value"], row["low"], row["high"])
             row |= {key: shown(row[key], places) for key in ("value", "low", "high")}
         yield [_cell(cell) for cell in row.values()]
 

@@ -122,7 +122,7 @@ class StudyData:
         self.left_out = len(planned) - len(self.runs)
         if not self.runs:
             raise UserError(
-                f"no run of this selection of study {self.study} has finished in {where}: "
+                f"no finished run of this selection of study {self.study} is in {where}: "
                 f"{self.how_to_train} first"
             )
 

@@ -209,8 +209,9 @@ def per_cent(share: float) -> str:
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
-    parts = [[textwrap.fill(line, LONGEST_LABEL) for line in clean(label).split("\n")] for label in labels]
-    wrapped = list(map("\n".join, parts))
+    whole = [clean(label).replace("n = ", "n\u00a0=\u00a0") for label in labels]  # no line ends there
+    parts = [[textwrap.fill(line, LONGEST_LABEL) for line in label.split("\n")] for label in whole]
+    wrapped = ["\n".join(lines).replace("\u00a0", " ") for lines in parts]
     lines = max((label.count("\n") + 1 for label in wrapped), default=1)
     points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches / lines)
     axes.set_yticks(range(len(labels)), wrapped, fontsize=points)

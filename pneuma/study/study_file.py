@@ -142,7 +142,8 @@ def read_study(path: Path) -> Study:
         raise file.mistake((), f"baseline: {unknown}", "baseline")
     env = said.run.get("env", ENVIRONMENTS[0])
     fixed = env != ENVIRONMENTS[0] or any("env" in fields for fields in conditions.values())
-    usual = [name for name, world in WORLDS.items() if name == TEXT or not fixed or world.env == env]
+    alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
+    usual = (alike or [TEXT]) if fixed else [*WORLDS]
     study = Study(
         name=path.stem,
         path=path,

@@ -175,7 +175,7 @@ def test_only_finished_runs_count_and_without_one_the_command_that_trains_is_nam
     store.save_run(A1, Status("crashed"), {})
     assert open_study(store, record).left_out == 1
     crashed = {**record, "runs": record["runs"][3:], "path": "/here/mine.toml"}
-    with pytest.raises(UserError, match="no run of .* has finished in .*: run `pneuma study run /here/mine"):
+    with pytest.raises(UserError, match="no finished run of .* is in .*: run `pneuma study run /here/mine"):
         open_study(store, crashed)
     with pytest.raises(UserError, match="repeat the command that began it first"):
         open_study(store, {**crashed, "study": "fork-abcdef01-64-1a2b", "path": None})

@@ -65,13 +65,15 @@ def run_groups(
         KeyboardInterrupt: after Ctrl-C, when every run has reached a checkpoint.
         UserError: when runs cannot be trained on a node.
     """
-    join(how.address)
-    import ray
-
     store.root.mkdir(parents=True, exist_ok=True)
     waiting = [dict(group) for group in groups]
     left = {name for group in waiting for name in group}
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
+        join(how.address)  # it does not survive an interrupt
+        if interrupts.count:
+            raise KeyboardInterrupt
+        import ray
+
         shared = Store(store.root.resolve()), how, versions(), code(), os.getcwd(), mark.name
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
         tasks: dict[Any, dict[str, Run]] = {}
