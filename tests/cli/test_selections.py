@@ -22,7 +22,7 @@ from .calls import call, printed, refused
 
 def _run(store: Store, **selection: Any) -> list[str]:
     """Plan and record some of activation as `study run` does, and have its runs end; return their ids."""
-    plan = make_plan(load_study("activation"), Selection(conditions=("tanh", "relu"), **selection))
+    plan = make_plan(load_study("activation"), Selection(**{"conditions": ("tanh", "relu"), **selection}))
     prepare(plan, store)
     for cell in plan.cells:
         store.save_run(cell.run_id, Status("done", cell.run.steps), {})
@@ -70,7 +70,9 @@ def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
     store = Store(tmp_path)
     old = _run(store, seeds=(0, 1), steps=512)
     monkeypatch.setitem(ENGINE_VERSIONS, "batched", 10**6)
-    new = _run(store, seeds=(0,), steps=512)
+    other = _run(store, seeds=(0,), steps=512, conditions=("leaky-relu",))
+    assert _shown(store, "activation") == other  # though `old` had no such condition
+    new = [*_run(store, seeds=(0,), steps=512), *other]
     assert _shown(store, "activation") == new and not {*old} & {*new}
     told = call("study", "status", "activation", "--results", store.root)[2]
     assert "4 runs of 512 steps with other settings or code" in told
