@@ -35,10 +35,10 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
     try:
         with open(path, "rb", opener=_open_ordinary) as file:
             size = os.fstat(file.fileno()).st_size
-            data = file.read(size + 1) if size <= most else None  # memory is taken for as many as are asked
+            data = file.read(size) if size <= most else None  # not `most`: memory is taken for what is asked
     except MemoryError:
         raise OSError(errno.ENOMEM, "does not fit into memory") from None
-    if data is None or len(data) > most:
+    if data is None:
         raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
     return data
 

@@ -1,7 +1,8 @@
 """The worlds in which a study or a search can run.
 
 A name that ends in `-WORLD` stands for the study or search of that name in that world; without an ending
-it stands for the usual one, which is the text's but where a study's file lists others alone.
+it stands for the usual one, which is the text's but where a study's file lists others alone, or sets the
+arena's environment.
 """
 
 from __future__ import annotations

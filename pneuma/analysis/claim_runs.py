@@ -106,6 +106,7 @@ class ClaimRuns:
         """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
         claim, data, runs = self.claim, self.data, self.found(condition)
         assert data is not None
+        # budgets are rounded up to whole horizons; claims are judged at the steps that they state
         budgets = [cells[0].run.steps for cells in self.cells.values()]
         unlike = max(budgets) > min(budgets) * (1 + SLACK)
         at_step = float(min(claim.steps.values())) if unlike else None

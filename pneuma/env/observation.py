@@ -126,8 +126,8 @@ def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: l
     for monster, level in zip(monsters, levels, strict=True):
         monster["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
     left, top, right, bottom = levels[0].grid
-    whole_map = 1.0 if config.scale == "raw" else 1 / max(right - left, bottom - top)
-    settings["ray_scale"] = monsters["distance_scale"].min() if monsters.size else whole_map
+    without_monsters = 1.0 if config.scale == "raw" else 1 / max(right - left, bottom - top)  # as `map`
+    settings["ray_scale"] = monsters["distance_scale"].min() if monsters.size else without_monsters
     angles = 2 * np.pi * np.arange(rays) / max(rays, 1)
     settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
     settings["ray_y"][:rays] = np.round(np.sin(angles), 12)

@@ -102,13 +102,13 @@ def draw_comparison(
     outcomes = list(dict.fromkeys(table["outcome"]))
     with style.house_style():
         figure = Figure(layout="constrained")
-        lines = -(-len(outcomes) // style.COLUMNS)
-        columns = -(-len(outcomes) // lines)
-        grid = figure.subplots(lines, columns, squeeze=False).ravel()
+        panel_rows = -(-len(outcomes) // style.COLUMNS)
+        columns = -(-len(outcomes) // panel_rows)
+        grid = figure.subplots(panel_rows, columns, squeeze=False).ravel()
         for place, (axes, name) in enumerate(zip(grid, outcomes, strict=False)):
             rows = table[table["outcome"] == name].to_dict("records")
-            for level, row in enumerate(rows):
-                _draw_interval(axes, {**row, "value": row["difference"]}, level, "D", INK, 4)
+            for number, row in enumerate(rows):
+                _draw_interval(axes, {**row, "value": row["difference"]}, number, "D", INK, 4)
             axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
             axes.set(title=name, xlabel=find_outcome(name).unit)
             axes.xaxis.set_major_locator(panels.round_ticks(3))
@@ -119,7 +119,7 @@ def draw_comparison(
         caption = ["Differences of means of runs, with Welch's 95 % intervals.", *panels.notes_of(data)]
         if step := common_step(data):
             caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
-        inches = lines * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
+        inches = panel_rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
         panels.put_texts(figure, inches, panels.headline_of(data, "differences"), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
 

@@ -151,15 +151,19 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
     read: dict[str, Parameter] = {}
 
     def value_of(name: str, value: Any) -> Any:
-        if name not in read and name in space:
-            raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
-        if name in read and not read[name].choices and not read[name].whole:
-            raise UserError(f"{name} is searched in a range, which never meets one value")
-        if name not in read or not (choices := read[name].choices):
+        earlier = read.get(name)
+        if earlier is None:
+            if name in space:
+                raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
             return _read_field(name, value)
-        if _name(value) not in choices:
-            raise unknown_name(f"choice of {name}", _name(value), choices)
-        return _name(value)
+        if earlier.choices:
+            if _name(value) not in earlier.choices:
+                raise unknown_name(f"choice of {name}", _name(value), earlier.choices)
+            return _name(value)
+        number = _read_field(name, value)
+        if not earlier.whole or earlier.param_of(number) is None:
+            raise UserError(f"{name} is searched in a range, which never meets {shown(value)}")
+        return number
 
     for name, parameter in space.items():
         try:

@@ -34,7 +34,7 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
-from pneuma.worlds import TEXT, WORLDS, check_world, in_world, world_fields
+from pneuma.worlds import TEXT, check_world, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "deviation")
 """Functions that combine the outcomes of a trial's seeds."""
@@ -197,13 +197,13 @@ class Search:
         All trials get the world's environment, and its other fields unless the search sets them itself.
 
         Raises:
-            UserError: for an unknown world, or an environment that is not Pneuma's own.
+            UserError: for an unknown world, or where the file sets another environment.
         """
         check_world(world)
         if world == self.world:
             return self
-        env = self.space.fixed.get("env")
-        if env not in (None, ENVIRONMENTS[0], WORLDS[world].env):
+        env = self.space.fixed.get("env", ENVIRONMENTS[0])
+        if env != ENVIRONMENTS[0]:
             raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, name=in_world(self.name, world), world=world)

@@ -38,8 +38,8 @@ from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
-LARGEST_BYTES = 2**36
-"""Most bytes of a checkpoint, which may hold a large replay buffer."""
+LARGEST_CHECKPOINT = 2**36
+"""Most bytes of a checkpoint that is read: it may hold a large replay buffer."""
 WRITE_SHARE = 40
 """Time between checkpoints is at least this many times what the last one took to write."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
@@ -170,7 +170,7 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
     Such a file is damaged, no checkpoint, or of another step or run.
     """
     try:
-        data = read_whole(file.path, LARGEST_BYTES)
+        data = read_whole(file.path, LARGEST_CHECKPOINT)
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)

@@ -211,14 +211,14 @@ def selection_record(plan: Plan) -> dict[str, Any]:
 def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the record of a plan, joined with those of earlier selections.
 
-    Earlier runs join it if they differ in seed or condition only. Other selections, and runs of a user's
-    code or a version of Pneuma's that has changed since, stay beside it.
+    Earlier runs join it if they differ in seed or condition only. Other selections, and runs from before a
+    change of the study's file, of a user's code or of Pneuma's version, stay beside it.
     """
     record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
     conditions, separate = list(plan.study.conditions), []
     runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
     for before in earlier:
-        if not (can_join(before, record) and _is_of_same_code(before, plan)):
+        if not (can_join(before, record) and _has_same_ids(before, plan)):
             keys = ("selection", "same", "runs", "saved")
             separate.append({key: before[key] for key in keys if key in before})
             continue
@@ -234,12 +234,12 @@ def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str
     return {**record, "earlier": separate}
 
 
-def _is_of_same_code(before: Mapping[str, Any], plan: Plan) -> bool:
+def _has_same_ids(before: Mapping[str, Any], plan: Plan) -> bool:
     """Return whether the earlier runs of a study's conditions would have the same ids now."""
     now = {cell.condition: cell.run for cell in plan.cells}
     for run in {run["condition"]: run for run in before["runs"]}.values():
         if (name := run["condition"]) in plan.study.conditions:
-            kept = {key: run["run"][key] for key in ("seed", "steps", *(plan.selection.settings or {}))}
+            kept = {key: run["run"][key] for key in ("steps", *(plan.selection.settings or {}))}
             try:
                 again = now.get(name) or make_run({**plan.study.fields(name), **kept})
             except UserError:

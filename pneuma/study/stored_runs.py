@@ -99,7 +99,7 @@ def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[s
         for row in (row for selection in store.selections(study) for row in selection["runs"]):
             earlier, _ = found.get(row["run_id"], ((), {}))
             holder = {"study": study, "condition": row["condition"], "seed": row["seed"]}
-            found[row["run_id"]] = tuple([*earlier, *([holder] * (holder not in earlier))]), row["run"]
+            found[row["run_id"]] = earlier if holder in earlier else (*earlier, holder), row["run"]
     return found
 
 

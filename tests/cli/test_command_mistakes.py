@@ -37,7 +37,7 @@ MISTAKES = {
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
-    "study plot perception": "pneuma study run perception",
+    "study plot algorithms": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
     "study compare activation tanh relu --out x": "--out: goes with --plot",
     "study collapse activation --format svg": "--format: goes with --out",

@@ -69,7 +69,7 @@ def run_groups(
     waiting = [dict(group) for group in groups]
     left = {name for group in waiting for name in group}
     with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
-        join(how.address)  # it does not survive an interrupt
+        join(how.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
         import ray
