@@ -139,7 +139,7 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
         selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
         return make_plan(study, selection).cells
 
-    rest = " --unpublished" if store.published() else ""
+    rest = " --unpublished" if store.published(shipped=False) else ""
     for claim in claims.claims.values():
         is_path = claim.study.endswith(".toml")
         path = str(claims.path.parent / claim.study) if is_path else claim.study

@@ -185,9 +185,8 @@ def _roughness(values: np.ndarray) -> float:
 def _most_of_one(seen: RunView) -> float:
     """Return the share of the most frequent action at the end of training."""
     shares = [_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES))]
-    if is_gymnasium_id(seen.run.fields.get("env")):  # whose columns are the most frequent actions
-        return max(shares)
-    return max(*shares, 1 - sum(shares))  # flame, heal and dash have no columns: together
+    most = is_gymnasium_id(seen.run.fields.get("env"))  # whose columns are the most frequent actions
+    return max(*shares, 0.0 if most else 1 - sum(shares))  # flame, heal and dash have none: together
 
 
 def _early_variance(seen: RunView) -> float:

@@ -102,7 +102,7 @@ def join_studies(one: StudyData, other: StudyData) -> StudyData:
 def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
     """Return studies by the published tables of a results folder alone; all when none is named."""
     index = RunIndex(Store(results), stored=False, shipped=False)
-    tables = [read_published(index.store, name) for name in names or index.store.published()]
+    tables = [read_published(index.store, name) for name in names or index.store.published(shipped=False)]
     return [open_study(index, table.record) for table in tables]
 
 

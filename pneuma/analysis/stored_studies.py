@@ -119,7 +119,7 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
 
     Names that end in .toml are left out, as only users may name files.
     """
-    names = {*store.studies(), *store.published()}
+    names = {*store.studies(), *store.published(shipped=False)}
     return sorted(
         name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
     )

@@ -23,13 +23,11 @@ class Progress:
     """The state of one run after an update.
 
     Attributes:
-        run: the run.
         step: agent steps trained, over all slots.
         records: all records so far; the engine continues to add to them.
         checkpoint: a function that takes a checkpoint; call it before the next update.
     """
 
-    run: Run
     step: int
     records: Records
     checkpoint: Callable[[], Checkpoint]
@@ -40,7 +38,6 @@ class Result:
     """The end of a run.
 
     Attributes:
-        run: the run.
         status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
             `on_update`.
         step: agent steps trained, over all slots.
@@ -48,7 +45,6 @@ class Result:
         policy: the last policy; None when it is not finite.
     """
 
-    run: Run
     status: str
     step: int
     records: Records

@@ -72,13 +72,13 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         before, step = step, update * run.steps_per_update
         if not trainer.update(before, step, records):
-            return Result(run, "diverged", step, records, None)
+            return Result("diverged", step, records, None)
         if update in judged:
             records.evaluations.append(trainer.evaluate(step))
-        if not on_update(Progress(run, step, records, partial(trainer.checkpoint, step, records))):
+        if not on_update(Progress(step, records, partial(trainer.checkpoint, step, records))):
             status = "done" if update == run.updates else "stopped"
-            return Result(run, status, step, records, trainer.policy())
-    return Result(run, "done", step, records, trainer.policy())
+            return Result(status, step, records, trainer.policy())
+    return Result("done", step, records, trainer.policy())
 
 
 def _make_trainer(run: Run) -> Trainer:

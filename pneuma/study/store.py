@@ -53,7 +53,7 @@ FAILED = ("crashed", "timeout")
 SCALARS_FILE = "scalars.parquet"
 """The file of an imported run: every value in its logs."""
 
-PUBLISHED, TABLE = "published", ".parquet"
+PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 """The folder of published tables in a results folder, and the ending of their names."""
 
 CHECKPOINTS = "checkpoints"
@@ -309,14 +309,15 @@ class Store:
     def published_path(self, study: str, shipped: bool = True) -> Path:
         """Return the path of a study's published table: here, or with `shipped` among Pneuma's own."""
         own_path, of_pneuma = (
-            folder / f"{study}{TABLE}" for folder in (self.root / PUBLISHED, shipped_tables())
+            folder / f"{study}{TABLE_SUFFIX}" for folder in (self.root / PUBLISHED, shipped_tables())
         )
         return of_pneuma if shipped and of_pneuma.exists() and not os.path.lexists(own_path) else own_path
 
-    def published(self, shipped: bool = False) -> list[str]:
+    def published(self, shipped: bool = True) -> list[str]:
         """Return the names of studies with a published table here; with `shipped`, also Pneuma's own."""
-        names = [*names_in(self.root / PUBLISHED), *(names_in(shipped_tables()) if shipped else ())]
-        return [name.removesuffix(TABLE) for name in dict.fromkeys(names) if name.endswith(TABLE)]
+        folders = [self.root / PUBLISHED, *([shipped_tables()] if shipped else [])]
+        paths = (Path(name) for folder in folders for name in names_in(folder))
+        return [*dict.fromkeys(path.stem for path in paths if path.suffix == TABLE_SUFFIX)]
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were run here."""

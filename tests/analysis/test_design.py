@@ -102,7 +102,8 @@ def test_equal_shares_are_planned_by_the_margin_of_two_exact_tests(tmp_path: Pat
     equal = ('direction = "greater"', 'direction = "equal"\nmargin = 0.2')
     plan = plan_of(tmp_path, *INCIDENCE, ('b = "low"', "value = 0.4"), equal)
     counts, powers = np.arange(51), []
-    assert plan.provable is not None and plan_of(tmp_path, *INCIDENCE, equal).provable is not None
+    two_arms = plan_of(tmp_path, *INCIDENCE, equal).provable  # about sqrt(0.18 / 50) (1.645 + 1.28)
+    assert plan.provable is not None and two_arms == pytest.approx(0.176, abs=0.03)
     for margin in (plan.provable, plan.provable - 0.01):
         above, below = stats.binom.cdf(counts, 50, 0.4 + margin), stats.binom.sf(counts - 1, 50, 0.4 - margin)
         powers.append(stats.binom.pmf(counts, 50, 0.4)[np.maximum(above, below) <= 0.05].sum())

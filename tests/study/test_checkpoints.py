@@ -39,7 +39,7 @@ def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunChec
 
 
 def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:
-    own.update(Progress(RUN, step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
+    own.update(Progress(step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
 
 
 def steps(store: Store) -> list[int]:

@@ -39,13 +39,13 @@ class _Engine:
         actor, critic = (((np.zeros((3, n), np.float32), np.zeros(n, np.float32)),) for n in (2, 1))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
         for step in (256, 512):
-            if not on_update(Progress(run, step, Records(), lambda: Checkpoint(256, {}))):
-                return Result(run, "stopped", step, Records(), None)
+            if not on_update(Progress(step, Records(), lambda: Checkpoint(256, {}))):
+                return Result("stopped", step, Records(), None)
         if run.seed == 0:
-            return Result(run, "done", 512, Records(), Policy("tanh", actor, critic))
+            return Result("done", 512, Records(), Policy("tanh", actor, critic))
         if self._breaks:
             raise RuntimeError("the engine broke")
-        return Result(run, "diverged", 256, Records(metrics=metrics), None)
+        return Result("diverged", 256, Records(metrics=metrics), None)
 
 
 def _train(
