@@ -11,15 +11,14 @@ import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
-from pneuma.analysis.outcomes import QUIET, find_outcome, outcome, reason
+from pneuma.analysis.outcomes import QUIET, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import as_fields
-from pneuma.study.claimed import training_command
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
-from pneuma.study.spec import load_study
-from pneuma.worlds import world_option
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study, load_study
+from pneuma.worlds import split_world, world_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -78,7 +77,10 @@ class ClaimRuns:
             return f"engines are mixed: {engines}"
         if missing := [*filter(None, map(self._missing, names))]:
             return "; ".join([*missing, self.mend])
-        timed = any(find_outcome(part).source == "times" for part in outcome.split(MINUS))
+        parts = outcome.split(MINUS)
+        if self.data and any(map(is_return, parts)) and not have_one_return(self.data, names):
+            return "returns of unlike rewards"
+        timed = any(find_outcome(part).source == "times" for part in parts)
         return self._machines(names) if timed else ""
 
     def _missing(self, condition: str) -> str:
@@ -88,7 +90,7 @@ class ClaimRuns:
             return ""
         steps = f"{cells[0].run.steps:,} steps" + "".join(f" ({problem})" for problem in self.damaged)
         if found:
-            return f"too few seeds: {condition} has {found} of the {len(cells)} fixed ones with {steps}"
+            return f"runs missing: {condition} has {found} of the {len(cells)} fixed ones with {steps}"
         return f"no runs: {condition}, {len(cells)} seeds of {steps}"
 
     def _machines(self, names: Sequence[str]) -> str:
@@ -159,18 +161,36 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
             found = index.of_record(record)
             finished = any(record.status.finished for record in found.values())
             data = StudyData(found, record, str(store.root)) if finished else None
-            command = training_command(study, claims.path) or _command(claim, path, world)
-            mend = f"{TRAIN_WITH} {command}{rest}"
+            commands = _preset_commands(claims, claim, study) or _commands(claim, path, world)
+            mend = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
             yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.damaged)
 
 
-def _command(claim: Claim, study: str, world: str) -> str:
-    """Return the command that trains the runs of a claim in a list that is not beside the study's file."""
-    seeds = {seed for name in claim.conditions for seed in claim.seeds[name]}
-    words = ["pneuma", "study", "run", study, *world_option(world)]
-    words += [word for name in claim.conditions for word in ("--condition", name)]
-    steps = max(claim.steps.values())
-    return shlex.join([*words, "--seeds", f"{min(seeds)}..{max(seeds)}", "--steps", str(steps)])
+def _preset_commands(claims: ClaimList, claim: Claim, study: Study) -> list[str]:
+    """Return the commands, one a budget, that train a study's claimed runs; none if the list is elsewhere."""
+    if study.path is None or claims.path.resolve() != (study.path.parent / CLAIMS_FILE).resolve():
+        return []
+    alike = [one for one in claims.claims.values() if one.study == claim.study and study.world in one.worlds]
+    several = len({steps for one in alike for steps in one.steps.values()}) > 1
+    name = study.own_path or split_world(study.name)[0]
+    words = ["pneuma", "study", "run", name, "--preset", CLAIMS, *world_option(study.world)]
+    budgets = sorted({*claim.steps.values()}) if several else [0]
+    return [shlex.join([*words, *(["--steps", str(steps)] if steps else [])]) for steps in budgets]
+
+
+def _commands(claim: Claim, study: str, world: str) -> list[str]:
+    """Return the commands that train the runs of a claim in a list that is not beside the study's file."""
+    alike: dict[tuple[tuple[int, ...], int], list[str]] = {}
+    for name in claim.conditions:
+        alike.setdefault((tuple(sorted(claim.seeds[name])), claim.steps[name]), []).append(name)
+    commands = []
+    for (seeds, steps), names in alike.items():
+        every = seeds == tuple(range(seeds[0], seeds[-1] + 1))
+        listed = f"{seeds[0]}..{seeds[-1]}" if every else ",".join(map(str, seeds))
+        words = ["pneuma", "study", "run", study, *world_option(world)]
+        words += [word for name in names for word in ("--condition", name)]
+        commands.append(shlex.join([*words, "--seeds", listed, "--steps", str(steps)]))
+    return commands
 
 
 def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:

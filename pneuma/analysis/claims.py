@@ -13,6 +13,7 @@ docs/claims.md explains each key. `pneuma.study.claimed` reads which runs a clai
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -41,8 +42,17 @@ def _one_line(value: object) -> object:
 
 
 def _find_outcomes(names: tuple[str, ...]) -> None:
-    for outcome in (part for name in names for part in name.split(MINUS)):
-        find_outcome(outcome)
+    for name in names:
+        first, *rest = name.split(MINUS)
+        if len(rest) > 1 or names.count(name) > 1:
+            raise UserError("at most two outcomes, unlike each other, each one or the difference of two")
+        for outcome in (first, *rest):
+            find_outcome(outcome)
+
+
+def _find_measured(name: str) -> None:
+    if name != "incidence":
+        _find_outcomes((re.split(" (?:above|below) ", name)[0],))
 
 
 Positive = Annotated[float, Field(gt=0)]
@@ -52,7 +62,9 @@ Kind = Literal["mean", "incidence"]
 Outcomes = Annotated[
     tuple[Words, ...], BeforeValidator(listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
 ]
-ByWorld = Positive | dict[str, Positive]
+World = Annotated[str, OneOf(tuple(WORLDS))]
+Measured = Annotated[str, passes(_find_measured)]
+ByWorld = Positive | dict[World, Positive]
 """One number for all worlds, or one for each."""
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
@@ -74,7 +86,7 @@ class ListHead(Table):
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
     weights: dict[str, Positive] = {}
-    world_weights: dict[Annotated[str, OneOf(tuple(WORLDS))], Positive] = {}
+    world_weights: dict[World, Positive] = {}
     seeds_from: Annotated[int, Field(ge=0)] = 0
 
 
@@ -88,7 +100,7 @@ class Pilot(Table):
     """
 
     command: Text = ""
-    spreads: dict[str, dict[str, Annotated[float, Field(ge=0)]]] = {}
+    spreads: dict[World, dict[Measured, Annotated[float, Field(ge=0)]]] = {}
 
 
 class Claim(ClaimedRuns, Table):
@@ -136,7 +148,7 @@ class Claim(ClaimedRuns, Table):
         """The event that is counted, as 'below 0.05'; empty if means are compared."""
         thresholds = {"above": self.above, "below": self.below}
         return next(
-            (f"{way} {threshold:g}" for way, threshold in thresholds.items() if threshold is not None), ""
+            (f"{way} {threshold:.15g}" for way, threshold in thresholds.items() if threshold is not None), ""
         )
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
@@ -185,8 +197,8 @@ class ClaimsFile(Table):
 
     list: ListHead = ListHead()
     defaults: Defaults = Defaults()
-    margins: dict[str, ByWorld] = {}
-    plausible: dict[str, ByWorld] = {}
+    margins: dict[Measured, ByWorld] = {}
+    plausible: dict[Measured, ByWorld] = {}
     pilot: Pilot | None = None
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
@@ -242,6 +254,12 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     said = read_model(ClaimsFile, file)
     claims = {name: _read_claim(file, name, said) for name in said.claims}
+    groups = dict.fromkeys(claim.group or claim.section for claim in claims.values())
+    for group in said.list.weights:
+        if group not in groups:
+            raise file.mistake(
+                ("list", "weights"), str(unknown_name("group of claims", group, groups)), group
+            )
     return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
 
 
@@ -276,10 +294,16 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
         return "", "a claim holds a against either b, conditions, or value"
     if sum(threshold is not None for threshold in (claim.above, claim.below)) != (claim.kind == "incidence"):
         return "", "an incidence, and nothing else, counts runs by above or below, a number"
+    if claim.kind == "incidence" and not 0 <= (claim.value or 0) <= 1:
+        return "value", f"value = {claim.value:g} is not allowed: a share of runs, 0 to 1"
     four = [claim.a, claim.b, claim.c, claim.d]
     effects = claim.kind == "mean" and all(len(names) == 1 for names in four) and len({*four}) == 4
     if (claim.c or claim.d) and not effects:
         return "c", "a difference of two effects is of means, with another condition in each of a, b, c, d"
+    for key, given in (("margin", claim.margin), ("plausible", claim.plausible)):
+        for name in given if isinstance(given, dict) else ():
+            if name not in claim.outcome:
+                return key, f"{key}: {unknown_name('outcome of the claim', name, claim.outcome)}"
     for world, outcome in product(claim.worlds, claim.outcome):
         margin = claim.in_world(world).of("margin", outcome)
         if margin is None and claim.direction == "equal":

@@ -64,8 +64,8 @@ class Diagnosis:
 
     @property
     def blind(self) -> bool:
-        """Whether the run's records show none of the signs."""
-        return self.unseen == SIGNS
+        """Whether the run's records show none of the signs that decide."""
+        return {NO_ENTROPY, FALL, LOSS} <= {*self.unseen}
 
 
 def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
@@ -117,26 +117,30 @@ def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) ->
 
 
 def diagnoses(data: StudyData) -> pd.DataFrame:
-    """Return the diagnosis of every finished run, one row each, in the selection's order."""
+    """Return the diagnosis of every finished run, one row each, in the selection's order.
+
+    `collapsed` is missing where no sign that decides is recorded.
+    """
     rows = []
     for run in data.runs:
         found = diagnose(data, run)
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
         shown = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
-        rows.append({**named, **shown})
+        rows.append({**named, **shown, "collapsed": None if found.blind else found.collapsed})
     whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
-    return pd.DataFrame(rows).astype({**dict.fromkeys(whole, "Int64"), "relearned": "boolean"})
+    kinds = {**dict.fromkeys(whole, "Int64"), "collapsed": "boolean", "relearned": "boolean"}
+    return pd.DataFrame(rows).astype(kinds)
 
 
 def incidence(data: StudyData) -> pd.DataFrame:
     """Return how many runs of each condition collapsed: counts, share, and its 95 % interval.
 
-    Runs whose records can show no sign are left out; `unknown` counts them.
+    Runs whose records show no sign that decides are left out; `unknown` counts them.
     """
     rows, every = [], diagnoses(data)
     for condition in data.conditions:
         diagnosed = every[every["condition"] == condition]
-        found = diagnosed[diagnosed["unseen"] != ", ".join(SIGNS)]
+        found = diagnosed[diagnosed["collapsed"].notna()]
         count = int(found["collapsed"].sum())
         interval = incidence_interval(count, len(found))
         rows.append(
@@ -198,8 +202,9 @@ def _falls(steps: np.ndarray, shares: np.ndarray, random: float | None) -> list[
     if not len(shares) or random is None:
         return []
     best = np.maximum.accumulate(shares)
-    learned = best - random >= DEPTH
-    fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= DEPTH)
+    enough = DEPTH - 1e-9  # whatever the rounding of tenths
+    learned = best - random >= enough
+    fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= enough)
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
 
 

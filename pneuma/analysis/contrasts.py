@@ -18,9 +18,6 @@ from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.intervals import Interval, finite, no_interval
 from pneuma.analysis.pvalues import PValues
 
-LEVEL = 0.05
-"""The error rate by which seeds are called too few."""
-
 
 @dataclass(frozen=True)
 class Contrast:
@@ -143,7 +140,7 @@ def compare_effects(
     error, degrees = float(np.sqrt(parts.sum())), np.array([of_arm.size - 1 for of_arm in values])
     size = max(np.abs(of_arm).max() for of_arm in values)  # so that units do not matter
     if error**2 <= pvalues.LEAST_VARIANCE * size**2:
-        return undecided("all runs of every arm are equal", seeds, effect)
+        return undecided("in no arm do runs differ", seeds, effect)
     freedom = float(parts.sum() ** 2 / (parts**2 / degrees).sum())
     shifted = np.array([effect + shift for shift in pvalues.shifts(margin)])
     tails = pvalues.student_tails(shifted / size, np.full(shifted.shape, error / size), freedom)
@@ -166,8 +163,6 @@ def _contrast(
 ) -> Contrast:
     """Return the contrast of one sample, with an interval at the 95 % level and one at the list's."""
     greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in tested)
-    least = 2 * min(smallest)
-    reason = "" if least <= LEVEL else f"too few seeds: the smallest p possible is {least:.2g}"
     return Contrast(
         effect,
         interval(intervals.LEVEL),
@@ -175,7 +170,6 @@ def _contrast(
         p_less=less,
         p_equivalent=equivalent,
         seeds=seeds,
-        reason=reason,
         smallest_greater=float(smallest[0]),
         smallest_less=float(smallest[1]),
         p_far_greater=far_greater,

@@ -108,6 +108,11 @@ def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: str, b: 
             float(error * special.nctdtrinc(freedom, missed, special.stdtrit(freedom, 1 - error_rate)))
             for missed, error_rate in ((1 - POWER, alpha / 2), ((1 - POWER) / 2, alpha))
         )
+        smallest = {1: 0.5 ** seeds[0], 2: 1 / math.comb(sum(seeds), seeds[0])}.get(len(seeds), 0.0)
+        if min(seeds) < 2 or 2 * smallest > alpha:
+            detectable = math.inf
+        if min(seeds) < 2 or smallest > alpha:
+            provable = math.inf
     least, most = detectable, claim.of("plausible", outcome)
     words = "the least difference found is {:.3g}, and {:.3g} is plausible"
     if claim.direction == "equal":

@@ -57,7 +57,7 @@ def summary(
     name: opt.StudyName,
     picked: opt.Chosen,
     outcome: opt.Outcomes = None,
-    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of all outcomes.")] = False,
+    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
     json: opt.Json = False,
 ) -> None:
     """Summarize each condition: means with 95 % intervals; with --outcome, all statistics."""
@@ -206,7 +206,11 @@ def compare(
     compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
     for condition, row in compared:
         difference = row["difference"], row["low"], row["high"]
-        means = (shown(row[key], decimals(*difference)) for key in ("mean_a", "mean_b"))
+        alone = row["low"] != row["low"]  # no interval to take the digits from
+        means = (
+            shown(row[key], decimals(row[key]) if alone else decimals(*difference))
+            for key in ("mean_a", "mean_b")
+        )
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
         rows.append(
@@ -318,8 +322,8 @@ def effects(
     print_table(("effect", "levels", "df", "F", "partial R²", "p", "p (Holm)"), rows)
     print("\nMeans, with equal weight for each cell:")
     for factor, means in found.means.items():
-        listed = ";  ".join(f"{level} {shown(value, decimals(value))}" for level, value in means.items())
-        say(f"  {factor}: {listed}")
+        listed = ";  ".join(f"{level}: {shown(value, decimals(value))}" for level, value in means.items())
+        say(f"  {factor} = {listed}")
     print("\nPartial R²: share of the variance that the other effects leave. Holm: over this table.")
     return _tell_step(data)
 
@@ -369,7 +373,8 @@ def robustness(
     for cell in found.cells.to_dict("records"):
         levels = ", ".join(f"{key} {shown_level(cell[key])}" for key in found.factors) or cell["better"]
         effect = shown_with_interval(cell["value"], cell["low"], cell["high"])
-        rows.append((levels, effect, f"{cell['p']:.3f}", cell["label"]))
+        label = f"{cell['label']}: {cell['reason']}" if cell["reason"] else cell["label"]
+        rows.append((levels, effect, f"{cell['p']:.4f}", label))
     print_table(("cell", f"difference of {_with_unit(found.outcome)}", "p (Holm)", ""), rows)
     print("Each interval is at 95 % by itself; p and the label are corrected over the map (Holm).")
     _tell_step(data)

@@ -8,7 +8,6 @@ runs.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -21,7 +20,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
-from pneuma.worlds import WORLDS, split_world, world_option
+from pneuma.worlds import WORLDS, split_world
 
 
 def listed(value: object) -> object:
@@ -166,15 +165,6 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
         }
         for steps, seeds_of in found.items()
     }
-
-
-def training_command(study: Study, claims: Path) -> str:
-    """Return the command that trains a study's claimed runs; empty if `claims` is another study's file."""
-    if study.path is None or claims.resolve() != (study.path.parent / CLAIMS_FILE).resolve():
-        return ""
-    name = study.own_path or split_world(study.name)[0]
-    words = ["pneuma study run", shlex.quote(name), "--preset", CLAIMS, *world_option(study.world)]
-    return " ".join(words)
 
 
 def _is_about(name: str, study: Study, folder: Path) -> bool:

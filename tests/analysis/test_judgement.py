@@ -240,10 +240,10 @@ REASONS: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = 
         {"reference": HIGH, "low": LOW}, [('a = "high"', 'a = "reference"')],
         "engines are mixed: reference by sb3, low by batched",
     ),
-    "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "too few seeds: high has 5 of the 8 fixed ones"),
+    "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
     "few seeds": (
         {"high": HIGH[:3], "low": LOW[:3]}, [("seeds = 8", "seeds = 3")],
-        "too few seeds: the smallest p possible is 0.1",
+        "too few seeds: the smallest p possible of greater is 0.1",
     ),
     "ceiling": (
         {"high": [1 - k / 1000 for k in range(8)], "low": [1.0] * 8}, [('"greater"', '"equal"')],
