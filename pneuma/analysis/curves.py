@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from pneuma.analysis import EVALUATION_QUANTITIES
+from pneuma.analysis import ACTION_QUANTITIES, EVALUATION_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import unknown_name
@@ -105,13 +105,20 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
     return curves
 
 
+def _is_no_action(data: StudyData, name: str) -> bool:
+    """Return whether a quantity is the share of an action that no run ever takes."""
+    return name in ACTION_QUANTITIES and not any((data.curve(run, name) > 0).any() for run in data.runs)
+
+
 def curve_names(data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
     Of the evaluations, these are the quantities of which some run has a value. Without monsters there are no
     kills and no HP.
     """
-    trained = [name for name in data.quantities if not (name in ("kills", "hp") and is_foreign(data))]
+    trained = list(data.quantities)
+    if is_foreign(data):
+        trained = [name for name in trained if name not in ("kills", "hp") and not _is_no_action(data, name)]
     if "evaluations" not in data.tables:
         return trained
     table = data.table("evaluations")

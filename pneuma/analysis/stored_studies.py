@@ -90,7 +90,8 @@ def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
     same = [[name for name in names if name in conditions] for names in record["same"]]
     narrowed = [*(wanted if conditions < {*known} else ())]
     narrowed += ["seeds", *map(str, sorted(seeds & known_seeds))] if not known_seeds <= seeds else []
-    return {**record, "runs": runs, "same": [names for names in same if len(names) > 1], "picked": narrowed}
+    same = [names for names in same if len(names) > 1]
+    return {**record, "runs": runs, "same": same, "picked": narrowed, "every": known}
 
 
 def _unknown(store: Store, name: str, stem: str) -> UserError:

@@ -199,7 +199,9 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
-    outcomes = outcomes or (primary(data), *COMPARED)
+    usual = (primary(data), *COMPARED)
+    unlike = not have_one_return(data, (a, b))
+    outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
     for name in outcomes:
         refuse_unlike_returns(data, name, (a, b))
     rows = list(_compared(data, a, b, outcomes))

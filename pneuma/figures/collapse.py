@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
 from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
+from pneuma.analysis.outcomes import is_foreign
 from pneuma.analysis.records import Series
-from pneuma.analysis.series import LEAST_ENTROPY, MOST_OF_ONE, NO_ENTROPY
+from pneuma.analysis.series import LEAST_ENTROPY, LOSS, MOST_OF_ONE, NO_ENTROPY
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
 from pneuma.figures.style import GREY, INK
@@ -30,6 +31,7 @@ PANELS = {
     "action": ("Most frequent action", 1.0, MOST_OF_ONE),
     "dead_units": ("Dead units", 1.0, None),
     "share_killed": ("Monsters killed", 0.01, None),
+    "return": ("Return", 0.0, None),
 }
 """Title; least upper end of the axis; level beyond which a policy has one action."""
 
@@ -61,13 +63,15 @@ def draw_collapse(
     shown = known if len(known) <= MOST_ROWS else known[known["collapsed"] > 0]
     onsets = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
     runs = [run for run in data.runs if run.run_id in onsets]
-    curves = {name: [_series(data, run, name) for run in runs] for name in PANELS}
+    by_return = is_foreign(data) or found["signs"].str.contains(LOSS).any()  # else it decides nothing
+    drawn = [name for name in PANELS if name != "return" or by_return]
+    curves = {name: [_series(data, run, name) for run in runs] for name in drawn}
     curves = {name: series for name, series in curves.items() if any(len(step) for step, _ in series)}
     rows = 2 if len(curves) > 1 else 1
     usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
     inches = max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES))
     names, parts = style.short_names(list(shown["condition"]))
-    colours = {name: look["color"] for name, look in style.condition_looks(data.conditions).items()}
+    colours = {name: look["color"] for name, look in panels.looks_of(data).items()}
     with style.house_style():
         figure = Figure(layout="constrained")
         columns = -(-len(curves) // rows)
@@ -84,14 +88,14 @@ def draw_collapse(
         labels = [f"{names[row['condition']]} ({row['collapsed']} of {row['runs']})" for row in counts]
         panels.label_rows(grid["bars"], labels, inches / len(shown))
         headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
-        caption = [*_caption(data, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
+        caption = [*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
         panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
     """Return a run's data for one of `PANELS`."""
-    if name == "share_killed":
+    if name == "share_killed" or (name == "return" and is_foreign(data)):
         return view(data, run).evaluations(name)
     if name != "action":
         return view(data, run).curve(name)
@@ -110,8 +114,11 @@ def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndar
         axes.plot(step, values, color=colour, linewidth=0.7, alpha=0.8 if len(falls) < 20 else 0.4)
     panels.set_steps(axes, 4)
     top = 1.02 * max(axes.dataLim.y1, reach)
-    axes.set_ylim(-panels.BELOW_ZERO * top, top)
-    if name != "entropy":
+    if name == "return":
+        axes.axhline(0, color=GREY, linewidth=0.8)
+    else:
+        axes.set_ylim(-panels.BELOW_ZERO * top, top)
+    if name not in ("entropy", "return"):
         panels.set_shares(axes)
     axes.set(title=title, xlabel="Steps from onset")
 
@@ -131,27 +138,30 @@ def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) 
     axes.set_xticks((0, 0.5, 1))
 
 
-def _caption(data: StudyData, shares: pd.DataFrame, left_out: int) -> list[str]:
+def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_out: int) -> list[str]:
     """Return the notes in the caption, the most important first."""
     notes = panels.notes_of(data)
     if blind := shares["unknown"].sum():
         notes.append(f"Left out: {blind} runs without records that a collapse shows in.")
-    unseen = {run.condition for run in data.runs if NO_ENTROPY not in run.records.signs()}
-    if unseen:
-        named = ", ".join(name for name in data.conditions if name in unseen)
-        notes.append(f"Of {named} no entropy is recorded, and only a fall is seen.")
+    unseen = found[found["collapsed"].notna() & found["unseen"].str.contains(NO_ENTROPY)]["condition"]
+    if len(unseen):
+        notes.append(f"Of {', '.join(dict.fromkeys(unseen))} no entropy is recorded: one action is not seen.")
     if any(run.begun for run in data.runs):
         notes.append("Of a fork its parent's best is not known: a fall from that is not seen.")
     if common_step(data):
         notes.append("Budgets are unlike: each run is looked at over its own.")
+    if is_foreign(data):
+        best = f"{100 * FALLEN_TO:g} % of its best gain in return over a random player"
+    else:
+        best = f"{100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it"
     endless = any(run.fields.get("xp_scope") != "episode" for run in data.runs)
     sunk = " or at a return below zero after one above," if endless else ""
     notes.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
-        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {100 * FALLEN_TO:g} % of "
-        f"its best at most and {100 * DEPTH:g} points below it."
+        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {best}."
     )
-    notes.append("Bars: 95 % intervals (Clopper and Pearson); hollow: recovered by the end.")
+    hollow = "; hollow: recovered by the end" * bool(shares["recovered"].sum())
+    notes.append(f"Bars: 95 % intervals (Clopper and Pearson){hollow}.")
     if left_out:
         notes.append(f"In {left_out} other conditions no run collapsed.")
     return notes

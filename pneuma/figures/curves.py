@@ -157,7 +157,7 @@ def _draw_quantities(
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     width = style.characters(1.2 * style.TYPE_POINTS, style.WIDTH / columns)  # bold letters are wider
     labels = {name: panels.label_of(data, name) for name in data.conditions if data.of_condition(name)}
-    looks = style.condition_looks(data.conditions)
+    looks = panels.looks_of(data)
     others: Curves = {}
     if beside:
         window = drawing.window if drawing.window in beside.windows else beside.windows[0]
@@ -165,12 +165,15 @@ def _draw_quantities(
         if not named:
             raise UserError(f"study {beside.study} has no {' or '.join(drawing.quantities)} to draw beside")
         others = study_curves(beside, named, window)
+    faint = min(1.0, MANY_RUNS / max(len(beside.runs) if beside else 1, 1))
     for axes, (name, group) in zip(grid, curves.items(), strict=False):
         _draw_means(axes, name, group, drawing.band, looks, labels)
         for curve in others.get(name, ()):
-            look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1))}
-            axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", **look)
+            look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
+            axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", alpha=faint, **look)
         _draw_around(axes, data, name, [*group, *others.get(name, ())])
+        if beside:
+            axes.set_xlim(0, max(data.budget, beside.budget))
         label, title = QUANTITIES[name].label, QUANTITIES[name].title
         if name.startswith("action_") and is_foreign(data):
             title = f"Share of action {name.removeprefix('action_')}"
@@ -195,10 +198,7 @@ def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str)
     columns = min(fitting, key=lambda each: -len(group) % each)
     rows, width = -(-len(group) // columns), widths[columns]
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    looks = {
-        condition: {**look, "marker": ""}
-        for condition, look in style.condition_looks(data.conditions).items()
-    }
+    looks = {condition: {**look, "marker": ""} for condition, look in panels.looks_of(data).items()}
     behind: Any = {"color": OTHERS_COLOUR, "linewidth": 0.08 * style.TYPE_POINTS, "zorder": 1.1}
     title_lines = 1
     for place, (axes, curve) in enumerate(zip(grid, group, strict=False)):
@@ -244,10 +244,10 @@ QUANTITIES = {
     "kills": Quantity("Monsters killed in training", "Kills of an episode"),
     "hp": Quantity("HP left in training", "HP at the end of an episode"),
     "entropy": Quantity("Entropy of the policy", "Entropy (nats)"),
-    "grad_norm": Quantity("Gradient norm before clipping", "L2 norm", log=True),
+    "grad_norm": Quantity("Gradient norm, unclipped", "L2 norm", log=True),
     "grad_norm_actor": Quantity("Actor's gradient norm", "L2 norm", log=True),
     "grad_norm_critic": Quantity("Critic's gradient norm", "L2 norm", log=True),
-    "approx_kl": Quantity("KL divergence of an update", "KL divergence (nats)"),
+    "approx_kl": Quantity("KL divergence", "KL divergence (nats)"),
     "explained_variance": Quantity("Variance of returns explained", "Explained variance"),
     "dead_units": Quantity("Dead hidden units", "Share of units", percent=True),
     **{
@@ -349,15 +349,19 @@ def _meaning(drawn: Sequence[Curve], band: str) -> str:
 def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
     """Return the notes in the caption, the most important first."""
     notes = []
-    for name, group in curves.items():
-        for curve in group:
-            if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
-                of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
-                notes.append(f"{of} have no {name.replace('_', ' ')}, and count in no mean of it.")
     if any(curve.stops for group in curves.values() for curve in group):
         notes.append("×: a run diverged, and its curve ends there.")
     if step := common_step(data):
         notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
+    lacking: dict[str, list[str]] = {}
+    for name, group in curves.items():
+        for curve in group:
+            if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
+                of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
+                lacking.setdefault(of, []).append(name.replace("_", " "))
+    for of, names in lacking.items():
+        what = f"{names[0]} and {len(names) - 1} more" if len(names) > 2 else " and ".join(names)
+        notes.append(f"{of} have no {what}, and count in no mean of it.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
     if data.averaged_over and {*curves} & {*EPISODE_QUANTITIES}:
         averaged.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")

@@ -86,7 +86,8 @@ def _draw_map(axes: Axes, found: Map) -> None:
         if np.isfinite(ends).all():
             axes.plot(ends, [place, place], color=look["color"], linewidth=1.3)
         axes.plot([cell["value"]], [place], linestyle="", markersize=4.5, **look)
-    labels = [", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in rows]
+    levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in rows)
+    labels = [named or cell["better"] for named, cell in zip(levels, rows, strict=True)]
     label_rows(axes, labels, ROW_INCHES)
     factors = ", ".join(found.factors)
     axes.text(

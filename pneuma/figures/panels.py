@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib as mpl
@@ -15,7 +16,17 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
-from pneuma.figures.style import CAPTION, GREY, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
+from pneuma.figures.style import (
+    CAPTION,
+    GREY,
+    LINE_INCHES,
+    MOST_IN_A_PANEL,
+    TYPE_POINTS,
+    WIDTH,
+    characters,
+    clean,
+    condition_looks,
+)
 from pneuma.values import settings_name
 from pneuma.worlds import WORLDS
 
@@ -101,6 +112,12 @@ def label_of(data: StudyData, condition: str, name: str = "") -> str:
     return f"{name or condition} (n = {len(runs)}{fewer})"
 
 
+def looks_of(data: StudyData) -> dict[str, dict[str, Any]]:
+    """Return the looks of conditions, which they keep where a part of the study is drawn, if it is small."""
+    every = data.record.get("every", data.conditions)
+    return condition_looks(every if len(every) <= MOST_IN_A_PANEL else data.conditions)
+
+
 def runs_told(counts: Iterable[int]) -> str:
     """Return counts as '10', or as '6 to 10' if they differ."""
     known = sorted({*counts})
@@ -159,7 +176,11 @@ def legend_entries(axes: Iterable[Axes]) -> dict[str, Any]:
         for each in axes
         for artist, label in zip(*each.get_legend_handles_labels(), strict=True)
     }
-    return dict(sorted(entries.items(), key=lambda entry: entry[0].startswith((*PLAYER_DASHES,))))
+    for player in PLAYER_DASHES:  # one entry each, without its level if panels have several
+        found = [label for label in entries if label.startswith(player)]
+        if artists := [entries.pop(label) for label in found]:
+            entries[found[0] if len(found) == 1 else player] = artists[0]
+    return entries
 
 
 # --- Axes --------------------------------------------------------------------------------------------
@@ -209,7 +230,8 @@ def per_cent(share: float) -> str:
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
-    whole = [clean(label).replace("n = ", "n\u00a0=\u00a0") for label in labels]  # no line ends there
+    no_break = partial(re.sub, r"\([^()]*\)$", lambda counted: counted[0].replace(" ", "\u00a0"))
+    whole = [no_break(clean(label)) for label in labels]
     parts = [[textwrap.fill(line, LONGEST_LABEL) for line in label.split("\n")] for label in whole]
     wrapped = ["\n".join(lines).replace("\u00a0", " ") for lines in parts]
     lines = max((label.count("\n") + 1 for label in wrapped), default=1)

@@ -180,7 +180,7 @@ def study_pictures(data: StudyData) -> list[dict[str, str]]:
         return [
             {
                 "source": _source(paths),
-                "alt": f"{data.title}: {what}, for {', '.join(data.conditions)}.",
+                "alt": f"{data.title}: {what}, for {'; '.join(data.conditions)}.",
                 "caption": f"{what}: pneuma study {command} {study}.",
             }
             for what, command, paths in drawn

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -113,7 +114,7 @@ def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the colour and marker of each condition, the same in all figures of a study.
 
     If there are too many conditions for one panel, those that differ only in crossed factors look alike,
-    because each has its own panel or row, and `tanh` should look the same under every limit.
+    because each has its own panel or row: `tanh` looks the same under every `limit=…`.
     """
     many = len(conditions) > MOST_IN_A_PANEL
     kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
@@ -166,12 +167,12 @@ def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str])
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
-    _fix_places(figure)
-    paths = []
-    for name in formats:
-        path = folder / f"{stem}.{name}"
-        figure.savefig(path, format=name, metadata=_NO_DATES[name])
-        paths.append(path)
+    paths = [folder / f"{stem}.{name}" for name in formats]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
+        _fix_places(figure)
+        for path, name in zip(paths, formats, strict=True):
+            figure.savefig(path, format=name, metadata=_NO_DATES[name])
     return paths
 
 

@@ -65,7 +65,7 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
     profiled = len(values) <= style.MOST_IN_A_PANEL
     pitch = min(max(LONGEST_INCHES / len(values), LEAST_ROW_INCHES), ROW_INCHES)
     names, parts = style.short_names(list(values))
-    colours = {name: look["color"] for name, look in style.condition_looks(data.conditions).items()}
+    colours = {name: look["color"] for name, look in panels.looks_of(data).items()}
     with style.house_style():
         mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
         figure = Figure(layout="constrained")
@@ -85,10 +85,12 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
         if profiled:
             _draw_profiles(grid[-1], values, colours)
             _set_outcome(grid[-1], outcome)
-        entries = {**_marks(bool(several)), **panels.legend_entries(grid[:1])}
+        entries = {**_marks(values), **panels.legend_entries(grid[:1])}
         caption = [*_caption(data, outcome, values, len(improved) > 0), parts and f"Rows: {parts}."]
         inches = max(pitch * len(values) + 0.7, style.PANEL_INCHES * profiled)
-        panels.put_texts(figure, inches, panels.headline_of(data, "at the end of training"), entries, caption)
+        step = common_step(data)
+        when = f"at {step:,} steps" if step else "at the end of training"
+        panels.put_texts(figure, inches, panels.headline_of(data, when), entries, caption)
         return style.save_figure(figure, folder, panels.stem_of(data, "summary"), formats)
 
 
@@ -203,13 +205,17 @@ def _draw_profiles(axes: Axes, values: Values, colours: Colours) -> None:
     panels.set_shares(axes)
 
 
-def _marks(intervals: bool) -> dict[str, Any]:
+def _marks(values: Values) -> dict[str, Any]:
     """Return the legend's words for the marks in a row."""
+    most = max(map(len, values.values()), default=0)
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
     iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}
     entries = {"a run": Line2D([], [], **run)}
-    entries["mean, 95 % interval"] = Line2D([], [], color=INK, marker="D", markersize=4)
-    if intervals:
+    if most > 1:
+        look: Any = {"color": INK, "marker": "D", "markersize": 4}
+        enough = most >= FEW_RUNS
+        entries["mean" + ", 95 % interval" * enough] = Line2D([], [], **look, linestyle="-" if enough else "")
+    if most >= FEW_RUNS:
         entries["interquartile mean, 95 % interval"] = Line2D([], [], **iqm)
     return entries
 
