@@ -6,11 +6,14 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from pneuma.analysis.claims import load_claims
+from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
-from .claim_files import write_files
+from .claim_files import changed, write_files
 
 SHIPPED = load_claims()
 
@@ -24,6 +27,25 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
     assert claim.seeds == {"high": tuple(range(8)), "low": tuple(range(8))}
     assert claim.steps == {"high": 1024, "low": 1024}
     assert claims.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "wrong"),
+    [
+        ("margin = 0.04", "margin = { final-share-kiled = 0.1 }", "final-share-kiled"),
+        ("margin = 0.04", "margin = { final-share-killed = { txt = 0.1 } }", "txt"),
+        ("[defaults]", "[margins]\nfinal-share-kiled = 0.1\n[defaults]", "final-share-kiled"),
+        ("[defaults]", "[list]\nweights = { 6 = 1, 9 = 1 }\n[defaults]", "'9'"),
+        ('"final-share-killed"', '"best-score - final-score - auc-score"', "two outcomes"),
+        ('b = "low"\n', "value = 50\n", "0 to 1"),
+    ],
+)
+def test_what_matches_nothing_is_refused(tmp_path: Path, old: str, new: str, wrong: str) -> None:
+    text = changed((old, new))
+    if "50" in new:
+        text = text.replace('"mean"', '"incidence"\nabove = 0.5')
+    with pytest.raises(UserError, match=wrong):
+        load_claims(write_files(tmp_path, text))
 
 
 # --- The shipped claims ----------------------------------------------------------------------------

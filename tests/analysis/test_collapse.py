@@ -200,6 +200,8 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    silent = [("train/approx_kl", step, value) for _, step, value in points]  # no sign that decides
+    write_events(tmp_path / "logs" / "b_1" / "events.out.tfevents.1.host", silent)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     found = diagnose(data, data.runs[0])
@@ -207,6 +209,7 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     assert found.unseen == ("one action", "dead units", "fall", "return below zero")
     assert found.relearned is None
     assert data.budget == BUDGET
+    assert incidence(data)[["runs", "unknown"]].to_numpy().tolist() == [[1, 0], [0, 1]]
 
 
 def test_stretches_by_hand() -> None:

@@ -240,6 +240,10 @@ REASONS: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = 
         {"reference": HIGH, "low": LOW}, [('a = "high"', 'a = "reference"')],
         "engines are mixed: reference by sb3, low by batched",
     ),
+    "two budgets": (
+        {}, [("steps = 1024", "steps = { high = 1024, low = 512 }"), ("seeds = 8", "seeds = [1, 9]")],
+        "--preset claims --steps 512 && pneuma study run",
+    ),
     "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
     "few seeds": (
         {"high": HIGH[:3], "low": LOW[:3]}, [("seeds = 8", "seeds = 3")],

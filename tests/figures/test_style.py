@@ -7,8 +7,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from pneuma.analysis.run_index import open_study
 from pneuma.errors import plain
-from pneuma.figures.panels import label_rows
+from pneuma.figures.panels import label_rows, looks_of
 from pneuma.figures.style import (
     COLOURS,
     condition_looks,
@@ -16,12 +17,21 @@ from pneuma.figures.style import (
     save_figure,
 )
 
+from .hand_made import HandMade
+
 
 def test_table_6_2_has_one_colour_under_all_its_names() -> None:
     studies = [("stationary", "non-stationary"), ("tanh", "relu", "leaky-relu"), ("0.2", "0.1")]
     looks = {name: look for names in studies for name, look in condition_looks(names).items()}
     first = [name for name, look in looks.items() if look["color"] == COLOURS[0]]
     assert first == ["non-stationary", "tanh", "0.1"]
+
+
+def test_a_part_of_a_study_keeps_its_colours(study: HandMade) -> None:
+    whole, runs = study.data, study.record["runs"]
+    last = [run for run in runs if run["condition"] == whole.conditions[-1]]
+    part = open_study(study.store, {**study.record, "runs": last, "every": whole.conditions})
+    assert len(last) < len(runs) and looks_of(part) == looks_of(whole)
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
