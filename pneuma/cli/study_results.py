@@ -114,7 +114,10 @@ def summary(
         for condition in data.conditions
     ]
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
-    return print("\nMeans, and shares of runs, with 95 % intervals. More: --outcome NAME, or --all.")
+    lacking = " –: no run has it." * any("–" in row for row in rows)
+    return print(
+        f"\nMeans, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
+    )
 
 
 def _lack(data: StudyData, condition: str, outcome: str) -> str:

@@ -10,13 +10,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError
-from pneuma.figures.panels import headline_of, label_rows, notes_of, put_texts, round_ticks, runs_told
+from pneuma.figures.panels import (
+    headline_of,
+    label_rows,
+    notes_of,
+    put_texts,
+    round_ticks,
+    runs_told,
+    set_points,
+)
 from pneuma.figures.style import COLOURS, GREY, INK, house_style, save_figure
 from pneuma.values import shown_level, shown_value
 
@@ -95,14 +102,8 @@ def _draw_map(axes: Axes, found: Map) -> None:
     )
     label = " less ".join(map(shown_value, found.values))
     if find_outcome(found.outcome).bounds == (0.0, 1.0):
-        label += " (percentage points)"
-        axes.xaxis.set_major_formatter(FuncFormatter(_points))
+        label += f" ({set_points(axes)})"
     axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=label)
-
-
-def _points(share: float, _: Any) -> str:
-    """Return a difference of shares in percentage points, with its sign."""
-    return f"{100 * share:+.3g}".replace("-", "−") if share else "0"
 
 
 def _read(field: str) -> str:

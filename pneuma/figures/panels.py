@@ -218,6 +218,13 @@ def set_shares(axes: Axes, upright: bool = True) -> None:
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 
 
+def set_points(axes: Axes) -> str:
+    """Format a horizontal axis of differences of shares, and return its unit."""
+    signed = FuncFormatter(lambda share, _: f"{100 * share:+.3g}".replace("-", "−") if share else "0")
+    axes.xaxis.set_major_formatter(signed)
+    return "percentage points"
+
+
 def round_ticks(most: int) -> MaxNLocator:
     """Return a locator of few ticks at round numbers, whose labels do not overlap."""
     return MaxNLocator(most, steps=[1, 2, 5, 10])

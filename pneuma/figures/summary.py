@@ -112,7 +112,9 @@ def draw_comparison(
             for number, row in enumerate(rows):
                 _draw_interval(axes, {**row, "value": row["difference"]}, number, "D", INK, 4)
             axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
-            axes.set(title=name, xlabel=find_outcome(name).unit)
+            found = find_outcome(name)
+            of_shares = found.bounds == (0.0, 1.0)
+            axes.set(title=name, xlabel=panels.set_points(axes) if of_shares else found.unit)
             axes.xaxis.set_major_locator(panels.round_ticks(3))
             labels = [f"{row['a']} -\n{row['b']} ({_counts(table, row)})" for row in rows]
             panels.label_rows(axes, [""] * len(rows) if place % columns else labels, 2 * ROW_INCHES)
