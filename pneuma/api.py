@@ -105,7 +105,7 @@ def run_study(
 
 
 def open_data(study: Where, results: Where | None = None, *, world: str | None = None) -> StudyData:
-    """Open the latest selection of a study that was run, imported or forked, or else its published runs.
+    """Open a study's stored runs of the budget with the most finished ones, or else its published runs.
 
     Args:
         study: its name, or the path of its file.

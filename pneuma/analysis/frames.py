@@ -207,8 +207,12 @@ class StudyData:
         some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
         return [name for name in some if all(name in names for names in published)]
 
-    def of_conditions(self, names: Sequence[str]) -> StudyData:
-        """Return the study with some of its conditions, on the same grid and for the same figure."""
+    def of_conditions(self, names: str | Sequence[str]) -> StudyData:
+        """Return the study with one or some of its conditions, on the same grid and for the same figure."""
+        names = [names] if isinstance(names, str) else names
+        for name in names:
+            if name not in self.conditions:
+                raise unknown_name(f"condition of study {self.study}", name, self.conditions)
         runs = [run for run in self.record["runs"] if run["condition"] in names]
         same = [[name for name in group if name in names] for group in self.same]
         same = [group for group in same if len(group) > 1]

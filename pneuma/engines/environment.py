@@ -37,7 +37,7 @@ def make_vec_env(run: Run) -> Any:
         return GymnasiumVecEnv(run)
     from pneuma.env.sb3 import PneumaVecEnv
 
-    env = PneumaVecEnv(slot_seeds(run), env_config(run))
+    env = PneumaVecEnv(slot_seeds(run), env_id=run.env, **vars(env_config(run)))
     env.keep_finished = True
     return env
 

@@ -93,6 +93,9 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
             try:
                 message = receive(connection)
                 actions = _actions(message, envs) if message.get("type") == "action" else []
+                asked = message.get("seed")
+                if asked is not None and not (type(asked) is int and asked >= 0):
+                    raise ValueError(f"seed {asked!r}")
             except (EOFError, OSError):
                 if kind is None:
                     raise UserError(f"port {port}: what listens there sent no message: a trainer?") from None
@@ -107,7 +110,6 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
             if kind == "env_info":
                 send(connection, _env_info(envs))
             elif kind == "reset":
-                asked = message.get("seed")
                 if asked is not None:
                     seeds = [asked + i for i in range(agents)]
                 first = [env.reset(seed=env_seed)[0] for env, env_seed in zip(envs, seeds, strict=True)]

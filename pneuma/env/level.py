@@ -121,6 +121,9 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
         split, first = parse_name(config.level)
         names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
     levels = [load_level(name, monster_codes) for name in names]
+    there = {int(code) for level in levels for code in np.unique(level.ground)}
+    if (lacking := {*config.slow} - there) and not config.level.startswith(RANDOM):
+        raise UserError(f"slow: {config.level} has no ground {sorted(lacking)}; it has {sorted(there)}")
     for level in levels:
         level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
     return levels
@@ -226,6 +229,8 @@ def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
         table = np.loadtxt(rows, kind, delimiter=",", ndmin=2) if rows else np.zeros((0, columns), kind)
         if head and table.shape[1] != columns:
             raise ValueError(f"a row has {table.shape[1]} columns, where {head} are asked for")
+        if not np.isfinite(table).all():
+            raise ValueError("a number is not finite")
     except ValueError as error:
         raise UserError(f"{path}: {error}") from None
     return table

@@ -102,7 +102,7 @@ def custom_rewards(
     """
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
-    except Exception as error:  # whatever a user's function does
+    except (Exception, SystemExit) as error:  # whatever a user's function does
         said = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
         frames = traceback.extract_tb(error.__traceback__)[1:2]  # the function's own, unless it is compiled
         where = [f"{frame.filename}, line {frame.lineno}: " for frame in frames]

@@ -15,7 +15,7 @@ from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Snapshot, Worlds
-from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 
@@ -53,7 +53,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
 
     Args:
         seeds: one per world; or a number of slots, which is a multiple of the players in a world.
-        config: the environment's settings, instead of `env_id` and keywords.
         seed: if `seeds` is a number, world i gets seed + i; default: random.
         env_id: whose presets to start from.
         render_mode: `rgb_array`, one picture of all slots; or `human`, a window.
@@ -67,7 +66,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def __init__(
         self,
         seeds: int | Sequence[int] = 1,
-        config: EnvConfig | None = None,
         *,
         seed: int | None = None,
         env_id: str = ENVIRONMENTS[0],
@@ -75,13 +73,15 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        config = config or make_env_config(settings, env_id)
+        config = make_env_config(settings, env_id)
         if isinstance(seeds, int | np.integer):
             if seeds < 1 or seeds % config.players:
                 allowed = f"a multiple of the {config.players} players in a world"
                 raise UserError(f"{seeds} slots are not allowed: {allowed}")
             first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
             seeds = [first + i for i in range(int(seeds) // config.players)]
+        elif seed is not None or not len(seeds):
+            raise UserError(f"seeds = {seeds}, seed = {seed}: give seeds, or a number of slots and a seed")
         self.state = Worlds(len(seeds), config)
         self.state.seed(seeds)
         self.slots = Slots(self.state)

@@ -125,6 +125,10 @@ def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
     """
     if start is None:
         return None
-    asked = np.broadcast_to(np.array(start, object), len(worlds))
-    both = zip(asked, worlds.usual_starts, strict=True)
-    return np.array([usual if one is None else operator.index(one) for one, usual in both], np.int64)
+    try:
+        asked = np.broadcast_to(np.array(start, object), len(worlds))
+        both = zip(asked, worlds.usual_starts, strict=True)
+        return np.array([usual if one is None else operator.index(one) for one, usual in both], np.int64)
+    except (TypeError, ValueError, OverflowError):
+        wanted = f"the index of a start place, or one for each of {len(worlds)} worlds"
+        raise ValueError(f"start = {start!r}: must be {wanted}") from None

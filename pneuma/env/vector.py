@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -65,12 +66,13 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self,
         *,
-        seed: int | Sequence[int] | None = None,
+        seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
-        `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset.
+        `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset;
+        those with None go on.
         `options["start"]` is the index of a start place, or one for each world.
 
         Raises:
@@ -83,10 +85,11 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=None if seeds is None else seeds[0])
-        if not self.slots.begun:
-            seeds = seeds or self._seeds(int(self.np_random.integers(2**62)))
+        if not self.slots.begun and (seeds is None or None in seeds):
+            first, asked = int(self.np_random.integers(2**62)), seeds or [None] * len(self.state)
+            seeds = [first + i if own is None else own for i, own in enumerate(asked)]
         if seeds:
-            self.state.seed(seeds, mask)
+            self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
             self.slots.begun = True
         self.state.reset(mask, starts)
         self._note_over(self._over & ~mask)
@@ -109,13 +112,13 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._show()
         return self.slots.observations, self._infos()
 
-    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
-        """Return a seed for each world."""
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
+        """Return a seed for each world, None where its random stream goes on."""
         if seed is None:
             return None
         if isinstance(seed, numbers.Integral):
             return [int(seed) + i for i in range(len(self.state))]
-        seeds = [int(world_seed) for world_seed in seed]  # type: ignore[union-attr]
+        seeds = [None if own is None else operator.index(own) for own in seed]  # type: ignore[union-attr]
         if len(seeds) != len(self.state):
             raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
         return seeds

@@ -29,7 +29,7 @@ from pneuma.analysis.curves import (
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.env_fields import ACTION_NAMES
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 from pneuma.figures import panels, style
 
 _, TRAILING_WINDOW = WINDOWS
@@ -110,7 +110,7 @@ def draw_study(
 
 
 def settle(
-    data: StudyData, band: str | None = None, window: str | None = None, quantities: Sequence[str] = ()
+    data: StudyData, band: str | None = None, window: str | None = None, quantities: str | Sequence[str] = ()
 ) -> Drawing:
     """Return how to draw a study, given the user's choices.
 
@@ -123,7 +123,9 @@ def settle(
             of episodes replaces them.
     """
     window = data.checked_window(window)
-    names = tuple(dict.fromkeys(quantities))
+    if band is not None and band not in BANDS:
+        raise unknown_name("band", band, BANDS)
+    names = tuple(dict.fromkeys([quantities] if isinstance(quantities, str) else quantities))
     if not names:
         known = curve_names(data)
         wanted = USUAL_QUANTITIES if have_one_return(data) else ("share_killed", "success", "length")

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from pneuma.errors import plain
+from pneuma.errors import plain, unknown_name
 
 WIDTH = 7.0
 """Width in inches of a figure that spans a page."""
@@ -164,6 +164,9 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 
 def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str]) -> list[Path]:
     """Write a figure in each format; the same figure gives the same bytes."""
+    for name in formats:
+        if name not in _NO_DATES:
+            raise unknown_name("format", name, _NO_DATES)
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
