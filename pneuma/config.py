@@ -61,7 +61,8 @@ MAX_SLOTS = 1024
 
 Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=65536)], ...], Len(1, 8)]
 """Neurons of each hidden layer of a network."""
-Fraction = Annotated[float, Interval(ge=0, lt=1)]
+Fraction = Annotated[float, Interval(ge=0, le=0.999999)]
+"""Below 1 by more than the rounding of float32."""
 Steps = Annotated[int, Interval(ge=1, le=10**12)]
 
 
@@ -278,8 +279,9 @@ def make_run(given: Mapping[str, object]) -> Run:
 
 
 def fields_read(run: Run) -> frozenset[str]:
-    """Return the names of the fields that affect a run, given its algorithm and optimizer."""
-    return _read_by(run.env, run.algorithm, run.optimizer)
+    """Return the names of the fields that affect a run, given its other fields."""
+    idle = {"slow_factor": not run.slow, "dampening": not run.momentum, "clip": run.gradient_limit is None}
+    return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
 
 
 def beyond_engine(run: Run) -> str:

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.pruners import MedianPruner, NopPruner
 from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
 from optuna.study import StudyDirection
 from optuna.trial import TrialState, create_trial
 
 from pneuma.config import stream_seed
 from pneuma.search.space import Parameter
-from pneuma.search.spec import Median, Nsga, Sampler, Search, Tpe
+from pneuma.search.spec import Nsga, Sampler, Search, Tpe
 
 if TYPE_CHECKING:
     from pneuma.search.trials import EndedTrial
@@ -35,16 +34,10 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 
 def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
-    """Return an in-memory study without trials, with the first `count` objectives."""
-    sought, pruner_options = search.objectives[:objectives], search.spec.pruner
-    pruner = (
-        MedianPruner(pruner_options.startup_trials, n_min_trials=1)
-        if isinstance(pruner_options, Median)
-        else NopPruner()
-    )
+    """Return an in-memory study without trials, with the first so many objectives."""
+    sought = search.objectives[:objectives]
     study = optuna.create_study(
         sampler=RandomSampler(seed=0),
-        pruner=pruner,
         study_name=search.name,
         directions=[StudyDirection[objective.direction.upper()] for objective in sought],
     )

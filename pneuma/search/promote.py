@@ -20,9 +20,8 @@ from pneuma.analysis.intervals import difference_interval
 from pneuma.config import as_fields, env_config, make_run
 from pneuma.errors import UserError
 from pneuma.search.space import Space
-from pneuma.search.spec import Budget
 from pneuma.search.storage import RecordedSearch
-from pneuma.search.trials import EndedTrial, Outcomes, Task, objective_value
+from pneuma.search.trials import EndedTrial, Outcomes, objective_value
 from pneuma.study.plan import Plan
 from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store
@@ -73,8 +72,8 @@ def find_winners(
             tuned alike; when they used some of the seeds.
     """
     names = [split_world(searched.task.search.name)[0] for searched in searches]
-    if len({*names}) < len(names):
-        raise UserError(f"{', '.join(names)}: name each search once")
+    if len({*names, *(f"{name}-tuned" for name in names)}) < 2 * len(names):
+        raise UserError(f"{', '.join(names)}: name each search once, and none NAME-tuned beside NAME")
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
     first = _conditions(searches[0])
     for name, searched in zip(names, searches, strict=True):
@@ -206,8 +205,7 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
     won, lost = (
         [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
     )
-    fresh = Task(task.search, Budget(trials=1, seeds=planned.seeds, steps=task.budget.steps))
-    outcomes = Outcomes(fresh, store)  # so that a diverged run counts as it did in the search
+    outcomes = Outcomes(task, store)  # so that a diverged run counts as it did in the search
     searched_steps = make_run({**as_fields(won[0].run), "steps": task.budget.steps}).steps
     found = {}
     for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):

@@ -156,11 +156,11 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
             if name in space:
                 raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
             return _read_field(name, value)
-        if earlier.choices:
-            if _name(value) not in earlier.choices:
-                raise unknown_name(f"choice of {name}", _name(value), earlier.choices)
-            return _name(value)
         number = _read_field(name, value)
+        if earlier.choices:
+            if _name(number) not in earlier.choices:
+                raise unknown_name(f"choice of {name}", _name(number), earlier.choices)
+            return _name(number)
         if not earlier.whole or earlier.param_of(number) is None:
             raise UserError(f"{name} is searched in a range, which never meets {shown(value)}")
         return number

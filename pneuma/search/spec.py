@@ -82,7 +82,7 @@ class NoPruner(Table):
 
 
 class Median(Table):
-    """[pruner]: stops trials that are below the median of the trials at a rung of the budget."""
+    """[pruner]: stops trials that are below the median of earlier trials at a rung of the budget."""
 
     name: Literal["median"]
     rungs: Annotated[int, Interval(ge=2, le=5)] = 3

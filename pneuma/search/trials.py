@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -153,11 +152,9 @@ class Outcomes:
 
     def _measure(self, cell: Cell, name: str) -> float:
         if self.diverged(cell):
-            sought = [
-                objective for objective in self._task.search.objectives if objective.over_seeds != "deviation"
-            ]
             minimized = any(
-                (objective.outcome, objective.direction) == (name, "minimize") for objective in sought
+                (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
+                for one in self._task.search.objectives
             )
             worst = find_outcome(name).bounds[minimized]
             if np.isfinite(worst):
@@ -194,7 +191,9 @@ def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[Ended
         for rung, steps in rungs.items():
             _train_rung(task, steps, asked, trained, train)
             if len(rungs) > 1:
-                _compare(search.objectives[0], rung, rung == len(rungs), asked, outcomes)
+                _report(search.objectives[0], rung, asked, outcomes)
+                if isinstance(search.spec.pruner, Median) and rung < len(rungs):
+                    _prune(study, search, rung, search.spec.pruner.startup_trials, asked)
         yield [_tell(study, search.objectives, each, outcomes) for each in asked]
 
 
@@ -247,19 +246,27 @@ def _train_rung(
         train(make_trial_plan(task, trained))
 
 
-def _compare(
-    sought: Objective, rung: int, last: bool, asked: list[_PendingTrial], outcomes: Outcomes
-) -> None:
-    """Report each trial's value at a rung, then stop those that the pruner names."""
-    racing = [each for each in asked if each.run is not None and not each.pruned]
-    for each in racing:
-        value = objective_value(sought, each.longest, outcomes)
-        each.rungs[rung] = value
-        if np.isfinite(value):
-            each.trial.report(value, rung)
-    if not last:
-        for each in racing:
-            each.pruned = each.trial.should_prune()
+def _report(sought: Objective, rung: int, asked: list[_PendingTrial], outcomes: Outcomes) -> None:
+    """Report the value at a rung of each trial that was trained to it."""
+    for each in asked:
+        if each.run is not None and not each.pruned:
+            each.rungs[rung] = value = objective_value(sought, each.longest, outcomes)
+            if np.isfinite(value):
+                each.trial.report(value, rung)
+
+
+def _prune(study: Any, search: Search, rung: int, enough: int, asked: list[_PendingTrial]) -> None:
+    """Stop trials below the median of the earlier generations' trials at the same rung.
+
+    Optuna's pruner takes the median of the trials that were never stopped, which rises and rises.
+    """
+    values = [trial.intermediate_values.get(rung, np.nan) for trial in study.get_trials(deepcopy=False)]
+    before = np.array(values[: asked[0].trial.number])
+    before = before[np.isfinite(before)]
+    if len(before) >= enough:
+        sign = 1 if search.objectives[0].direction == "maximize" else -1
+        for each in asked:
+            each.pruned |= sign * each.rungs.get(rung, np.inf * sign) < sign * np.median(before)
 
 
 def _tell(
@@ -298,11 +305,16 @@ def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int]
 def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
     """Return the value of a trial's runs in one objective.
 
-    Runs that all diverge have no spread, which would look good. They count with the greatest possible spread.
+    Runs that all diverge have no spread, which would look good. They count with the greatest possible spread,
+    if the outcome is bounded.
     """
-    if objective.over_seeds == "deviation" and any(map(outcomes.diverged, cells)):
-        low, high = find_outcome(objective.outcome).bounds
-        return (high - low) / 2 * math.sqrt(len(cells) / max(len(cells) - 1, 1))
+    bounds, half = find_outcome(objective.outcome).bounds, len(cells) // 2
+    if (
+        objective.over_seeds == "deviation"
+        and np.isfinite(bounds).all()
+        and any(map(outcomes.diverged, cells))
+    ):
+        return over_seeds("deviation", np.repeat(bounds, [half, len(cells) - half]))
     values = [outcomes.read(cell, objective.outcome) for cell in cells]
     return over_seeds(objective.over_seeds, np.array(values))
 

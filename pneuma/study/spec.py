@@ -185,7 +185,7 @@ def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
     names = dict.fromkeys(name for run in runs for name in (run.env, run.algorithm, run.optimizer))
-    return f"{key} does nothing: it is read by none of {', '.join(names)}"
+    return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set"
 
 
 # --- Files -----------------------------------------------------------------------------------------

@@ -82,13 +82,13 @@ def test_a_pruned_trial_is_trained_no_further(make_task: MakeTask) -> None:
 
 
 def test_median_gives_up_what_is_below_the_median_at_its_rung(make_task: MakeTask) -> None:
-    """By hand: of 4 + 4 trials, those of the second generation below the median of the first go."""
+    """By hand: of generations of 4, those below the median of all trials of earlier generations go."""
     more = '[sampler]\nname = "random"\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 4'
-    told = solve(make_task(8, more))
-    first = [trial.rungs[1] for trial in told[:4]]
+    told = solve(make_task(16, more))
+    values = [trial.rungs[1] for trial in told]
     assert all(trial.state == "complete" for trial in told[:4])  # nothing to compare with yet
-    for trial in told[4:]:
-        assert (trial.state == "pruned") == (trial.rungs[1] < np.median(first))
+    for place, trial in enumerate(told[4:], 4):
+        assert (trial.state == "pruned") == (values[place] < np.median(values[: place // 4 * 4]))
 
 
 def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
