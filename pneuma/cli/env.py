@@ -124,7 +124,7 @@ def play(
     """Play with the keyboard. The world waits while you hold no key.
 
     Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
-    escape leaves. Needs pygame-ce and a display.
+    with --set dash=true E dashes, escape leaves. Needs pygame-ce and a display.
     """
     from pneuma.env.watch import play as play_world
 

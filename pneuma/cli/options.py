@@ -146,13 +146,13 @@ RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashe
 Preset = Annotated[
     Text,
     option(
-        "--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick).", offer=complete.presets
+        "--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick, or the first).", offer=complete.presets
     ),
 ]
 Seeds = Annotated[
     Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
 ]
-Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole horizons.")]
+Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole updates.")]
 Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
 Conditions = Annotated[
     Several,
@@ -180,7 +180,7 @@ Contrast = Annotated[
 ]
 WorldName = Annotated[
     Text,
-    choice("--world", WORLDS, f"{', '.join(w.title for w in WORLDS.values())} (default: the first, or all)."),
+    choice("--world", WORLDS, "Rules of the thesis's text, its published code or the arena (default: the study's first)."),
 ]
 Formats = Annotated[
     list[Any] | None,
@@ -252,7 +252,7 @@ def _place(
             _key_and_value("--slurm", "partition=short"),
         ),
     ] = None,
-    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted.")] = False,
+    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted (not a search).")] = False,
 ) -> Supervision:
     """Read the options that say where runs train."""
     for name, given, executor_of_option in (
