@@ -146,7 +146,10 @@ RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashe
 Preset = Annotated[
     Text,
     option(
-        "--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick, or the first).", offer=complete.presets
+        "--preset",
+        "|".join((*PRESETS, CLAIMS)),
+        "How much to run (default: quick, or the first).",
+        offer=complete.presets,
     ),
 ]
 Seeds = Annotated[
@@ -180,7 +183,11 @@ Contrast = Annotated[
 ]
 WorldName = Annotated[
     Text,
-    choice("--world", WORLDS, "Rules of the thesis's text, its published code or the arena (default: the study's first)."),
+    choice(
+        "--world",
+        WORLDS,
+        "Whose rules: of the text, the published code, the arena (default: the first).",
+    ),
 ]
 Formats = Annotated[
     list[Any] | None,
@@ -252,7 +259,9 @@ def _place(
             _key_and_value("--slurm", "partition=short"),
         ),
     ] = None,
-    detach: Annotated[bool, flag("--detach", "Leave once jobs of --executor slurm are submitted (not a search).")] = False,
+    detach: Annotated[
+        bool, flag("--detach", "Leave once jobs of --executor slurm are submitted (no search).")
+    ] = False,
 ) -> Supervision:
     """Read the options that say where runs train."""
     for name, given, executor_of_option in (

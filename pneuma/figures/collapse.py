@@ -89,6 +89,8 @@ def draw_collapse(
         panels.label_rows(grid["bars"], labels, inches / len(shown))
         headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
         caption = [*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
+        if not {"entropy", "action"} & {*curves}:
+            caption = [note.replace(": dashed", "") for note in caption]
         panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
 
