@@ -68,8 +68,7 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     """Return a study in the worlds that it is meant for and those in which it was run."""
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
-    there = {name for name in WORLDS if store.published_path(in_world(study, name)).exists()}
-    worlds = [name for name in WORLDS if name in {*meant, *there} or in_world(study, name) in known]
+    worlds = [name for name in WORLDS if name in meant or in_world(study, name) in known]
     about = {key: getattr(shipped, key, "") for key in ("section", "about")}
     records = (store.selection(in_world(study, name)) or {} for name in worlds)
     title = shipped.title if shipped else next((record["title"] for record in records if record), study)
@@ -83,7 +82,7 @@ def _section(store: Store, study: str) -> dict[str, Any]:
 def _part(store: Store, study: str, world: str) -> Part:
     name, shipped = in_world(study, world), study in spec.list_studies()
     part, train = Part(name, f"In {WORLDS[world].title}"), spec.run_command(name)
-    if name not in known_studies(store) and not store.published_path(name).exists():
+    if name not in known_studies(store):
         part.notes, part.mend = ["No runs yet."], train
         return part
     try:
