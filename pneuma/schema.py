@@ -239,7 +239,9 @@ PLAINER = {
 
 def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, str, str]:
     """Return the first mistake in some data: the table it is in, its key there, and what is wrong."""
-    first = error.errors(include_url=False, include_input=False)[0]
+    errors = error.errors(include_url=False, include_input=False)
+    alike = [one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]]
+    first = max(alike, key=lambda one: len(one["loc"]))  # a table tells more than that it is no number
     kind, context = first["type"], first.get("ctx", {})
     if kind == "missing":
         (*where, key) = map(str, first["loc"])

@@ -95,7 +95,7 @@ def join_studies(one: StudyData, other: StudyData) -> StudyData:
         "same": [],
         "baseline": None,
     }
-    record = {key: value for key, value in one.record.items() if key != "budget"}
+    record = {key: value for key, value in one.record.items() if key not in ("budget", "every")}
     return StudyData({**one.index, **other.index}, {**record, **about, "runs": runs})
 
 

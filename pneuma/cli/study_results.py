@@ -209,11 +209,8 @@ def compare(
     compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
     for condition, row in compared:
         difference = row["difference"], row["low"], row["high"]
-        alone = row["low"] != row["low"]  # no interval to take the digits from
-        means = (
-            shown(row[key], decimals(row[key]) if alone else decimals(*difference))
-            for key in ("mean_a", "mean_b")
-        )
+        digits = {} if math.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
+        means = (shown(row[key], decimals(row[key], **digits)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
         rows.append(

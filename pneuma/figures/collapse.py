@@ -89,8 +89,6 @@ def draw_collapse(
         panels.label_rows(grid["bars"], labels, inches / len(shown))
         headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
         caption = [*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
-        if not {"entropy", "action"} & {*curves}:
-            caption = [note.replace(": dashed", "") for note in caption]
         panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
         return style.save_figure(figure, folder, stem, formats)
 
@@ -160,7 +158,7 @@ def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_ou
     sunk = " or at a return below zero after one above," if endless else ""
     notes.append(
         f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
-        f"{100 * MOST_OF_ONE:g} % of actions: dashed),{sunk} or twice in a row at {best}."
+        f"{100 * MOST_OF_ONE:g} % of actions),{sunk} or twice in a row at {best}."
     )
     hollow = "; hollow: recovered by the end" * bool(shares["recovered"].sum())
     notes.append(f"Bars: 95 % intervals (Clopper and Pearson){hollow}.")

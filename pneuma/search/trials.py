@@ -266,7 +266,7 @@ def _prune(study: Any, search: Search, rung: int, enough: int, asked: list[_Pend
     if len(before) >= enough:
         sign = 1 if search.objectives[0].direction == "maximize" else -1
         for each in asked:
-            each.pruned |= sign * each.rungs.get(rung, np.inf * sign) < sign * np.median(before)
+            each.pruned |= rung in each.rungs and sign * each.rungs[rung] < sign * np.median(before)
 
 
 def _tell(

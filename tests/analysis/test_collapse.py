@@ -200,8 +200,6 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    silent = [("train/approx_kl", step, value) for _, step, value in points]  # no sign that decides
-    write_events(tmp_path / "logs" / "b_1" / "events.out.tfevents.1.host", silent)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(store, store.selection("logs") or {})
     found = diagnose(data, data.runs[0])
@@ -209,7 +207,15 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     assert found.unseen == ("one action", "dead units", "fall", "return below zero")
     assert found.relearned is None
     assert data.budget == BUDGET
-    assert incidence(data)[["runs", "unknown"]].to_numpy().tolist() == [[1, 0], [0, 1]]
+
+
+def test_a_run_of_which_actions_alone_are_known_is_no_healthy_one(tmp_path: Path) -> None:
+    store, updates = Store(tmp_path / "results"), one_action(61)
+    updates[:, 0] = np.nan  # its entropy
+    save_collapse(store, "a0" * 8, updates, np.empty(0))
+    record = collapse_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": "episode"}})
+    (row,) = incidence(open_study(store, record)).to_dict("records")
+    assert (row["runs"], row["collapsed"], row["unknown"]) == (0, 0, 1)
 
 
 def test_stretches_by_hand() -> None:

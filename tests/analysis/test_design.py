@@ -68,6 +68,7 @@ def test_so_few_seeds_cannot_decide_what_is_plausible(tmp_path: Path) -> None:
     assert plan.reason == "" and plan.detectable is not None and 0.2 < plan.detectable < 0.3
     few = plan_of(tmp_path, ("margin = 0.04", "margin = 0.04\nplausible = 0.1"), seeds=4)
     assert few.reason.startswith("cannot be decided with so many seeds (8 runs): the least difference")
+    assert plan_of(tmp_path, seeds=3).detectable == np.inf  # the smallest p of 3 against 3 is 2 / 20
 
 
 def test_equivalence_is_planned_by_the_margin_that_can_be_shown(tmp_path: Path) -> None:
