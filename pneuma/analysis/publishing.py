@@ -29,8 +29,8 @@ CURVES = (
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
 """The provenance that a table keeps: without times, so that a run trained again gives the same table."""
 MACHINE = ("system", "cpu", "threads")
-LEVELS = 1024
-"""Most steps into which a curve's range is divided; a figure has fewer points across."""
+LEVELS = 512
+"""Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
 
 
 def encode_study(
@@ -38,7 +38,7 @@ def encode_study(
 ) -> bytes:
     """Return the published table of a study; the same runs give the same bytes.
 
-    Curves are rounded to a thousandth of their range; outcomes, signs and evaluations are exact. An existing
+    Curves are rounded to a five-hundredth of their range; outcomes, signs and evaluations are exact. An existing
     table keeps its columns, and its runs that are not here. Runs of the selection that are not finished
     anywhere keep their row, without numbers.
 
@@ -188,7 +188,7 @@ def encode_times(data: StudyData) -> bytes:
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
-    """Round a curve to a thousandth of its range, to multiples of a power of two, which compress well.
+    """Round a curve to a five-hundredth of its range, to multiples of a power of two, which compress well.
 
     A curve over several orders of magnitude, without negative values, is rounded in proportion to each value
     instead.

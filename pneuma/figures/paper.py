@@ -91,16 +91,25 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         (data.study, data.figure + (f"-{data.study}" if stems[data.figure] > 1 else "")) for data in studies
     ]
     logs = {study: log for study, log in (beside or {}).items() if log in dict(names)}
+    sizes = {data.study: len(data.runs) for data in studies}
+    largest_first = sorted(names, key=lambda name: -sizes[name[0]])
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
-        for entries_of_study in pool.map(partial(_draw_one, folder, results, logs), names):
-            entries += entries_of_study
+        verdicts = pool.submit(_draw_verdicts, folder, results)
+        drawn = dict(zip(largest_first, pool.map(partial(_draw_one, folder, results, logs), largest_first)))
+    entries += [entry for name in names for entry in drawn[name]]
     written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
     write_whole(folder / CONTENTS, encode_contents(entries))
     for name in known - written:
         (folder / name).unlink()
-    verdicts = write_verdicts(judged_claims(Store(results), stored=False)[0], folder) if studies else []
-    return [*(folder / entry["file"] for entry in entries), *verdicts, folder / INDEX, folder / CONTENTS]
+    paths = [*(folder / entry["file"] for entry in entries), *verdicts.result()]
+    return [*paths, folder / INDEX, folder / CONTENTS]
+
+
+def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
+    """Draw the verdicts on the thesis's claims; nothing where no study is published."""
+    store = Store(results)
+    return write_verdicts(judged_claims(store, stored=False)[0], folder) if store.published(shipped=False) else []
 
 
 def _draw_environment(folder: Path) -> Entries:
