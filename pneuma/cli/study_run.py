@@ -19,7 +19,7 @@ from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
-from pneuma.study.progress import ProgressDisplay, duration
+from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
 from pneuma.study.store import Status, Store
 from pneuma.worlds import TEXT, split_world
 
@@ -41,16 +41,14 @@ def plan_(
     json: opt.Json = False,
 ) -> None:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
-    from pneuma.study import estimate
-
     store = chosen.store
     planned = _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(todo.values())
-    paces = estimate.stored_paces(store, statuses)
+    paces = stored_paces(store, statuses)
     seconds = {
-        key: estimate.expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
+        key: expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
         for key, run in todo.items()
     }
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
@@ -71,8 +69,8 @@ def plan_(
     print(f"{_counts(states.values())}.")
     if todo:
         at_once = opt.most_workers(None)
-        expected = duration(estimate.total_seconds(seconds.values(), at_once))
-        rough = "" if all(estimate.is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
+        expected = duration(max(sum(seconds.values()) / at_once, *seconds.values()))
+        rough = "" if all(is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
         print(f"To train: about {expected} with {at_once} at once{rough}.")
     return None
 
