@@ -22,7 +22,7 @@ import tempfile
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
@@ -312,10 +312,8 @@ class _Worker:
             "parent": os.getpid(),
             "results": str(store.root.resolve()),
             "runs": {name: as_fields(run) for name, run in task.group.items()},
-            "checkpoint_seconds": how.checkpoint_seconds,
-            "keep": how.keep_checkpoints,
+            "how": asdict(replace(how, logs={name: how.logs[name] for name in how.logs.keys() & task.group})),
             "last_try": task.tries == TRIES,
-            "logs": {name: folder for name, folder in how.logs.items() if name in task.group},
         }
         self.tell(json.dumps(job))
 
