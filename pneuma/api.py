@@ -170,7 +170,7 @@ def load_policy(
     store = _store(results)
     found = find_run(store, run_id)
     run = stored_run(store, found).settings
-    if POLICY_FILE not in store.file_names(found):
+    if POLICY_FILE not in store.checksums(found):
         raise UserError(f"run {found} left no policy")
     env = str(run.get("env"))
     if is_gymnasium_id(env):

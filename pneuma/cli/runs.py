@@ -140,7 +140,7 @@ def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
-    if POLICY_FILE not in store.file_names(run.run_id) or not run.settings:
+    if POLICY_FILE not in store.checksums(run.run_id) or not run.settings:
         raise UserError(f"is {run.status.name}: it has no policy to export")
     settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
     if suffix == ".zip":

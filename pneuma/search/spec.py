@@ -34,7 +34,7 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
-from pneuma.worlds import TEXT, check_world, in_world, world_fields
+from pneuma.worlds import TEXT, in_world, world_fields
 
 OVER_SEEDS = ("mean", "median", "iqm", "deviation")
 """Functions that combine the outcomes of a trial's seeds."""
@@ -197,9 +197,8 @@ class Search:
         All trials get the world's environment, and its other fields unless the search sets them itself.
 
         Raises:
-            UserError: for an unknown world, or where the file sets another environment.
+            UserError: where the file sets another environment.
         """
-        check_world(world)
         if world == self.world:
             return self
         env = self.space.fixed.get("env", ENVIRONMENTS[0])

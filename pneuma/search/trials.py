@@ -221,7 +221,6 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         figure=name,
         baseline=cells[0].condition,
         base=task.search.space.base,
-        shared={},
         conditions={cell.condition: {} for cell in cells},
     )
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
@@ -275,16 +274,12 @@ def _tell(
     values = tuple(
         objective_value(objective, asked.longest, outcomes) for objective in objectives if asked.cells
     )
-    sound = bool(values) and np.isfinite(values).all()
-    state = "failed" if not sound else "pruned" if asked.pruned else "complete"
-    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
     lacking = [
-        objective for objective, value in zip(objectives, values, strict=False) if not np.isfinite(value)
+        each.outcome for each, value in zip(objectives, values, strict=False) if not np.isfinite(value)
     ]
-    notes = [
-        asked.note,
-        *(f"a run has no {objective.outcome}, or none that is finite" for objective in lacking),
-    ]
+    state = "failed" if lacking or not values else "pruned" if asked.pruned else "complete"
+    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
+    notes = [asked.note, *(f"a run has no {name}, or none that is finite" for name in lacking)]
     if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     run_ids = tuple(cell.run_id for cell in asked.cells)
