@@ -28,7 +28,7 @@ from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, stored_run
+from pneuma.study.stored_runs import stored_run
 from pneuma.worlds import check_world
 
 if TYPE_CHECKING:
@@ -168,8 +168,8 @@ def load_policy(
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     store = _store(results)
-    found = find_run(store, run_id)
-    run = stored_run(store, found).settings
+    stored = stored_run(store, run_id)
+    found, run = stored.run_id, stored.settings
     if POLICY_FILE not in store.checksums(found):
         raise UserError(f"run {found} left no policy")
     env = str(run.get("env"))

@@ -6,16 +6,16 @@ import io
 import shlex
 import shutil
 import sys
-import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from pneuma.errors import UserError, nearest_name, plain
+from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import write_whole
+from pneuma.study.spec import read_head, shipped_names
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -33,13 +33,10 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
 
     A closed standard error does not stop a command.
     """
-    if quiet:
-        return
-    try:
-        print(plain(text), file=sys.stderr if aside else sys.stdout, flush=aside)
-    except OSError:  # the reader has gone, or the terminal was closed
-        if not aside:
-            raise
+    if aside and not quiet:
+        print_aside(text)
+    elif not quiet:
+        print(plain(text))
 
 
 def command(*words: object) -> str:
@@ -98,13 +95,10 @@ def _shown(value: object) -> str:
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
     """Print the names, titles, sections and figures of shipped files."""
-    tables = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.toml"))}
-    keys = ("title", "section", "figure")
-    rows = [
-        {kind: name, **{key: table.get(key, "") for key in keys}}
-        for name, table in tables.items()
-        if "title" in table
-    ]
+    rows = []
+    for name in shipped_names(folder):
+        head = read_head(name, folder)
+        rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
     return print_rows(many, rows, json)
 
 

@@ -52,7 +52,7 @@ def show(
 ) -> None:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
-    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    run = stored_runs.stored_run(store, name)
     usual = stored_runs.default_settings(run.settings)
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     provenance = store.read_document(run.run_id, "provenance.json")
@@ -122,7 +122,7 @@ def export(
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"))
     store = Store(results)
-    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    run = stored_runs.stored_run(store, name)
     try:
         data = _exported(store, run, out.suffix.lower(), trust)
     except UserError as error:

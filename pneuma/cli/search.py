@@ -359,20 +359,18 @@ def promote(
     document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
     if code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
-        if json:
-            print_json({**document, "winners": chosen})
-        return code
-    found = [gains(winner, planned, store) for winner in winners]
+    else:
+        for winner, row in zip(winners, chosen, strict=True):
+            row["objectives"] = gains(winner, planned, store)
     if json:
-        rows = [{**row, "objectives": gained} for row, gained in zip(chosen, found, strict=True)]
-        print_json({**document, "winners": rows})
-        return 0
-    for winner, gained in zip(winners, found, strict=True):
-        _print_gains(winner, gained, len(seeds))
-    for arm, count in diverged.items():
-        if count:
-            print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
-    return 0
+        print_json({**document, "winners": chosen})
+    elif not code:
+        for winner, row in zip(winners, chosen, strict=True):
+            _print_gains(winner, row["objectives"], len(seeds))
+        for arm, count in diverged.items():
+            if count:
+                print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
+    return code
 
 
 def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:

@@ -127,6 +127,7 @@ class _PendingTrial:
         return [cell for cell in self.cells if cell.run.steps == longest]
 
 
+@dataclass(frozen=True)
 class Outcomes:
     """Reads outcomes of stored runs as a search counts them.
 
@@ -134,34 +135,26 @@ class Outcomes:
     outcome has no bound.
     """
 
-    def __init__(self, task: Task, store: Store) -> None:
-        self._task = task
-        self._store = store
-        self._values: dict[tuple[str, str], float] = {}
+    task: Task
+    store: Store
 
     def read(self, cell: Cell, name: str) -> float:
         """Return an outcome of a finished run; NaN if it has none."""
-        key = (cell.run_id, name)
-        if key not in self._values:
-            self._values[key] = self._measure(cell, name)
-        return self._values[key]
-
-    def diverged(self, cell: Cell) -> bool:
-        """Return whether a finished run diverged."""
-        return self._store.status(cell.run_id).name == "diverged"
-
-    def _measure(self, cell: Cell, name: str) -> float:
         if self.diverged(cell):
             minimized = any(
                 (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
-                for one in self._task.search.objectives
+                for one in self.task.search.objectives
             )
             worst = find_outcome(name).bounds[minimized]
             if np.isfinite(worst):
                 return float(worst)
-        record = selection_record(make_trial_plan(self._task, [cell]))
-        data = open_study(self._store, record, "none")
+        record = selection_record(make_trial_plan(self.task, [cell]))
+        data = open_study(self.store, record, "none")
         return outcome(data, data.runs[0], name)
+
+    def diverged(self, cell: Cell) -> bool:
+        """Return whether a finished run diverged."""
+        return self.store.status(cell.run_id).name == "diverged"
 
 
 def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[EndedTrial]]:

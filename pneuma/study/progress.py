@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, as_fields
-from pneuma.errors import plain
+from pneuma.errors import print_aside
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
 from pneuma.study.plan import Cell, Plan
@@ -156,7 +156,7 @@ class ProgressDisplay:
         name, label, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
         if event["event"] in ("note", "passing"):
             if self._show or event["event"] == "note":
-                _print(f"{label}: {event['text']}")
+                print_aside(f"{label}: {event['text']}")
             return
         if status and status != "stopped":
             self._ended.add(name)
@@ -168,13 +168,7 @@ class ProgressDisplay:
             whole = self._bar.tasks[0]
             left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
             what = f"{label}: {status}; " if status else ""
-            _print(f"{what}{self._runs()} ended, {whole.percentage:.0f}% of all steps{left}")
+            print_aside(f"{what}{self._runs()} ended, {whole.percentage:.0f}% of all steps{left}")
 
     def _runs(self) -> str:
         return f"{len(self._ended)}/{len(self._steps)} runs"
-
-
-def _print(line: str) -> None:
-    """Print a line on standard error, above the bar. Training goes on if nobody can read it."""
-    with suppress(OSError):
-        print(plain(line), file=sys.stderr, flush=True)

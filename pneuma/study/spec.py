@@ -209,9 +209,9 @@ def list_studies() -> list[str]:
     return shipped_names(studies_folder())
 
 
-def read_head(name: str) -> dict[str, Any]:
-    """Return the contents of a shipped study's file, unchecked."""
-    return tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8"))
+def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
+    """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
+    return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def name_in_world(name: str, world: str | None) -> str:

@@ -87,8 +87,9 @@ def list_runs(store: Store) -> list[StoredRun]:
     return [StoredRun(store, name, store.status(name, quick=True), *recorded.get(name, ())) for name in names]
 
 
-def stored_run(store: Store, run_id: str) -> StoredRun:
-    """Return what is stored of a run, after comparing every checksum; `run_id` is one of `Store.runs`."""
+def stored_run(store: Store, text: str) -> StoredRun:
+    """Return what is stored of the run that `find_run` finds, after comparing every checksum."""
+    run_id = find_run(store, text)
     return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
 
 

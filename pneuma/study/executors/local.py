@@ -28,7 +28,7 @@ from types import FrameType
 from typing import IO, Any
 
 from pneuma.config import Run, as_fields
-from pneuma.errors import UserError
+from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
@@ -125,8 +125,7 @@ class Interrupts:
 
 def say_stopping() -> None:
     """Tell the user that the first Ctrl-C was received."""
-    with suppress(OSError):  # the terminal was closed
-        print("Stopping after this step; again to stop now.", file=sys.stderr, flush=True)
+    print_aside("Stopping after this step; again to stop now.")
 
 
 # --- Supervision ----------------------------------------------------------------------------------
