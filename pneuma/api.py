@@ -29,7 +29,6 @@ from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_run
-from pneuma.worlds import check_world
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,7 +118,6 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
     from pneuma.analysis.stored_studies import study_record
 
     store = _store(results)
-    check_world(world)
     return open_study(store, study_record(store, os.fspath(study), world=world))
 
 

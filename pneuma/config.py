@@ -30,13 +30,7 @@ from pneuma.algorithms import (
     OPTIMIZER_FIELDS,
     TABULAR,
 )
-from pneuma.env_fields import (
-    ENVIRONMENT_FIELDS,
-    ENVIRONMENTS,
-    EnvConfig,
-    read_fields,
-    resolve_world,
-)
+from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, EnvConfig, read_fields, resolve_world
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 
