@@ -197,13 +197,9 @@ def run(
                 say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
             ended_trials = [*ended]
             best = best_number(ended_trials, task.search)
-            found = (
-                f"best {_value(ended_trials[best])}, trial {best}"
-                if isinstance(best, int)
-                else f"front: {best}"
-                if best
-                else "none complete yet"
-            )
+            found = f"front: {best}" if best else "none complete yet"
+            if isinstance(best, int):
+                found = f"best {_value(ended_trials[best])}, trial {best}"
             say(f"{len(ended_trials)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)

@@ -11,19 +11,17 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import optuna
 
-from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
-from pneuma.search.spec import Budget, Median, Objective, Pruner, Search
+from pneuma.search.spec import OVER_SEEDS, Budget, Median, Objective, Pruner, Search
 from pneuma.study.execute import selection_record
 from pneuma.study.identity import contents, run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -311,12 +309,4 @@ def over_seeds(name: str, values: np.ndarray) -> float:
     """Combine the outcomes of a trial's runs, (seeds,); NaN if one has none."""
     if not np.isfinite(values).all() or (name == "deviation" and len(values) < 2):
         return float("nan")
-    return float(_OVER_SEEDS[name](values))
-
-
-_OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
-    "mean": np.mean,
-    "median": np.median,
-    "iqm": interquartile_mean,
-    "deviation": partial(np.std, ddof=1),
-}
+    return float(OVER_SEEDS[name](values))

@@ -163,10 +163,7 @@ def file_name(step: int, data: bytes) -> str:
 
 
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
-    """Read a checkpoint and the attempts recorded in it; return None if it is damaged or of another run.
-
-    Such a file is damaged, no checkpoint, or of another step or run.
-    """
+    """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
     try:
         data = read_whole(file.path, LARGEST_CHECKPOINT)
         if checksum(data)[:16] != file.digest:
