@@ -322,13 +322,10 @@ def promote(
         refuse_own_code(name, of_record if name.endswith(".toml") else task.search.space.all_values())
     steps = steps or searches[0].task.budget.steps
     text = winners_study(winners, seeds, steps).encode()
+    searched_names = [searched.task.search.name for searched in searches]
     chosen: list[dict[str, Any]] = [
-        {
-            "search": winner.searched.task.search.name,
-            "trial": winner.trial.number,
-            "params": winner.trial.params,
-        }
-        for winner in winners
+        {"search": name, "trial": winner.trial.number, "params": winner.trial.params}
+        for name, winner in zip(searched_names, winners, strict=True)
     ]
     if out is not None:
         check_file(out, (".toml",))
@@ -340,7 +337,7 @@ def promote(
         if json:
             print_json({"study": out, "winners": chosen})
         return 0
-    split = [split_world(searched.task.search.name) for searched in searches]
+    split = [*map(split_world, searched_names)]
     named_world = [] if split[0][1] == TEXT else [split[0][1]]  # the end of a name tells a study's world
     study = "-".join(["promoted", *named_world, *(name for name, _ in split)])
     path = store.root / "searches" / f"{study}.toml"

@@ -264,20 +264,17 @@ class Store:
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest selection; None if it was never run here or its record is damaged."""
-        record = read_sealed(self.selection_path(study)) or {}
-        from pneuma.study.documents import Record, fits
-
-        sound = fits(record, Record) and isinstance(record.get("selection"), dict)
-        return record if sound and record["study"] == study else None
+        return next(iter(self.selections(study)), None)
 
     def selections(self, study: str) -> list[dict[str, Any]]:
         """Return a study's selections with different budgets, engines or files, the latest first."""
         from pneuma.study.documents import Record, fits
 
-        latest = self.selection(study) or {}
-        earlier = latest.pop("earlier", [])
-        others = ({**latest, **record} for record in earlier if isinstance(record, dict)) if latest else ()
-        return [*([latest] if latest else []), *(record for record in others if fits(record, Record))]
+        latest = read_sealed(self.selection_path(study)) or {}
+        if not fits(latest, Record) or "selection" not in latest or latest["study"] != study:
+            return []
+        others = ({**latest, **record} for record in latest.pop("earlier", []))
+        return [latest, *(record for record in others if fits(record, Record))]
 
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.
