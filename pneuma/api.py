@@ -14,12 +14,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import is_gymnasium_id, make_run
-from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
+from pneuma.config import OF_WORLDS, is_gymnasium_id, make_run
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
@@ -176,7 +176,7 @@ def load_policy(
     elif env == MAILMAN:
         settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
     else:
-        settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+        settings = {key: run[key] for key in OF_WORLDS if key in run}
     if (named_code := own_things(run)) and not trust:
         mend = "if you trust its source, give --trust (in Python trust=True)"
         raise UserError(f"run {found} would {' and '.join(named_code.values())}: {mend}")

@@ -6,6 +6,7 @@ import io
 import shlex
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
 from pathlib import Path
@@ -42,6 +43,11 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
 def command(*words: object) -> str:
     """Return a command of Pneuma, quoted for the shell."""
     return plain(shlex.join(["pneuma", *map(str, words)]))
+
+
+def tallied(words: Iterable[str]) -> str:
+    """Return how often there is each word: 3 done, 1 crashed."""
+    return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

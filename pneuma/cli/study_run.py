@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import command, print_json, print_table, say
+from pneuma.cli.output import command, print_json, print_table, say, tallied
 from pneuma.cli.study_records import file_of
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
@@ -63,10 +61,10 @@ def plan_(
     rows = []
     for condition in planned.conditions:
         of_condition = [cell for cell in planned.cells if cell.condition == condition]
-        counts = _counts(states[cell.run_id] for cell in of_condition)
+        counts = tallied(states[cell.run_id] for cell in of_condition)
         rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     print_table([""] * 3, rows)
-    print(f"{_counts(states.values())}.")
+    print(f"{tallied(states.values())}.")
     if todo:
         at_once = opt.most_workers(None)
         expected = duration(max(sum(seconds.values()) / at_once, *seconds.values()))
@@ -194,10 +192,6 @@ def _cell(cell: plan.Cell) -> dict[str, Any]:
     return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
 
 
-def _counts(states: Iterable[str]) -> str:
-    return ", ".join(f"{count} {state}" for state, count in Counter(states).items())
-
-
 def _state(status: Status, published: bool) -> str:
     if status.finished:
         return "stored"
@@ -220,7 +214,7 @@ def _tell_results(
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
             say(f"{label} {state.name}: {why}", as_json)
     trained = sum(result.trained for result in results)
-    states = _counts(result.status.name for result in results) or "nothing to train"
+    states = tallied(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os.path import commonprefix
 from typing import Any
 
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import as_fields, env_config, make_run
+from pneuma.config import OF_WORLDS, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.schema import shown
 from pneuma.search.space import Space
@@ -111,7 +111,7 @@ def _conditions(searched: RecordedSearch) -> dict[str, Any]:
     search, budget = searched.task.search, searched.task.budget
     run = search.space.make_run({})
     return {
-        **{key: value for key, value in asdict(env_config(run)).items() if key not in search.space.keys},
+        **{key: getattr(run, key) for key in OF_WORLDS if key not in search.space.keys},
         "env": run.env,
         "engine": run.engine,
         "base": search.space.base,

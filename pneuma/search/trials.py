@@ -108,7 +108,7 @@ class EndedTrial:
 
 @dataclass
 class _PendingTrial:
-    """A trial that has not ended."""
+    """A trial that has not ended; `longest` are the cells of its longest training."""
 
     trial: optuna.Trial
     params: Mapping[str, Any]
@@ -116,13 +116,8 @@ class _PendingTrial:
     note: str = ""
     pruned: bool = False
     cells: list[Cell] = field(default_factory=list)
+    longest: list[Cell] = field(default_factory=list)
     rungs: dict[int, float] = field(default_factory=dict)
-
-    @property
-    def longest(self) -> list[Cell]:
-        """Return the cells of its longest training."""
-        longest = max((cell.run.steps for cell in self.cells), default=0)
-        return [cell for cell in self.cells if cell.run.steps == longest]
 
 
 @dataclass(frozen=True)
@@ -228,8 +223,8 @@ def _train_rung(
         whole = run.steps == each.run.steps
         name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
         runs = [replace(run, seed=seed) for seed in task.budget.seeds]
-        cells = [Cell(name, one.seed, one, run_id(one)) for one in runs]
-        cells = [cell for cell in cells if cell not in each.cells]  # two rungs round up to one budget
+        each.longest = [Cell(name, one.seed, one, run_id(one)) for one in runs]
+        cells = [cell for cell in each.longest if cell not in each.cells]  # two rungs round up to one budget
         each.cells += cells
         trained += cells
     if trained:
