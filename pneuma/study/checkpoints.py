@@ -213,14 +213,13 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 
 def table_files(records: Records) -> dict[str, bytes]:
-    """Return each table of records as a Parquet file."""
-    return {name: _table(getattr(records, name), columns) for name, columns in TABLES.items()}
-
-
-def _table(rows: Sequence[Row], columns: Sequence[str]) -> bytes:
-    """Return a table with the columns of the contract first, then those of `VALUE_COLUMNS` that it has."""
-    values = [name for name in VALUE_COLUMNS if rows and name in rows[0]]
-    return to_parquet(rows, [*columns, *values])
+    """Return each table of records as a Parquet file, its `VALUE_COLUMNS`, if it has some, last."""
+    files = {}
+    for name, columns in TABLES.items():
+        rows: list[Row] = getattr(records, name)
+        values = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
+        files[name] = to_parquet(rows, [*columns, *values])
+    return files
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
