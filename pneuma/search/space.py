@@ -167,12 +167,10 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
 
     for name, parameter in space.items():
         try:
-            when = {
-                key: tuple(
-                    value_of(key, value) for value in (given if isinstance(given, tuple) else (given,))
-                )
-                for key, given in parameter.when.items()
-            }
+            when = {}
+            for key, given in parameter.when.items():
+                values = given if isinstance(given, tuple) else (given,)
+                when[key] = tuple(value_of(key, value) for value in values)
         except UserError as error:
             raise wrong(f"{name}.when: {error}", name) from None
         read[name] = parameter.model_copy(update={"when": when})

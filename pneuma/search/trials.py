@@ -290,11 +290,8 @@ def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outco
     if the outcome is bounded.
     """
     bounds, half = find_outcome(objective.outcome).bounds, len(cells) // 2
-    if (
-        objective.over_seeds == "deviation"
-        and np.isfinite(bounds).all()
-        and any(map(outcomes.diverged, cells))
-    ):
+    spread = objective.over_seeds == "deviation"
+    if spread and np.isfinite(bounds).all() and any(map(outcomes.diverged, cells)):
         return over_seeds("deviation", np.repeat(bounds, [half, len(cells) - half]))
     values = [outcomes.read(cell, objective.outcome) for cell in cells]
     return over_seeds(objective.over_seeds, np.array(values))
