@@ -14,12 +14,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import is_gymnasium_id, make_run
-from pneuma.env_fields import ENVIRONMENTS, EnvConfig, make_env_config
+from pneuma.config import OF_WORLDS, is_gymnasium_id, make_run
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
@@ -28,8 +28,7 @@ from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, stored_run
-from pneuma.worlds import check_world
+from pneuma.study.stored_runs import stored_run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,7 +118,6 @@ def open_data(study: Where, results: Where | None = None, *, world: str | None =
     from pneuma.analysis.stored_studies import study_record
 
     store = _store(results)
-    check_world(world)
     return open_study(store, study_record(store, os.fspath(study), world=world))
 
 
@@ -168,9 +166,9 @@ def load_policy(
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     store = _store(results)
-    found = find_run(store, run_id)
-    run = stored_run(store, found).settings
-    if POLICY_FILE not in store.file_names(found):
+    stored = stored_run(store, run_id)
+    found, run = stored.run_id, stored.settings
+    if POLICY_FILE not in store.checksums(found):
         raise UserError(f"run {found} left no policy")
     env = str(run.get("env"))
     if is_gymnasium_id(env):
@@ -178,7 +176,7 @@ def load_policy(
     elif env == MAILMAN:
         settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
     else:
-        settings = {field.name: run[field.name] for field in fields(EnvConfig) if field.name in run}
+        settings = {key: run[key] for key in OF_WORLDS if key in run}
     if (named_code := own_things(run)) and not trust:
         mend = "if you trust its source, give --trust (in Python trust=True)"
         raise UserError(f"run {found} would {' and '.join(named_code.values())}: {mend}")

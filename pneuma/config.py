@@ -30,13 +30,7 @@ from pneuma.algorithms import (
     OPTIMIZER_FIELDS,
     TABULAR,
 )
-from pneuma.env_fields import (
-    ENVIRONMENT_FIELDS,
-    ENVIRONMENTS,
-    EnvConfig,
-    read_fields,
-    resolve_world,
-)
+from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, EnvConfig, read_fields, resolve_world
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 
@@ -76,6 +70,8 @@ def _read_limit(value: object) -> float | None:
 
 
 OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
+OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
+"""Fields of Pneuma's worlds."""
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
 GODOT = "Godot-v0"
@@ -334,7 +330,7 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     of_algorithm = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(of_algorithm) | _READ_BY_ALL
-    of_env = OF_GYMNASIUM if is_gymnasium_id(env) else _OF_WORLDS
+    of_env = OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS
     return frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL
 
 
@@ -343,8 +339,7 @@ _GONE = {"learners": "shared"}
 run."""
 _LEFT_OPEN = {*OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
 """Fields for which None means the default."""
-_OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-_READ_BY_SOME = {*_OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS}
+_READ_BY_SOME = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS}
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
 
@@ -363,7 +358,7 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
 
 def env_config(run: Run) -> EnvConfig:
     """Return the environment's part of a run's fields."""
-    return EnvConfig(**{item.name: getattr(run, item.name) for item in fields(EnvConfig)})
+    return EnvConfig(**{key: getattr(run, key) for key in OF_WORLDS})
 
 
 def evaluation_config(run: Run) -> EnvConfig:

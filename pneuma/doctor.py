@@ -91,8 +91,5 @@ def _results(folder: Path) -> Finding:
     except UserError as error:
         return Finding("results", BROKEN, str(error), "name another folder with --results")
     summary = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "no runs yet"
-    if counts["damaged"]:
-        return Finding(
-            "results", NOTE, f"{folder}: {summary}", "`pneuma study run` trains damaged runs again"
-        )
-    return Finding("results", GOOD, f"{folder}: {summary}")
+    state, mend = (NOTE, "`pneuma study run` trains damaged runs again") if counts["damaged"] else (GOOD, "")
+    return Finding("results", state, f"{folder}: {summary}", mend)

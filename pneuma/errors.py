@@ -1,4 +1,4 @@
-"""The error for users' mistakes, suggestions for misspelled names, and safe text.
+"""The error for users' mistakes, suggestions for misspelled names, safe text, and lines on standard error.
 
 Every layer raises `UserError` for a mistake made outside the code (a key, a value, a file, an
 option); the command line prints it as one line and leaves with exit code 2.
@@ -7,7 +7,9 @@ option); the command line prints it as one line and leaves with exit code 2.
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
+from contextlib import suppress
 
 NEAR = 0.6
 """Least similarity of a name that is suggested."""
@@ -39,6 +41,12 @@ def plain(text: str) -> str:
     drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
     """
     return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
+
+
+def print_aside(text: str) -> None:
+    """Print a line on standard error, which stops nothing if its reader has gone."""
+    with suppress(OSError):
+        print(plain(text), file=sys.stderr, flush=True)
 
 
 def counted(count: int, noun: str) -> str:

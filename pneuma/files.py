@@ -35,12 +35,11 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
     try:
         with open(path, "rb", opener=_open_ordinary) as file:
             size = os.fstat(file.fileno()).st_size
-            data = file.read(size) if size <= most else None  # not `most`: memory is taken for what is asked
+            if size > most:
+                raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
+            return file.read(size)  # not `most`: memory is taken for what is asked
     except MemoryError:
         raise OSError(errno.ENOMEM, "does not fit into memory") from None
-    if data is None:
-        raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
-    return data
 
 
 def read_text(path: Path, most: int = LARGEST_TEXT) -> str:

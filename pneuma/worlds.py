@@ -50,16 +50,6 @@ def world_fields(world: str, set_by_study: Collection[str]) -> dict[str, Any]:
     return {"env": row.env, **{key: value for key, value in row.overrides.items() if key not in set_by_study}}
 
 
-def check_world(world: str | None) -> None:
-    """Refuse an unknown world; None stands for the usual one.
-
-    Raises:
-        UserError: naming the nearest.
-    """
-    if world not in (None, *WORLDS):
-        raise UserError(f"--world {world}: {unknown_name('world', world or '', WORLDS)}")
-
-
 def in_world(name: str, world: str) -> str:
     """Return the name of a study, record or figure in a world."""
     return name if world == TEXT or name.endswith(f"-{world}") else f"{name}-{world}"
@@ -77,8 +67,10 @@ def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
     """Return a study's own name, and the world chosen by it or by --world, if any.
 
     Raises:
-        UserError: where they stand for two worlds.
+        UserError: for an unknown world, or where they stand for two.
     """
+    if world is not None and world not in WORLDS:
+        raise UserError(f"--world {world}: {unknown_name('world', world, WORLDS)}")
     study, named = split_world(name)
     if named != TEXT and world not in (None, named):
         raise UserError(f"--world {world}: the name {name} stands for the world {named}")

@@ -68,7 +68,7 @@ def _checkpoint(path: Path) -> None:
     """Read a checkpoint whose checksum is right, whatever it holds."""
     told = read_checkpoint_name(file_name(256, path.read_bytes()))
     assert told
-    read_checkpoint(CheckpointFile(path, *told))
+    read_checkpoint(CheckpointFile(*told, path))
 
 
 def _published(path: Path) -> None:

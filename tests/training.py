@@ -39,9 +39,7 @@ def _train_groups(
 ) -> None:
     """Train groups of runs one after another."""
     for runs in groups:
-        logs = {name: folder for name, folder in how.logs.items() if name in runs}
-        job = Job(store, runs, how.checkpoint_seconds, how.keep_checkpoints, logs=logs)
-        train_group(job, Reporter(_Told(on_event)), threading.Event())
+        train_group(Job(store, runs, how), Reporter(_Told(on_event)), threading.Event())
 
 
 @contextmanager

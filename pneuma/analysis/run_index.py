@@ -53,7 +53,7 @@ class RunIndex:
 
     def _read_own(self, run_id: str) -> Records:
         status = self.store.status(run_id) if self._stored else Status("planned")
-        logged = self._stored and SCALARS_FILE in self.store.file_names(run_id)
+        logged = self._stored and SCALARS_FILE in self.store.checksums(run_id)
         return (LoggedRecords if logged else Records)(self.store, run_id, status)
 
     def _read_table(self, study: str) -> PublishedTable | None:

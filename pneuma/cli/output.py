@@ -6,16 +6,17 @@ import io
 import shlex
 import shutil
 import sys
-import tomllib
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from pneuma.errors import UserError, nearest_name, plain
+from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import write_whole
+from pneuma.study.spec import read_head, shipped_names
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -33,18 +34,20 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
 
     A closed standard error does not stop a command.
     """
-    if quiet:
-        return
-    try:
-        print(plain(text), file=sys.stderr if aside else sys.stdout, flush=aside)
-    except OSError:  # the reader has gone, or the terminal was closed
-        if not aside:
-            raise
+    if aside and not quiet:
+        print_aside(text)
+    elif not quiet:
+        print(plain(text))
 
 
 def command(*words: object) -> str:
     """Return a command of Pneuma, quoted for the shell."""
     return plain(shlex.join(["pneuma", *map(str, words)]))
+
+
+def tallied(words: Iterable[str]) -> str:
+    """Return how often there is each word: 3 done, 1 crashed."""
+    return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -98,13 +101,10 @@ def _shown(value: object) -> str:
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
     """Print the names, titles, sections and figures of shipped files."""
-    tables = {path.stem: tomllib.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.toml"))}
-    keys = ("title", "section", "figure")
-    rows = [
-        {kind: name, **{key: table.get(key, "") for key in keys}}
-        for name, table in tables.items()
-        if "title" in table
-    ]
+    rows = []
+    for name in shipped_names(folder):
+        head = read_head(name, folder)
+        rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
     return print_rows(many, rows, json)
 
 

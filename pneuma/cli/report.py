@@ -111,10 +111,8 @@ def _part(store: Store, study: str, world: str) -> Part:
          str(state.run["run"].get("engine") or "unknown"))
         for state in states
     ]  # fmt: skip
-    statuses = [state.status for state in states]
-    missing, diverged = (
-        sum(not status.finished for status in statuses), sum(status.name == "diverged" for status in statuses)
-    )  # fmt: skip
+    missing = sum(not state.status.finished for state in states)
+    diverged = sum(state.status.name == "diverged" for state in states)
     if missing:
         lacking = "are not here, not finished or damaged, and left out below"
         part.notes.append(f"{missing} of {len(states)} runs {lacking}.")

@@ -52,7 +52,7 @@ def show(
 ) -> None:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
-    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    run = stored_runs.stored_run(store, name)
     usual = stored_runs.default_settings(run.settings)
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     provenance = store.read_document(run.run_id, "provenance.json")
@@ -122,7 +122,7 @@ def export(
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"))
     store = Store(results)
-    run = stored_runs.stored_run(store, stored_runs.find_run(store, name))
+    run = stored_runs.stored_run(store, name)
     try:
         data = _exported(store, run, out.suffix.lower(), trust)
     except UserError as error:
@@ -140,7 +140,7 @@ def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
-    if POLICY_FILE not in store.file_names(run.run_id) or not run.settings:
+    if POLICY_FILE not in store.checksums(run.run_id) or not run.settings:
         raise UserError(f"is {run.status.name}: it has no policy to export")
     settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
     if suffix == ".zip":

@@ -197,13 +197,9 @@ def run(
                 say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
             ended_trials = [*ended]
             best = best_number(ended_trials, task.search)
-            found = (
-                f"best {_value(ended_trials[best])}, trial {best}"
-                if isinstance(best, int)
-                else f"front: {best}"
-                if best
-                else "none complete yet"
-            )
+            found = f"front: {best}" if best else "none complete yet"
+            if isinstance(best, int):
+                found = f"best {_value(ended_trials[best])}, trial {best}"
             say(f"{len(ended_trials)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
@@ -326,13 +322,10 @@ def promote(
         refuse_own_code(name, of_record if name.endswith(".toml") else task.search.space.all_values())
     steps = steps or searches[0].task.budget.steps
     text = winners_study(winners, seeds, steps).encode()
+    searched_names = [searched.task.search.name for searched in searches]
     chosen: list[dict[str, Any]] = [
-        {
-            "search": winner.searched.task.search.name,
-            "trial": winner.trial.number,
-            "params": winner.trial.params,
-        }
-        for winner in winners
+        {"search": name, "trial": winner.trial.number, "params": winner.trial.params}
+        for name, winner in zip(searched_names, winners, strict=True)
     ]
     if out is not None:
         check_file(out, (".toml",))
@@ -344,7 +337,7 @@ def promote(
         if json:
             print_json({"study": out, "winners": chosen})
         return 0
-    split = [split_world(searched.task.search.name) for searched in searches]
+    split = [*map(split_world, searched_names)]
     named_world = [] if split[0][1] == TEXT else [split[0][1]]  # the end of a name tells a study's world
     study = "-".join(["promoted", *named_world, *(name for name, _ in split)])
     path = store.root / "searches" / f"{study}.toml"
@@ -359,20 +352,18 @@ def promote(
     document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
     if code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
-        if json:
-            print_json({**document, "winners": chosen})
-        return code
-    found = [gains(winner, planned, store) for winner in winners]
+    else:
+        for winner, row in zip(winners, chosen, strict=True):
+            row["objectives"] = gains(winner, planned, store)
     if json:
-        rows = [{**row, "objectives": gained} for row, gained in zip(chosen, found, strict=True)]
-        print_json({**document, "winners": rows})
-        return 0
-    for winner, gained in zip(winners, found, strict=True):
-        _print_gains(winner, gained, len(seeds))
-    for arm, count in diverged.items():
-        if count:
-            print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
-    return 0
+        print_json({**document, "winners": chosen})
+    elif not code:
+        for winner, row in zip(winners, chosen, strict=True):
+            _print_gains(winner, row["objectives"], len(seeds))
+        for arm, count in diverged.items():
+            if count:
+                print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
+    return code
 
 
 def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 from pneuma.analysis.stored_studies import is_shipped, known_studies, studies_run_here, study_record
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli.output import print_json, print_listed, print_table, say, write_file
+from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
 from pneuma.cli.study_records import each_study, run_states, tell_shown
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
@@ -143,17 +142,13 @@ def status(
         tell_shown(store, record)
         states = run_states(store, record)
         runs = [
-            {
-                **{key: state.run[key] for key in ("run_id", "condition", "seed")},
-                **{"status": state.status.name, "step": state.status.step, "published": state.published},
-            }
+            {key: state.run[key] for key in ("run_id", "condition", "seed")}
+            | {"status": state.status.name, "step": state.status.step, "published": state.published}
             for state in states
         ]
         queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
         if not json:
-            counts = ", ".join(
-                f"{n} {label}" for label, n in Counter(state.label for state in states).items()
-            )
+            counts = tallied(state.label for state in states)
             changed = shown_settings(record.get("selection", {}).get("settings") or {})
             say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
             rows = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -86,7 +87,7 @@ def plot(
 
     other = open_study(store, study_record(store, beside)) if beside else None
 
-    def draw_one(name: str, folder: Path) -> list[dict[str, Any]]:
+    def draw_one(folder: Path, name: str) -> list[dict[str, Any]]:
         data = open_data(picked, name)
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
@@ -102,9 +103,7 @@ def plot(
         return index_entries(paths, again, data, {"figure": figure, **drawn})
 
     def draw(folder: Path) -> list[dict[str, Any]]:
-        def one(name: str) -> list[dict[str, Any]]:
-            return draw_one(name, folder)
-
+        one = partial(draw_one, folder)
         drawn = map(one, names) if names else each_study(studies_run_here(store, picked.world), one)
         return [entry for entries in drawn for entry in entries]
 

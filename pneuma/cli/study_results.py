@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -86,33 +87,23 @@ def summary(
         statistics = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes_shown))
         heads = ["outcome", "condition", "n", *statistics]
         runs = table.groupby(["outcome", "condition"])["runs"].first()
-        rows = [
-            (
-                _with_unit(name),
-                condition,
-                runs[name, condition],
-                *(cells.get((condition, name, each), "–") for each in statistics),
-            )
-            for name in outcomes_shown
-            for condition in data.conditions
-            if (name, condition) in runs
-        ]
+        rows: list[tuple[object, ...]] = []
+        for name, condition in product(outcomes_shown, data.conditions):
+            if (name, condition) in runs:
+                shown = (cells.get((condition, name, each), "–") for each in statistics)
+                rows.append((_with_unit(name), condition, runs[name, condition], *shown))
         print_table(heads, rows)
-        for name, condition in ((name, condition) for name in outcome or () for condition in data.conditions):
+        for name, condition in product(outcome or (), data.conditions):
             if (name, condition) not in runs:
                 say(f"{name}, {condition}: {_lack(data, condition, name)}")
         return None
     names = measured[:COLUMNS]
     shares = ("collapsed", "diverged")
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
-    rows = [
-        (
-            condition,
-            len(data.of_condition(condition)),
-            *(cells.get((condition, *pair), "–") for pair in pairs),
-        )
-        for condition in data.conditions
-    ]
+    rows = []
+    for condition in data.conditions:
+        shown = (cells.get((condition, *pair), "–") for pair in pairs)
+        rows.append((condition, len(data.of_condition(condition)), *shown))
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
     lacking = " –: no run has it." * any("–" in row for row in rows)
     return print(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,13 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import command, print_json, print_table, say
+from pneuma.cli.output import command, print_json, print_table, say, tallied
 from pneuma.cli.study_records import file_of
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
-from pneuma.study.progress import ProgressDisplay, duration
+from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
 from pneuma.study.store import Status, Store
 from pneuma.worlds import TEXT, split_world
 
@@ -41,16 +39,14 @@ def plan_(
     json: opt.Json = False,
 ) -> None:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
-    from pneuma.study import estimate
-
     store = chosen.store
     planned = _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(todo.values())
-    paces = estimate.stored_paces(store, statuses)
+    paces = stored_paces(store, statuses)
     seconds = {
-        key: estimate.expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
+        key: expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
         for key, run in todo.items()
     }
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
@@ -65,14 +61,14 @@ def plan_(
     rows = []
     for condition in planned.conditions:
         of_condition = [cell for cell in planned.cells if cell.condition == condition]
-        counts = _counts(states[cell.run_id] for cell in of_condition)
+        counts = tallied(states[cell.run_id] for cell in of_condition)
         rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     print_table([""] * 3, rows)
-    print(f"{_counts(states.values())}.")
+    print(f"{tallied(states.values())}.")
     if todo:
         at_once = opt.most_workers(None)
-        expected = duration(estimate.total_seconds(seconds.values(), at_once))
-        rough = "" if all(estimate.is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
+        expected = duration(max(sum(seconds.values()) / at_once, *seconds.values()))
+        rough = "" if all(is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
         print(f"To train: about {expected} with {at_once} at once{rough}.")
     return None
 
@@ -196,10 +192,6 @@ def _cell(cell: plan.Cell) -> dict[str, Any]:
     return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
 
 
-def _counts(states: Iterable[str]) -> str:
-    return ", ".join(f"{count} {state}" for state, count in Counter(states).items())
-
-
 def _state(status: Status, published: bool) -> str:
     if status.finished:
         return "stored"
@@ -222,7 +214,7 @@ def _tell_results(
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
             say(f"{label} {state.name}: {why}", as_json)
     trained = sum(result.trained for result in results)
-    states = _counts(result.status.name for result in results) or "nothing to train"
+    states = tallied(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):

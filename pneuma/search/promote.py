@@ -7,22 +7,22 @@ must have the same trials, seeds and steps.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os.path import commonprefix
 from typing import Any
 
 import numpy as np
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import as_fields, env_config, make_run
+from pneuma.config import OF_WORLDS, as_fields, make_run
 from pneuma.errors import UserError
+from pneuma.schema import shown
 from pneuma.search.space import Space
 from pneuma.search.storage import RecordedSearch
 from pneuma.search.trials import EndedTrial, Outcomes, objective_value
-from pneuma.study.plan import Plan
+from pneuma.study.plan import Plan, differing_fields
 from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store
 from pneuma.worlds import split_world
@@ -77,10 +77,7 @@ def find_winners(
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
     first = _conditions(searches[0])
     for name, searched in zip(names, searches, strict=True):
-        conditions = _conditions(searched)
-        if unlike := [
-            key for key in {**first, **conditions} if first.get(key, ...) != conditions.get(key, ...)
-        ]:
+        if unlike := differing_fields({names[0]: first, name: _conditions(searched)}):
             unlike_searches = f"{names[0]} and {name} are not tuned alike: {', '.join(unlike)} differ"
             raise UserError(f"searches {unlike_searches}; run both the same")
         if seen := sorted({*seeds} & {*searched.task.budget.seeds}):
@@ -114,7 +111,7 @@ def _conditions(searched: RecordedSearch) -> dict[str, Any]:
     search, budget = searched.task.search, searched.task.budget
     run = search.space.make_run({})
     return {
-        **{key: value for key, value in asdict(env_config(run)).items() if key not in search.space.keys},
+        **{key: getattr(run, key) for key in OF_WORLDS if key not in search.space.keys},
         "env": run.env,
         "engine": run.engine,
         "base": search.space.base,
@@ -147,10 +144,10 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
         "#",
         *map(_lineage, winners),
         "",
-        f"title = {_toml('Winners of ' + ', '.join(winner.searched.task.search.name for winner in winners))}",
-        f"section = {_toml(search.spec.section)}",
-        f"base = {_toml(search.space.base)}",
-        f"baseline = {_toml(winners[0].name)}",
+        f"title = {shown('Winners of ' + ', '.join(winner.searched.task.search.name for winner in winners))}",
+        f"section = {shown(search.spec.section)}",
+        f"base = {shown(search.space.base)}",
+        f"baseline = {shown(winners[0].name)}",
         'worlds = ["text"]',  # its environment stands in the tables below
         "",
         "[run]",
@@ -158,7 +155,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     ]
     for name, settings in tables.items():
         own_lines = _lines({key: value for key, value in settings.items() if key not in shared})
-        lines += ["", f"[conditions.{_toml(name)}]", *own_lines]
+        lines += ["", f"[conditions.{shown(name)}]", *own_lines]
     lines += ["", "[presets.quick]", f"seeds = {list(seeds)}", f"steps = {steps}"]
     return "\n".join(lines) + "\n"
 
@@ -174,13 +171,7 @@ def _lineage(winner: Winner) -> str:
 
 
 def _lines(settings: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {_toml(value)}" for key, value in settings.items()]
-
-
-def _toml(value: Any) -> str:
-    if value is None:
-        return '"none"'
-    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+    return [f"{key} = {shown('none' if value is None else value)}" for key, value in settings.items()]
 
 
 def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:

@@ -152,11 +152,11 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
 
     def value_of(name: str, value: Any) -> Any:
         earlier = read.get(name)
-        if earlier is None:
-            if name in space:
-                raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
-            return _read_field(name, value)
+        if earlier is None and name in space:
+            raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
         number = _read_field(name, value)
+        if earlier is None:
+            return number
         if earlier.choices:
             if _name(number) not in earlier.choices:
                 raise unknown_name(f"choice of {name}", _name(number), earlier.choices)
@@ -167,12 +167,10 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
 
     for name, parameter in space.items():
         try:
-            when = {
-                key: tuple(
-                    value_of(key, value) for value in (given if isinstance(given, tuple) else (given,))
-                )
-                for key, given in parameter.when.items()
-            }
+            when = {}
+            for key, given in parameter.when.items():
+                values = given if isinstance(given, tuple) else (given,)
+                when[key] = tuple(value_of(key, value) for value in values)
         except UserError as error:
             raise wrong(f"{name}.when: {error}", name) from None
         read[name] = parameter.model_copy(update={"when": when})

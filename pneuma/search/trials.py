@@ -11,19 +11,17 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import optuna
 
-from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
-from pneuma.search.spec import Budget, Median, Objective, Pruner, Search
+from pneuma.search.spec import OVER_SEEDS, Budget, Median, Objective, Pruner, Search
 from pneuma.study.execute import selection_record
 from pneuma.study.identity import contents, run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -110,7 +108,7 @@ class EndedTrial:
 
 @dataclass
 class _PendingTrial:
-    """A trial that has not ended."""
+    """A trial that has not ended; `longest` are the cells of its longest training."""
 
     trial: optuna.Trial
     params: Mapping[str, Any]
@@ -118,15 +116,11 @@ class _PendingTrial:
     note: str = ""
     pruned: bool = False
     cells: list[Cell] = field(default_factory=list)
+    longest: list[Cell] = field(default_factory=list)
     rungs: dict[int, float] = field(default_factory=dict)
 
-    @property
-    def longest(self) -> list[Cell]:
-        """Return the cells of its longest training."""
-        longest = max((cell.run.steps for cell in self.cells), default=0)
-        return [cell for cell in self.cells if cell.run.steps == longest]
 
-
+@dataclass(frozen=True)
 class Outcomes:
     """Reads outcomes of stored runs as a search counts them.
 
@@ -134,34 +128,26 @@ class Outcomes:
     outcome has no bound.
     """
 
-    def __init__(self, task: Task, store: Store) -> None:
-        self._task = task
-        self._store = store
-        self._values: dict[tuple[str, str], float] = {}
+    task: Task
+    store: Store
 
     def read(self, cell: Cell, name: str) -> float:
         """Return an outcome of a finished run; NaN if it has none."""
-        key = (cell.run_id, name)
-        if key not in self._values:
-            self._values[key] = self._measure(cell, name)
-        return self._values[key]
-
-    def diverged(self, cell: Cell) -> bool:
-        """Return whether a finished run diverged."""
-        return self._store.status(cell.run_id).name == "diverged"
-
-    def _measure(self, cell: Cell, name: str) -> float:
         if self.diverged(cell):
             minimized = any(
                 (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
-                for one in self._task.search.objectives
+                for one in self.task.search.objectives
             )
             worst = find_outcome(name).bounds[minimized]
             if np.isfinite(worst):
                 return float(worst)
-        record = selection_record(make_trial_plan(self._task, [cell]))
-        data = open_study(self._store, record, "none")
+        record = selection_record(make_trial_plan(self.task, [cell]))
+        data = open_study(self.store, record, "none")
         return outcome(data, data.runs[0], name)
+
+    def diverged(self, cell: Cell) -> bool:
+        """Return whether a finished run diverged."""
+        return self.store.status(cell.run_id).name == "diverged"
 
 
 def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[EndedTrial]]:
@@ -221,7 +207,6 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         figure=name,
         baseline=cells[0].condition,
         base=task.search.space.base,
-        shared={},
         conditions={cell.condition: {} for cell in cells},
     )
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
@@ -238,8 +223,8 @@ def _train_rung(
         whole = run.steps == each.run.steps
         name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
         runs = [replace(run, seed=seed) for seed in task.budget.seeds]
-        cells = [Cell(name, one.seed, one, run_id(one)) for one in runs]
-        cells = [cell for cell in cells if cell not in each.cells]  # two rungs round up to one budget
+        each.longest = [Cell(name, one.seed, one, run_id(one)) for one in runs]
+        cells = [cell for cell in each.longest if cell not in each.cells]  # two rungs round up to one budget
         each.cells += cells
         trained += cells
     if trained:
@@ -275,16 +260,12 @@ def _tell(
     values = tuple(
         objective_value(objective, asked.longest, outcomes) for objective in objectives if asked.cells
     )
-    sound = bool(values) and np.isfinite(values).all()
-    state = "failed" if not sound else "pruned" if asked.pruned else "complete"
-    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
     lacking = [
-        objective for objective, value in zip(objectives, values, strict=False) if not np.isfinite(value)
+        each.outcome for each, value in zip(objectives, values, strict=False) if not np.isfinite(value)
     ]
-    notes = [
-        asked.note,
-        *(f"a run has no {objective.outcome}, or none that is finite" for objective in lacking),
-    ]
+    state = "failed" if lacking or not values else "pruned" if asked.pruned else "complete"
+    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
+    notes = [asked.note, *(f"a run has no {name}, or none that is finite" for name in lacking)]
     if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     run_ids = tuple(cell.run_id for cell in asked.cells)
@@ -309,11 +290,8 @@ def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outco
     if the outcome is bounded.
     """
     bounds, half = find_outcome(objective.outcome).bounds, len(cells) // 2
-    if (
-        objective.over_seeds == "deviation"
-        and np.isfinite(bounds).all()
-        and any(map(outcomes.diverged, cells))
-    ):
+    spread = objective.over_seeds == "deviation"
+    if spread and np.isfinite(bounds).all() and any(map(outcomes.diverged, cells)):
         return over_seeds("deviation", np.repeat(bounds, [half, len(cells) - half]))
     values = [outcomes.read(cell, objective.outcome) for cell in cells]
     return over_seeds(objective.over_seeds, np.array(values))
@@ -323,12 +301,4 @@ def over_seeds(name: str, values: np.ndarray) -> float:
     """Combine the outcomes of a trial's runs, (seeds,); NaN if one has none."""
     if not np.isfinite(values).all() or (name == "deviation" and len(values) < 2):
         return float("nan")
-    return float(_OVER_SEEDS[name](values))
-
-
-_OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
-    "mean": np.mean,
-    "median": np.median,
-    "iqm": interquartile_mean,
-    "deviation": partial(np.std, ddof=1),
-}
+    return float(OVER_SEEDS[name](values))

@@ -12,9 +12,8 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from safetensors.numpy import load, save
@@ -33,6 +32,7 @@ from pneuma.engines.records import (
 from pneuma.errors import UserError
 from pneuma.files import SCHEMA, checksum, read_whole
 from pneuma.study.documents import History, fits
+from pneuma.study.executors.base import Supervision
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
@@ -46,7 +46,7 @@ TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations":
 
 
 class RunCheckpoints:
-    """The checkpoints of one run: the latest two while it trains, and `keep` of them afterwards.
+    """The checkpoints of one run: the latest two while it trains, and `keep_checkpoints` of them afterwards.
 
     Only the process that holds the run's lock may use this class.
 
@@ -55,13 +55,13 @@ class RunCheckpoints:
     """
 
     def __init__(
-        self, store: Store, name: str, run: Run, seconds: float, keep: int, say: Callable[[str], None]
+        self, store: Store, name: str, run: Run, how: Supervision, say: Callable[[str], None]
     ) -> None:
         self._store, self._name, self._run, self._say = store, name, run, say
         self._folder = store.run_folder(name)
-        self._seconds = seconds
-        self._next = time.monotonic() + seconds
-        self._steps_to_keep = checkpoint_steps(run, keep)
+        self._seconds = how.checkpoint_seconds
+        self._next = time.monotonic() + self._seconds
+        self._steps_to_keep = checkpoint_steps(run, how.keep_checkpoints)
         self.attempts: list[dict[str, Any]] = []
         for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
             _remove(left)  # a temporary file of a process that was killed
@@ -143,20 +143,18 @@ def _remove(path: Path) -> None:
 # --- Files -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class CheckpointFile:
+class CheckpointFile(NamedTuple):
     """A checkpoint file in a run's folder, with the step and checksum from its name."""
 
-    path: Path
     step: int
     digest: str
+    path: Path
 
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
     found = ((path, read_checkpoint_name(path.name)) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
-    files = [CheckpointFile(path, *parts) for path, parts in found if parts]
-    return sorted(files, key=lambda file: (file.step, file.digest), reverse=True)
+    return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
 
 
 def file_name(step: int, data: bytes) -> str:
@@ -165,10 +163,7 @@ def file_name(step: int, data: bytes) -> str:
 
 
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
-    """Read a checkpoint and the attempts recorded in it; return None if it is damaged or of another run.
-
-    Such a file is damaged, no checkpoint, or of another step or run.
-    """
+    """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
     try:
         data = read_whole(file.path, LARGEST_CHECKPOINT)
         if checksum(data)[:16] != file.digest:
@@ -190,7 +185,7 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | Non
     rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}
     about = {
         "schema": SCHEMA,
-        **({"run_id": run_id} if run_id else {}),
+        "run_id": run_id,
         "step": checkpoint.step,
         "numbers": checkpoint.numbers,
         "history": history,
@@ -218,14 +213,13 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 
 def table_files(records: Records) -> dict[str, bytes]:
-    """Return each table of records as a Parquet file."""
-    return {name: _table(getattr(records, name), columns) for name, columns in TABLES.items()}
-
-
-def _table(rows: Sequence[Row], columns: Sequence[str]) -> bytes:
-    """Return a table with the columns of the contract first, then those of `VALUE_COLUMNS` that it has."""
-    values = [name for name in VALUE_COLUMNS if rows and name in rows[0]]
-    return to_parquet(rows, [*columns, *values])
+    """Return each table of records as a Parquet file, its `VALUE_COLUMNS`, if it has some, last."""
+    files = {}
+    for name, columns in TABLES.items():
+        rows: list[Row] = getattr(records, name)
+        values = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
+        files[name] = to_parquet(rows, [*columns, *values])
+    return files
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import Interval, MinLen
-from pydantic import BaseModel, BeforeValidator
+from pydantic import BeforeValidator
 
 from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import CONFIG, TomlFile, Where, read_model, read_toml
+from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
 from pneuma.worlds import WORLDS, split_world
@@ -47,7 +47,7 @@ SeedsOf = Annotated[
 StepsOf = Annotated[dict[str, Steps], BeforeValidator(_by_condition)]
 
 
-class ClaimedRuns(BaseModel):
+class ClaimedRuns(Table, extra="ignore"):
     """What a claim says about its runs. `pneuma.analysis.claims` reads its other keys.
 
     Attributes:
@@ -56,8 +56,6 @@ class ClaimedRuns(BaseModel):
         seeds, steps: of each condition, after `fix_runs`.
         worlds: those of `WORLDS` that the claim is about; default: all of the study's.
     """
-
-    model_config = {**CONFIG, "extra": "ignore"}
 
     study: Annotated[str, MinLen(1)]
     a: Annotated[Conditions, MinLen(1)]
@@ -74,10 +72,8 @@ class ClaimedRuns(BaseModel):
         return tuple(dict.fromkeys((*self.a, *self.b, *self.c, *self.d)))
 
 
-class _Head(BaseModel):
+class _Head(Table, extra="ignore"):
     """What a list of claims says about all seeds."""
-
-    model_config = {**CONFIG, "extra": "ignore"}
 
     seeds_from: Annotated[int, Interval(ge=0)] = 0
 

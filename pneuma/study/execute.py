@@ -57,10 +57,9 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
         UserError: before anything is written, if an environment cannot be made, if the results folder cannot
             be written, or if it has runs of another file of the same name.
     """
-    recorded = store.selection(plan.study.name)
-    if recorded is not None and plan.study.own_path is not None:
-        store.check_same_file(recorded, Path(plan.study.own_path))
-    if recorded is not None:
+    if recorded := store.selection(plan.study.name):
+        if plan.study.own_path is not None:
+            store.check_same_file(recorded, Path(plan.study.own_path))
         _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
 from pneuma.algorithms import OF_OPTIMIZERS
-from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, Run, as_fields, make_run
-from pneuma.env_fields import EnvConfig, read_field
+from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run, as_fields, make_run
+from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import own_things, run_id
 from pneuma.study.plan import Cell, Plan, Selection
@@ -28,8 +28,6 @@ FIXED = (
     "critic", "buffer_size", "learning_starts", "seed", "steps", *OF_GYMNASIUM,
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
-OF_TRANSITIONS = tuple(env_field.name for env_field in fields(EnvConfig))
-"""Fields on which transitions in a replay buffer depend."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,8 @@ def _changed_run(control: Run, change: Change) -> Run:
     if not change.settings and not change.reset:
         raise UserError("nothing is changed: give --set KEY=VALUE or --reset")
     for key in change.settings:
-        if key in (*FIXED, *FORK_FIELDS) or (control.buffer_size and key in OF_TRANSITIONS):
+        of_transitions = control.buffer_size and key in OF_WORLDS  # those of a replay buffer
+        if key in (*FIXED, *FORK_FIELDS) or of_transitions:
             raise UserError(f"--set {key}: cannot change at a fork, because the checkpoint hangs on it")
     changes = {key: read_field(Run, key, value) for key, value in change.settings.items()}
     fresh = change.reset == "optimizer"

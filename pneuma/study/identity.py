@@ -12,17 +12,15 @@ from typing import Any
 from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards, read_field
 
-REWARD, LEVEL, CHARACTERS = "reward", "level", "characters"
-MODULE, WRAPPERS = "env_module", "wrappers"
 _FILES = {
-    LEVEL: ("pneuma.env.level", "level_files"),
-    CHARACTERS: ("pneuma.env.characters", "character_files"),
-    REWARD: ("pneuma.env.reward", "reward_files"),
-    MODULE: ("pneuma.engines.gymnasium_env", "module_files"),
-    WRAPPERS: ("pneuma.engines.gymnasium_env", "wrapper_files"),
+    "level": ("pneuma.env.level", "level_files"),
+    "characters": ("pneuma.env.characters", "character_files"),
+    "reward": ("pneuma.env.reward", "reward_files"),
+    "env_module": ("pneuma.engines.gymnasium_env", "module_files"),
+    "wrappers": ("pneuma.engines.gymnasium_env", "wrapper_files"),
 }
 """By field: the function that returns the user's files to hash."""
-_DEEDS = {REWARD: "run the reward", MODULE: "run the module", WRAPPERS: "run the wrapper"}
+_DEEDS = {"reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper"}
 
 
 def run_id(run: Run) -> str:
@@ -34,9 +32,9 @@ def run_id(run: Run) -> str:
     """
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key]}
-    hashed |= dict.fromkeys(own_names(fields).keys() - {REWARD, WRAPPERS}, "of the user's own")
-    if fields[WRAPPERS]:
-        hashed[WRAPPERS] = [Path(name).name for name in fields[WRAPPERS]]
+    hashed |= dict.fromkeys(own_names(fields).keys() - {"reward", "wrappers"}, "of the user's own")
+    if fields["wrappers"]:
+        hashed["wrappers"] = [Path(name).name for name in fields["wrappers"]]
     identity = {
         "run": hashed,
         "contents": contents(fields),
@@ -63,11 +61,11 @@ def contents(fields: Mapping[str, Any]) -> str:
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that name a user's own level, characters or modules, by field."""
-    tests = {LEVEL: is_own_level, CHARACTERS: are_own_characters}
+    tests = {"level": is_own_level, "characters": are_own_characters}
     named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
-    custom = own_rewards(fields.get(REWARD, ()))
-    named |= {key: fields[key] for key in (MODULE, WRAPPERS) if fields.get(key)}
-    return {**named, **({REWARD: custom} if custom else {})}
+    named |= {key: fields.get(key) for key in ("env_module", "wrappers")}
+    named["reward"] = own_rewards(fields.get("reward", ()))
+    return {key: value for key, value in named.items() if value}
 
 
 def own_things(fields: Mapping[str, object]) -> dict[str, str]:

@@ -34,11 +34,8 @@ def run_lock(folder: Path) -> Iterator[bool]:
         OSError: when it cannot be created, or its path is not a file.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    descriptor = _open(folder / ".lock", os.O_RDWR | os.O_CREAT)
-    try:
-        yield _take(descriptor)
-    finally:
-        os.close(descriptor)
+    with open(folder / ".lock", "ab", opener=_open) as file:
+        yield _take(file.fileno())
 
 
 @contextmanager
@@ -48,41 +45,32 @@ def short_lock(path: Path) -> Iterator[None]:
     Raises:
         OSError: when it cannot be created, or its path is not a file.
     """
-    descriptor = _open(path, os.O_RDWR | os.O_CREAT)
-    try:
+    with open(path, "ab", opener=_open) as file:
         with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def is_held(folder: Path) -> bool:
     """Return whether some process trains the run in this folder now."""
     try:
-        descriptor = _open(folder / ".lock", os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        with open(folder / ".lock", "rb", opener=_open) as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return isinstance(error, BlockingIOError)
-    else:
-        return False
-    finally:
-        os.close(descriptor)
+    return False
 
 
-def _open(path: Path, flags: int) -> int:
+def _open(path: str, flags: int) -> int:
     """Open a lock file without following a link or waiting for a pipe.
 
     Raises:
         OSError: when it cannot be opened, or is not an ordinary file.
     """
-    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)  # less the umask
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)  # less the umask
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(errno.EINVAL, f"{path.name} is no ordinary file; remove it")
+        raise OSError(errno.EINVAL, f"{os.path.basename(path)} is no ordinary file; remove it")
     return descriptor
 
 

@@ -189,7 +189,8 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
         return claims_preset(study, selection.steps)
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
-    return {condition: study.presets[name].of(condition) for condition in study.conditions}
+    preset = study.presets[name]
+    return {condition: preset.conditions.get(condition, preset) for condition in study.conditions}
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}

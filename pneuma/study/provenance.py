@@ -138,9 +138,8 @@ def code() -> str:
     command = ["git", "-C", str(source), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     if (source / ".git").exists():
         with suppress(OSError, subprocess.CalledProcessError):
-            return (
-                f"{version} {subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()}"
-            )
+            commit = subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()
+            return f"{version} {commit}"
     return version
 
 

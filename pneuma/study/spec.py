@@ -19,16 +19,7 @@ from typing import Any
 from pneuma.config import BASES, Run, fields_read
 from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
-from pneuma.worlds import (
-    TEXT,
-    WORLDS,
-    check_world,
-    chosen_world,
-    in_world,
-    split_world,
-    world_fields,
-    world_option,
-)
+from pneuma.worlds import TEXT, WORLDS, chosen_world, in_world, split_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
@@ -55,10 +46,6 @@ class Preset:
     seeds: tuple[int, ...]
     steps: int
     conditions: Mapping[str, Preset] = field(default_factory=dict)
-
-    def of(self, condition: str) -> Preset:
-        """Return the preset of one condition."""
-        return self.conditions.get(condition, self)
 
 
 @dataclass(frozen=True)
@@ -108,9 +95,8 @@ class Study:
         All conditions get the world's environment, and its other fields unless the study sets them itself.
 
         Raises:
-            UserError: for an unknown world, or one in which the study is not run.
+            UserError: for a world in which the study is not run.
         """
-        check_world(world)
         if world not in self.worlds:
             known = ", ".join(self.worlds)
             raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
@@ -209,9 +195,9 @@ def list_studies() -> list[str]:
     return shipped_names(studies_folder())
 
 
-def read_head(name: str) -> dict[str, Any]:
-    """Return the contents of a shipped study's file, unchecked."""
-    return tomllib.loads((studies_folder() / f"{name}.toml").read_text(encoding="utf-8"))
+def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
+    """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
+    return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def name_in_world(name: str, world: str | None) -> str:
@@ -250,10 +236,10 @@ def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Pa
     Raises:
         UserError: for an unknown name, or two different worlds.
     """
+    study, world = chosen_world(name, world)
     if name.endswith(".toml"):
         refuse_taken_name(Path(name), folder / Path(name).name, what)
         return Path(name), world
-    study, world = chosen_world(name, world)
     if study not in (known := shipped_names(folder)):
         raise unknown_name(what, name, [*known, *files_called(name)])
     return folder / f"{study}.toml", world

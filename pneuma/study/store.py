@@ -212,7 +212,7 @@ class Store:
         Raises:
             UserError: when it is missing or not what was written.
         """
-        sums, path = self._listed(run_id), self.run_folder(run_id) / name
+        sums, path = self.checksums(run_id), self.run_folder(run_id) / name
         with suppress(OSError):
             if name in sums and _FILE_NAME.fullmatch(name):
                 data = read_whole(path)
@@ -235,12 +235,8 @@ class Store:
         except (UserError, ValueError):
             return {}
 
-    def file_names(self, run_id: str) -> list[str]:
-        """Return the names of the files that a run's status lists."""
-        return list(self._listed(run_id))
-
-    def _listed(self, run_id: str) -> dict[str, str]:
-        """Return the checksums of a run's files by name."""
+    def checksums(self, run_id: str) -> dict[str, str]:
+        """Return the checksums of the files that a run's status lists, by their names."""
         files: dict[str, str] = (self._manifest(run_id) or {"files": {}})["files"]
         return files
 
@@ -264,24 +260,21 @@ class Store:
         Raises:
             UserError: when the folder cannot be written.
         """
-        self.write(self.root / "studies" / f"{study}.json", seal(record))
+        self.write(self.selection_path(study), seal(record))
 
     def selection(self, study: str) -> dict[str, Any] | None:
         """Return a study's latest selection; None if it was never run here or its record is damaged."""
-        record = read_sealed(self.selection_path(study)) or {}
-        from pneuma.study.documents import Record, fits
-
-        sound = fits(record, Record) and isinstance(record.get("selection"), dict)
-        return record if sound and record["study"] == study else None
+        return next(iter(self.selections(study)), None)
 
     def selections(self, study: str) -> list[dict[str, Any]]:
         """Return a study's selections with different budgets, engines or files, the latest first."""
         from pneuma.study.documents import Record, fits
 
-        latest = self.selection(study) or {}
-        earlier = latest.pop("earlier", [])
-        others = ({**latest, **record} for record in earlier if isinstance(record, dict)) if latest else ()
-        return [*([latest] if latest else []), *(record for record in others if fits(record, Record))]
+        latest = read_sealed(self.selection_path(study)) or {}
+        if not fits(latest, Record) or "selection" not in latest or latest["study"] != study:
+            return []
+        others = ({**latest, **record} for record in latest.pop("earlier", []))
+        return [latest, *(record for record in others if fits(record, Record))]
 
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.

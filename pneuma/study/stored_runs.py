@@ -37,7 +37,7 @@ class StoredRun:
     @cached_property
     def settings(self) -> Mapping[str, Any]:
         """The resolved configuration; empty if it is damaged or, of an unfinished run, not recorded."""
-        ended = "run.json" in self.store.file_names(self.run_id)
+        ended = "run.json" in self.store.checksums(self.run_id)
         return stored_settings(self.store, self.run_id) if ended else self.recorded
 
     def row(self) -> dict[str, Any]:
@@ -48,7 +48,7 @@ class StoredRun:
 
     def files(self) -> list[dict[str, Any]]:
         """Return the files of the run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
-        folder, listed = self.store.run_folder(self.run_id), self.store.file_names(self.run_id)
+        folder, listed = self.store.run_folder(self.run_id), self.store.checksums(self.run_id)
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
@@ -87,8 +87,9 @@ def list_runs(store: Store) -> list[StoredRun]:
     return [StoredRun(store, name, store.status(name, quick=True), *recorded.get(name, ())) for name in names]
 
 
-def stored_run(store: Store, run_id: str) -> StoredRun:
-    """Return what is stored of a run, after comparing every checksum; `run_id` is one of `Store.runs`."""
+def stored_run(store: Store, text: str) -> StoredRun:
+    """Return what is stored of the run that `find_run` finds, after comparing every checksum."""
+    run_id = find_run(store, text)
     return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
 
 

@@ -20,8 +20,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
@@ -32,6 +31,7 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
+from pneuma.study.executors.base import HERE, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
 from pneuma.study.provenance import Attempt, finished_provenance
@@ -47,31 +47,27 @@ class Job:
     Attributes:
         store: the results folder.
         runs: by id; of equal shapes, so that they share compiled programs.
-        checkpoint_seconds: time between two checkpoints of a run.
-        keep: number of checkpoints to keep of each run after its end.
+        how: how they are supervised.
         last_try: whether a crash is final and stored.
-        logs: folders of TensorBoard logs, by run.
     """
 
     store: Store
     runs: Mapping[str, Run]
-    checkpoint_seconds: float = 15.0
-    keep: int = 0
+    how: Supervision = HERE
     last_try: bool = True
-    logs: Mapping[str, str] = field(default_factory=dict)
 
 
 def main() -> int:
     """Read the job, train it, and return the exit code."""
     job = json.loads(sys.stdin.readline())
-    die_with(job.pop("parent"))
+    die_with(job["parent"])
     stop = threading.Event()
     threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
-    runs = {name: make_run(settings) for name, settings in job.pop("runs").items()}
-    store = Store(Path(job.pop("results")))
-    return train_group(Job(store, runs, **job), Reporter(events), stop)
+    runs = {name: make_run(settings) for name, settings in job["runs"].items()}
+    what = Job(Store(job["results"]), runs, Supervision(**job["how"]), job["last_try"])
+    return train_group(what, Reporter(events), stop)
 
 
 class Reporter:
@@ -149,7 +145,7 @@ def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Ev
     def say(text: str) -> None:
         reporter.send("note", name, text=text)
 
-    checkpoints = RunCheckpoints(job.store, name, run, job.checkpoint_seconds, job.keep, say)
+    checkpoints = RunCheckpoints(job.store, name, run, job.how, say)
     while True:
         try:
             return _train_once(job, name, run, checkpoints, reporter, stop)
@@ -166,9 +162,9 @@ def _train_once(
     first = start.step if start else 0
     attempt = Attempt(first)
     log = None
-    if name in job.logs:
+    if name in job.how.logs:
         with suppress(OSError):  # a folder that cannot be written: training goes on
-            log = LiveLog(job.logs[name], first)
+            log = LiveLog(job.how.logs[name], first)
     reporter.send("step", name, step=first)
     reporter.send("passing", name, text="begins")
 

@@ -11,6 +11,7 @@ from pneuma.engines.base import Progress
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
+from pneuma.study.executors.base import Supervision
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
 
@@ -35,7 +36,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
 
 
 def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunCheckpoints:
-    return RunCheckpoints(store, NAME, RUN, 15.0, keep, (said if said is not None else list[str]()).append)
+    how = Supervision(checkpoint_seconds=15.0, keep_checkpoints=keep)
+    return RunCheckpoints(store, NAME, RUN, how, (said if said is not None else list[str]()).append)
 
 
 def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.files import to_json
-from pneuma.study.estimate import START_SECONDS, expected_seconds, stored_paces
 from pneuma.study.identity import run_id
+from pneuma.study.progress import START_SECONDS, expected_seconds, stored_paces
 from pneuma.study.provenance import Attempt, finished_provenance, machine
 from pneuma.study.store import Status, Store, run_document
 

@@ -99,7 +99,7 @@ def test_jobs_leave_what_local_leaves_and_none_is_submitted_twice(
     beside = Store(tmp_path / "beside")
     local.run_groups(groups, beside, HOW, lambda event: None)
     for name in beside.runs():
-        files = [file for file in beside.file_names(name) if file != "provenance.json"]
+        files = [file for file in beside.checksums(name) if file != "provenance.json"]
         assert all(store.read_file(name, file) == beside.read_file(name, file) for file in files)
 
 

@@ -97,7 +97,8 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     )
     try:
         assert process.stdin is not None and process.stdout is not None
-        job = {"results": str(tmp_path), "runs": {run_id(run): as_fields(run)}, "parent": os.getpid()}
+        runs = {run_id(run): as_fields(run)}
+        job = {"results": str(tmp_path), "runs": runs, "parent": os.getpid(), "how": {}, "last_try": True}
         process.stdin.write(json.dumps(job).encode() + b"\n")
         process.stdin.flush()
         assert any(json.loads(line).get("step", 0) > 0 for line in process.stdout)  # it is training

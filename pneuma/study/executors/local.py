@@ -22,13 +22,13 @@ import tempfile
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
 
 from pneuma.config import Run, as_fields
-from pneuma.errors import UserError
+from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
@@ -125,8 +125,7 @@ class Interrupts:
 
 def say_stopping() -> None:
     """Tell the user that the first Ctrl-C was received."""
-    with suppress(OSError):  # the terminal was closed
-        print("Stopping after this step; again to stop now.", file=sys.stderr, flush=True)
+    print_aside("Stopping after this step; again to stop now.")
 
 
 # --- Supervision ----------------------------------------------------------------------------------
@@ -312,10 +311,8 @@ class _Worker:
             "parent": os.getpid(),
             "results": str(store.root.resolve()),
             "runs": {name: as_fields(run) for name, run in task.group.items()},
-            "checkpoint_seconds": how.checkpoint_seconds,
-            "keep": how.keep_checkpoints,
+            "how": asdict(replace(how, logs={name: how.logs[name] for name in how.logs.keys() & task.group})),
             "last_try": task.tries == TRIES,
-            "logs": {name: folder for name, folder in how.logs.items() if name in task.group},
         }
         self.tell(json.dumps(job))
 
