@@ -146,10 +146,9 @@ class Claim(ClaimedRuns, Table):
     @property
     def event(self) -> str:
         """The event that is counted, as 'below 0.05'; empty if means are compared."""
-        thresholds = {"above": self.above, "below": self.below}
-        return next(
-            (f"{way} {threshold:.15g}" for way, threshold in thresholds.items() if threshold is not None), ""
-        )
+        if self.above is not None:
+            return f"above {self.above:.15g}"
+        return "" if self.below is None else f"below {self.below:.15g}"
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
         """Return, for each value of an outcome, whether it is the event that is counted."""

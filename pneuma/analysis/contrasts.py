@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.intervals import Interval, finite, no_interval
-from pneuma.analysis.pvalues import PValues
+from pneuma.analysis.pvalues import ManyPValues, PValues
 
 
 @dataclass(frozen=True)
@@ -26,35 +26,27 @@ class Contrast:
     Attributes:
         effect: the mean of a, or its share of runs with an event, minus that of b or the constant.
         interval: its 95 % interval.
-        p_greater: one-sided p-value that the effect is above zero.
-        p_less: that it is below.
-        p_equivalent: that it is within the margin on both sides; 1 without a margin.
+        p: its one-sided p-values.
         seeds: runs of a and of b; 0 for a constant.
         reason: why nothing can be concluded; usually empty.
-        smallest_greater, smallest_less: the smallest p-value of either direction that so many runs can give.
-        p_far_greater, p_far_less: that it is beyond the margin, above and below; 1 without a margin.
+        smallest: the smallest p-values, above and below zero, that so many runs can give.
         simultaneous: its interval at the level of a whole list of contrasts.
         margin: that of the means; None without one, and of shares.
     """
 
     effect: float
     interval: Interval
-    p_greater: float
-    p_less: float
-    p_equivalent: float
+    p: PValues[float]
     seeds: tuple[int, int]
     reason: str = ""
-    smallest_greater: float = 0.0
-    smallest_less: float = 0.0
-    p_far_greater: float = 1.0
-    p_far_less: float = 1.0
+    smallest: tuple[float, float] = (0.0, 0.0)
     simultaneous: Interval = no_interval()
     margin: float | None = None
 
     @property
     def p_different(self) -> float:
         """The two-sided p-value of a difference: twice the smaller one-sided p-value."""
-        return min(1.0, 2 * min(self.p_greater, self.p_less))
+        return min(1.0, 2 * min(self.p.greater, self.p.less))
 
 
 def compare(
@@ -110,7 +102,9 @@ def compare(
         tested = pvalues.incidence_p_values(np.array([count]), n, np.array([other]), m, margin)
         extremes = pvalues.incidence_p_values(np.array([n, 0]), n, np.array([0, m]), m, None)
         make = partial(intervals.incidence_difference_interval, count, n, other, m)
-    return _contrast(effect, make, level, tested, seeds, (extremes.greater[0], extremes.less[1]))
+    return _contrast(
+        effect, make, level, tested, seeds, (float(extremes.greater[0]), float(extremes.less[1]))
+    )
 
 
 def _share_interval(count: int, runs: int, value: float, level: float) -> Interval:
@@ -150,40 +144,28 @@ def compare_effects(
 
 def undecided(reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")) -> Contrast:
     """Return a contrast that says nothing, with the reason."""
-    return Contrast(effect, no_interval(), 1.0, 1.0, 1.0, seeds, reason, 1.0, 1.0)
+    return Contrast(effect, no_interval(), PValues(1.0, 1.0, 1.0, 1.0, 1.0), seeds, reason, (1.0, 1.0))
 
 
 def _contrast(
     effect: float,
     interval: Callable[[float], Interval],
     level: float,
-    tested: PValues,
+    tested: ManyPValues,
     seeds: tuple[int, int],
     smallest: tuple[float, float],
 ) -> Contrast:
     """Return the contrast of one sample, with an interval at the 95 % level and one at the list's."""
-    greater, less, equivalent, far_greater, far_less = (float(p[0]) for p in tested)
-    return Contrast(
-        effect,
-        interval(intervals.LEVEL),
-        p_greater=greater,
-        p_less=less,
-        p_equivalent=equivalent,
-        seeds=seeds,
-        smallest_greater=float(smallest[0]),
-        smallest_less=float(smallest[1]),
-        p_far_greater=far_greater,
-        p_far_less=far_less,
-        simultaneous=interval(level),
-    )
+    p = PValues(*(float(of_sample[0]) for of_sample in tested))
+    return Contrast(effect, interval(intervals.LEVEL), p, seeds, "", smallest, interval(level))
 
 
 def _too_few(kind: str, seeds: int) -> str:
     """Return the reason that an arm has too few runs; empty if it has enough."""
-    fewest = 1 if kind == "incidence" else 2
     if seeds == 0:
         return "an arm has no runs"
-    return "" if seeds >= fewest else f"an arm has 1 run; it takes {fewest} to see how runs differ"
+    lonely = seeds == 1 and kind == "mean"
+    return "an arm has 1 run; it takes 2 to see how runs differ" if lonely else ""
 
 
 def _count(runs: np.ndarray) -> int:

@@ -321,11 +321,8 @@ def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the fields of all conditions, including those without a finished run; lists as tuples."""
     found: dict[str, dict[str, Any]] = {}
     for run in data.record["runs"]:
-        if run["condition"] not in found:
-            fields = {
-                key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")
-            }
-            found[run["condition"]] = fields
+        fields = {key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")}
+        found.setdefault(run["condition"], fields)
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from pneuma.analysis import EPISODE_QUANTITIES, EXPORTED_BAND
-from pneuma.analysis.curves import curve_names, curves_table, evaluation_curves, training_curves
+from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.summaries import summary_table
@@ -35,12 +35,11 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
     window_name = data.checked_window(window)
     names = [quantity for quantity in EPISODE_QUANTITIES if data.has_curve(quantity, window_name)]
-    curves = {name: training_curves(data, name, window) for name in names}
     if "share_killed" in curve_names(data):
-        curves["share_killed"] = evaluation_curves(data)
-    if not curves:
+        names.append("share_killed")
+    if not names:
         raise UserError(f"study {data.study}: {data.what} holds no returns, and so no curves")
-    table = curves_table(curves, band)
+    table = curves_table(study_curves(data, names, window), band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
     return table

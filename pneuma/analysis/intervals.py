@@ -81,11 +81,11 @@ def deviation(values: ArrayLike) -> float:
 def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     """Return the probability that a run of a is above a run of b; a tie counts one half.
 
-    Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U over both counts.
+    Values may be infinite. Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U
+    over both counts.
     """
-    first, second = finite(a), finite(b)
-    difference = first[:, None] - second[None, :]
-    return float(((difference > 0) + 0.5 * (difference == 0)).mean())
+    first, second = np.asarray(a)[:, None], np.asarray(b)
+    return float(((first > second) + 0.5 * (first == second)).mean())
 
 
 def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,10 +206,7 @@ def _wilson(count: int, runs: int, level: float) -> tuple[float, float, float]:
 
 
 def bootstrap_interval(
-    values: ArrayLike,
-    statistic: Callable[[ArrayLike], np.ndarray],
-    generator: np.random.Generator,
-    resamples: int = RESAMPLES,
+    values: ArrayLike, statistic: Callable[[ArrayLike], np.ndarray], generator: np.random.Generator
 ) -> Interval:
     """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
@@ -220,15 +217,14 @@ def bootstrap_interval(
         values: (runs,).
         statistic: works along the last axis, as `mean` and `median` do.
         generator: draws the resamples.
-        resamples: how many to draw.
     """
     runs = finite(values)
     if runs.size < LEAST_RESAMPLED or np.ptp(runs) == 0:
         return no_interval()
     seen = float(statistic(runs))
-    drawn = statistic(runs[generator.integers(0, runs.size, (resamples, runs.size))])
-    below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / resamples
-    bias = special.ndtri(np.clip(below, 0.5 / resamples, 1 - 0.5 / resamples))
+    drawn = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])
+    below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / RESAMPLES
+    bias = special.ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
     z = special.ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
     low, high = np.quantile(drawn, shares)

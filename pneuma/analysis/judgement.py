@@ -277,11 +277,11 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
         alpha: the chance of any false verdict in the list.
     """
     if claimed == "equal":
-        p_far = min(2 * min(contrast.p_far_less, contrast.p_far_greater), 1.0)
-        p, so = min(contrast.p_equivalent, p_far), contrast.p_equivalent <= p_far
+        p_far = min(2 * min(contrast.p.far_less, contrast.p.far_greater), 1.0)
+        p, so = min(contrast.p.equivalent, p_far), contrast.p.equivalent <= p_far
     else:
         what = what_it_shows(contrast)
-        p = contrast.p_equivalent if what == "equal" else contrast.p_different
+        p = contrast.p.equivalent if what == "equal" else contrast.p_different
         so = what in _supporting(claimed)
     corrected = min(p * factor, 1.0)
     return (SUPPORTED if so else REFUTED) if corrected <= alpha else INCONCLUSIVE, corrected
@@ -294,14 +294,14 @@ def what_it_shows(contrast: Contrast) -> str:
     claim, which the correction does not count. If both are the smallest that relabelings can give, they say
     nothing about which is smaller, and the effect is equal if it is nearer to zero than to the margin.
     """
-    floor = contrast.smallest_greater + contrast.smallest_less
-    if contrast.p_different <= floor and 2 * contrast.p_equivalent <= floor:
+    floor = sum(contrast.smallest)
+    if contrast.p_different <= floor and 2 * contrast.p.equivalent <= floor:
         near = contrast.margin is not None and abs(contrast.effect) < contrast.margin / 2
     else:
-        near = contrast.p_equivalent < contrast.p_different
+        near = contrast.p.equivalent < contrast.p_different
     if near:
         return "equal"
-    return "greater" if contrast.p_greater < contrast.p_less else "less"
+    return "greater" if contrast.p.greater < contrast.p.less else "less"
 
 
 def together(verdicts: Sequence[str], need: str) -> str:
@@ -328,9 +328,9 @@ def smallest_p(contrast: Contrast, claimed: str) -> float:
 
     For equivalence it is a lower bound, except for shares, where smaller ones may be possible.
     """
-    one_sided = {"greater": contrast.smallest_greater, "less": contrast.smallest_less}
-    least = min(one_sided.values())
-    return min(2 * one_sided[way] if way in one_sided else least for way in _supporting(claimed))
+    greater, less = contrast.smallest
+    possible = {"greater": 2 * greater, "less": 2 * less, "equal": min(greater, less)}
+    return min(possible[way] for way in _supporting(claimed))
 
 
 def _supporting(claimed: str) -> tuple[str, ...]:

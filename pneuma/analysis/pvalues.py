@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import lru_cache
 from itertools import combinations
 from math import comb
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ MOST_COUNTED = 200_000
 """With more relabelings than this, some are drawn at random. Ten runs against ten have 184,756."""
 DRAWS = 100_000
 """Relabelings drawn: enough that whether a claim is decided hardly depends on them. A list of 170 contrasts
-needs 3e-4. Two p-values can both be the smallest possible; `judgement.found` decides between them."""
+needs 3e-4. Two p-values can both be the smallest possible; `judgement.what_it_shows` decides."""
 FEW_COUNTED = 20_000
 """Up to this many relabelings are enumerated, however few draws are asked for."""
 _AT_ONCE = 20_000
@@ -43,8 +43,11 @@ OneSided = tuple[np.ndarray, np.ndarray]
 """P-values of an effect above and below, each (samples,)."""
 
 
-class PValues(NamedTuple):
-    """One-sided p-values, each (samples,).
+P = TypeVar("P", float, np.ndarray)
+
+
+class PValues(NamedTuple, Generic[P]):
+    """One-sided p-values: numbers of one sample, or (samples,) each.
 
     Attributes:
         greater, less: the effect is above zero, or below it.
@@ -52,14 +55,17 @@ class PValues(NamedTuple):
         far_greater, far_less: it is beyond the margin, above or below; likewise.
     """
 
-    greater: np.ndarray
-    less: np.ndarray
-    equivalent: np.ndarray
-    far_greater: np.ndarray
-    far_less: np.ndarray
+    greater: P
+    less: P
+    equivalent: P
+    far_greater: P
+    far_less: P
 
 
-def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> PValues:
+ManyPValues = PValues[np.ndarray]
+
+
+def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> ManyPValues:
     """Combine p-values of an effect above and below zero, and each margin if there is one."""
     greater, less = np.reshape(p_greater, (-1, samples)), np.reshape(p_less, (-1, samples))
     if len(greater) == 1:
@@ -133,7 +139,7 @@ def scaled(samples: np.ndarray) -> np.ndarray:
 # --- Means -----------------------------------------------------------------------------------------
 
 
-def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> PValues:
+def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np.ndarray) -> ManyPValues:
     """Test differences of means by Welch's t, with permutations and with Student's distribution.
 
     The greater p-value counts. Relabeling is exact for arms that differ by a shift only, and far from its
@@ -176,7 +182,7 @@ def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | f
     return p_greater, p_less
 
 
-def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> PValues:
+def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> ManyPValues:
     """Test means against 0 by sign flips and by Student's distribution; the greater p-value counts.
 
     Sign flips assume that values are symmetric about their mean, Student's distribution that they are normal.
@@ -201,7 +207,7 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
 
 def incidence_p_values(
     counts_a: np.ndarray, runs_a: int, counts_b: np.ndarray, runs_b: int, margin: float | None
-) -> PValues:
+) -> ManyPValues:
     """Test differences of shares exactly, given the (samples,) counts of runs with the event."""
 
     def above(difference: float) -> np.ndarray:
@@ -253,7 +259,7 @@ def count_chances(runs: int, share: np.ndarray) -> np.ndarray:
     return np.exp(log_ways + logs)
 
 
-def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: float | None) -> PValues:
+def one_share_p_values(counts: np.ndarray, runs: int, value: float, margin: float | None) -> ManyPValues:
     """Test shares of one arm against a constant by the exact binomial test, given the (samples,) counts."""
 
     def one_sided(share: float) -> OneSided:

@@ -221,8 +221,7 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
         finite = comparable and np.isfinite(means).all()  # steps to a threshold may be infinite
         interval = difference_interval(first, second) if finite else no_interval()
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
-        ranks = [np.searchsorted(np.unique([*first, *second]), values) * sign for values in (first, second)]
-        better = probability_of_improvement(*ranks) if sign and comparable else np.nan
+        better = probability_of_improvement(sign * first, sign * second) if sign and comparable else np.nan
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
         difference = means[0] - means[1] if finite else np.nan
         yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts

@@ -20,7 +20,7 @@ SECONDS_PER_ROUND = 0.4
 Step = Callable[[int], None]
 
 
-def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[dict[str, Any]]:
+def bench_env() -> list[dict[str, Any]]:
     """Return the agent steps per second of each case: the median of alternating rounds.
 
     Actions are uniformly random. Resets at the end of episodes are included in the time.
@@ -34,19 +34,19 @@ def bench_env(rounds: int = ROUNDS, seconds: float = SECONDS_PER_ROUND) -> list[
         ("CartPole-v1, single", "cartpole", 1, _single("CartPole-v1")),
     ]
     rates: list[list[float]] = [[] for _ in cases]
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         for case_rates, (_, _, worlds, step) in zip(rates, cases, strict=True):
-            case_rates.append(rate_of(step, seconds) * worlds)
+            case_rates.append(rate_of(step) * worlds)
     return [
         {"case": case, "face": face, "worlds": worlds, "agent_steps_per_second": statistics.median(rate)}
         for (case, face, worlds, _), rate in zip(cases, rates, strict=True)
     ]
 
 
-def rate_of(step: Step, seconds: float) -> float:
-    """Return how many steps per second can be taken, measured for some seconds."""
+def rate_of(step: Step) -> float:
+    """Return how many steps per second can be taken, measured for one round."""
     count, start = 0, time.perf_counter()
-    while (elapsed := time.perf_counter() - start) < seconds or not count:
+    while (elapsed := time.perf_counter() - start) < SECONDS_PER_ROUND or not count:
         for i in range(200):
             step(i)
         count += 200

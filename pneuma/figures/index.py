@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from urllib.parse import quote
 from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError
 from pneuma.figures.panels import title_of
-from pneuma.files import read_whole, to_json
+from pneuma.files import checksum, read_whole, to_json
 
 INDEX, CONTENTS = "index.json", "README.md"
 SCHEMA = 1
@@ -36,10 +35,7 @@ def index_entries(
         "n": {name: len(ids) for name, ids in runs.items()},
         "runs": runs,
     }
-    return [
-        {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), **shared}
-        for path in paths
-    ]
+    return [{"file": path.name, "sha256": checksum(path.read_bytes()), **shared} for path in paths]
 
 
 def read_index(folder: Path) -> list[dict[str, Any]]:

@@ -96,14 +96,6 @@ def report_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    counts = {
-        place: Counter(
-            verdicts_by_place[place].standing
-            for verdicts_by_place in claims.values()
-            if place in verdicts_by_place
-        )
-        for place in verdicts.PLACES
-    }
     run_places: dict[str, tuple[str, int]] = {}  # the record and row that show a run: the first
     for study in studies:
         for part in study["parts"]:
@@ -112,7 +104,7 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
         version=__version__, words=verdicts, places=verdicts.places_of(claims),
-        counts=counts, run_places=run_places, anchor=_anchor,
+        counts=verdicts.standings_of(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave

@@ -81,7 +81,7 @@ def characters(points: float = TYPE_POINTS, width: float = WIDTH) -> int:
 
 @contextmanager
 def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
-    """Draw in Pneuma's style, whatever the user's settings; `text` is the size in points."""
+    """Draw in Pneuma's style, whatever the user's settings; `type_points` is the text's size."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.use("agg")

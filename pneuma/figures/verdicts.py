@@ -124,6 +124,12 @@ def places_of(claims: Verdicts) -> dict[str, str]:
     return {place: title for place, title in PLACES.items() if place in judged}
 
 
+def standings_of(claims: Verdicts) -> dict[str, Counter[str]]:
+    """Return how many claims have each of `STANDINGS`, in each of `PLACES`."""
+    every = [one for verdicts in claims.values() for one in verdicts.values()]
+    return {place: Counter(one.standing for one in every if one.place == place) for place in PLACES}
+
+
 # --- Words ----------------------------------------------------------------------------------------
 
 
@@ -182,15 +188,9 @@ def arms(comparison: Comparison) -> str:
 
 def _tables(claims: Verdicts) -> str:
     """Return a page with the counts of verdicts and one row per claim, place by place."""
-    places = places_of(claims)
-    counts = pd.DataFrame(
-        {
-            "Judged in": title,
-            **dict.fromkeys(STANDINGS, 0),
-            **Counter(verdicts[place].standing for verdicts in claims.values() if place in verdicts),
-        }
-        for place, title in places.items()
-    )
+    places, counts = places_of(claims), standings_of(claims)
+    heads = [(title, *(counts[place][word] for word in STANDINGS)) for place, title in places.items()]
+    counted = pd.DataFrame(heads, columns=["Judged in", *STANDINGS])
     rows = []
     for verdicts in claims.values():
         claim = claim_of(verdicts)
@@ -198,7 +198,7 @@ def _tables(claims: Verdicts) -> str:
         said = {"Claim": claim.name, "Tested": f"{tested(claim)}: {compared(claim)}"}
         said["Thesis"] = f"{claim.section}: “{claim.quote}”{context}"
         rows.append(said | {title: _told(verdicts.get(place)) for place, title in places.items()})
-    tables = (encode_frame(frame, "markdown").decode() for frame in (counts, pd.DataFrame(rows)))
+    tables = (encode_frame(frame, "markdown").decode() for frame in (counted, pd.DataFrame(rows)))
     return "\n".join(["# Verdicts\n", *tables])
 
 

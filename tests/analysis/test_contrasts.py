@@ -37,13 +37,13 @@ def greater_p(a: Any, b: Any, alternative: str) -> float:
 def test_means_are_tested_as_scipy_permutes_welchs_t() -> None:
     own = compare("mean", A, B, 0.5, rng())
     assert own.effect == pytest.approx(6.3 - 2.625)
-    assert own.p_greater == pytest.approx(greater_p(A, B, "greater"), abs=1e-12)
-    assert own.p_less == pytest.approx(greater_p(A, B, "less"), abs=1e-12)
+    assert own.p.greater == pytest.approx(greater_p(A, B, "greater"), abs=1e-12)
+    assert own.p.less == pytest.approx(greater_p(A, B, "less"), abs=1e-12)
     below = greater_p([a - 0.5 for a in A], B, "less")
     above = greater_p([a + 0.5 for a in A], B, "greater")
-    assert own.p_equivalent == pytest.approx(max(below, above), abs=1e-12)
-    assert own.p_far_greater == pytest.approx(greater_p([a - 0.5 for a in A], B, "greater"), abs=1e-12)
-    assert own.p_far_less == pytest.approx(greater_p([a + 0.5 for a in A], B, "less"), abs=1e-12)
+    assert own.p.equivalent == pytest.approx(max(below, above), abs=1e-12)
+    assert own.p.far_greater == pytest.approx(greater_p([a - 0.5 for a in A], B, "greater"), abs=1e-12)
+    assert own.p.far_less == pytest.approx(greater_p([a + 0.5 for a in A], B, "less"), abs=1e-12)
 
 
 def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> None:
@@ -56,7 +56,7 @@ def test_a_small_arm_that_spreads_wide_is_not_found_different_too_often() -> Non
 
 def test_values_that_differ_by_rounding_alone_are_equal() -> None:
     own = compare("mean", [0.1 + 0.2] * 8, [0.3] * 8, None, rng())
-    assert (own.p_greater, own.p_less) == (1.0, 1.0)
+    assert (own.p.greater, own.p.less) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("kind", ["mean", "incidence"])
@@ -64,20 +64,20 @@ def test_turning_the_arms_turns_the_verdict(kind: str) -> None:
     a = [0, 1, 1, 1, 1, 1] if kind == "incidence" else [3, 7.5, 4, 9, 8, 1]
     b = [0, 1, 0, 0, 0, 0] if kind == "incidence" else [1, 2.5, 5, 2, 3, 3.5]
     own, turned = compare(kind, a, b, 0.5, rng()), compare(kind, b, a, 0.5, rng())
-    assert (own.p_greater, own.p_less) == pytest.approx((turned.p_less, turned.p_greater))
-    assert own.p_equivalent == pytest.approx(turned.p_equivalent)
+    assert (own.p.greater, own.p.less) == pytest.approx((turned.p.less, turned.p.greater))
+    assert own.p.equivalent == pytest.approx(turned.p.equivalent)
     assert own.effect == pytest.approx(-turned.effect)
 
 
 def test_units_do_not_matter() -> None:
     own = compare("mean", A, B, 0.5, rng())
     other = compare("mean", [1e6 * a - 3e8 for a in A], [1e6 * b - 3e8 for b in B], 0.5e6, rng())
-    assert (other.p_greater, other.p_equivalent) == pytest.approx((own.p_greater, own.p_equivalent))
+    assert (other.p.greater, other.p.equivalent) == pytest.approx((own.p.greater, own.p.equivalent))
     large, small = (compare("mean", [a * unit for a in A], 0.0, None, rng()) for unit in (1, 1e-9))
-    assert small.p_greater == large.p_greater
+    assert small.p.greater == large.p.greater
     arms = [np.array([*A, *B]) + shift for shift in (0, 3, 1, 0)]
     large, small = (compare_effects([arm * unit for arm in arms], 0.5 * unit) for unit in (1, 1e-9))
-    assert (small.p_greater, small.p_equivalent) == pytest.approx((large.p_greater, large.p_equivalent))
+    assert (small.p.greater, small.p.equivalent) == pytest.approx((large.p.greater, large.p.equivalent))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.2])
@@ -102,32 +102,32 @@ def test_one_mean_is_tested_by_turning_signs() -> None:
         (differences,), np.mean, permutation_type="samples", n_resamples=np.inf, alternative="greater"
     ).pvalue
     by_student = stats.ttest_1samp(differences, 0, alternative="greater").pvalue
-    assert own.p_greater == pytest.approx(max(theirs, by_student), abs=1e-12)
+    assert own.p.greater == pytest.approx(max(theirs, by_student), abs=1e-12)
 
 
 def test_one_arms_share_is_tested_as_scipys_binomial() -> None:
     own = compare("incidence", [1, 1, 1, 0, 1], 0.2, 0.1, rng())
-    assert own.p_greater == pytest.approx(stats.binomtest(4, 5, 0.2, "greater").pvalue)
-    assert own.p_less == pytest.approx(stats.binomtest(4, 5, 0.2, "less").pvalue)
+    assert own.p.greater == pytest.approx(stats.binomtest(4, 5, 0.2, "greater").pvalue)
+    assert own.p.less == pytest.approx(stats.binomtest(4, 5, 0.2, "less").pvalue)
     assert own.effect == pytest.approx(0.6)
 
 
 def test_a_margin_that_reaches_past_an_end_of_the_scale_binds_on_the_other_side_alone() -> None:
     """None of 50 with the event: at a true share of 0.05 + 0.1 that has a chance of 0.85 ** 50."""
     never, always = [0.0] * 50, [1.0] * 50
-    assert compare("incidence", never, 0.05, 0.1, rng()).p_equivalent == pytest.approx(0.85**50)
-    assert compare("incidence", always, 0.95, 0.1, rng()).p_equivalent == pytest.approx(0.85**50)
+    assert compare("incidence", never, 0.05, 0.1, rng()).p.equivalent == pytest.approx(0.85**50)
+    assert compare("incidence", always, 0.95, 0.1, rng()).p.equivalent == pytest.approx(0.85**50)
 
 
 def test_equal_runs_are_handled_without_a_warning() -> None:
     apart = compare("mean", [3.0] * 4, [5.0] * 4, 0.5, rng())
-    assert apart.p_less == pytest.approx(1 / 70) and not apart.interval.exists
+    assert apart.p.less == pytest.approx(1 / 70) and not apart.interval.exists
     same = compare("mean", [3.0] * 4, [3.0] * 4, 0.5, rng())
-    assert (same.p_greater, same.p_less) == (1, 1) and same.p_equivalent == pytest.approx(1 / 70)
+    assert (same.p.greater, same.p.less) == (1, 1) and same.p.equivalent == pytest.approx(1 / 70)
 
 
 def test_a_margin_that_reaches_no_event_at_all_is_kept_by_no_event() -> None:
     """Of a share of 0.1 +- 0.1, no event in 50 runs is surer to be within than one."""
     counts = [np.arange(50) < count for count in (0, 1, 2)]
-    p = [compare("incidence", runs * 1.0, 0.1, 0.1, np.random.default_rng(0)).p_equivalent for runs in counts]
+    p = [compare("incidence", runs * 1.0, 0.1, 0.1, np.random.default_rng(0)).p.equivalent for runs in counts]
     assert p == pytest.approx([0.8**50, stats.binom.cdf(1, 50, 0.2), stats.binom.cdf(2, 50, 0.2)])

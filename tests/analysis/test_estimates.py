@@ -75,7 +75,9 @@ def test_newcombes_own_example() -> None:
     assert ends(own) == pytest.approx((0.0524, 0.3339), abs=5e-5)
 
 
-def test_bca_is_close_to_scipys_with_resamples_of_its_own() -> None:
+def test_bca_is_close_to_scipys_with_resamples_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(intervals, "RESAMPLES", 20_000)
+
     def drawn(statistic: object) -> tuple[float, float]:
         theirs = stats.bootstrap(
             (RUNS,),
@@ -88,7 +90,7 @@ def test_bca_is_close_to_scipys_with_resamples_of_its_own() -> None:
         return float(theirs.low), float(theirs.high)
 
     for statistic in (mean, interquartile_mean):
-        own = intervals.bootstrap_interval(RUNS, statistic, np.random.default_rng(6), resamples=20_000)
+        own = intervals.bootstrap_interval(RUNS, statistic, np.random.default_rng(6))
         assert ends(own) == pytest.approx(drawn(lambda x, axis, s=statistic: s(x)), abs=0.03)
 
 

@@ -131,7 +131,7 @@ def test_where_relabelings_can_give_no_smaller_p_values_the_size_decides(effect:
     """All runs on one side of zero, and of the margin of 1: both p-values are the least possible."""
     arms = effect + np.linspace(-0.1, 0.1, 30), np.linspace(-0.1, 0.1, 30)
     contrast = compare("mean", *arms, 1.0, np.random.default_rng(0))
-    assert contrast.p_equivalent == contrast.p_different / 2 == contrast.smallest_less
+    assert contrast.p.equivalent == contrast.p_different / 2 == contrast.smallest[1]
     assert what_it_shows(contrast) == shown
 
 
@@ -185,7 +185,7 @@ def test_a_difference_of_two_effects_is_welchs_over_four_arms(store: Store, tmp_
     error = np.sqrt(4 * np.var(LOW, ddof=1) / 8)  # four arms of one deviation: 28 degrees of freedom
     half = stats.t.ppf(0.975, 28) * error
     assert own.contrast.interval.high - own.contrast.effect == pytest.approx(half)
-    assert own.contrast.p_greater == pytest.approx(stats.t.sf(0.4 / error, 28))
+    assert own.contrast.p.greater == pytest.approx(stats.t.sf(0.4 / error, 28))
 
 
 def test_each_of_two_effects_needs_an_arm_that_learned(store: Store, tmp_path: Path) -> None:

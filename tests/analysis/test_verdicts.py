@@ -12,17 +12,14 @@ from scipy import stats
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.judgement import decide, smallest_p, together, what_it_shows
-from pneuma.analysis.pvalues import holm
+from pneuma.analysis.pvalues import PValues, holm
 
 
 def contrast(
     greater: float, less: float, equivalent: float, far_greater: float = 1.0, far_less: float = 1.0
 ) -> Contrast:
-    interval = no_interval()
-    return Contrast(
-        0.0, interval, greater, less, equivalent, (10, 10),
-        p_far_greater=far_greater, p_far_less=far_less,
-    )  # fmt: skip
+    p = PValues(greater, less, equivalent, far_greater, far_less)
+    return Contrast(0.0, no_interval(), p, (10, 10))
 
 
 def judged(*claims: tuple[Contrast, str], alpha: float = 0.05) -> list[str]:
@@ -61,16 +58,16 @@ def test_a_difference_inside_the_margin_does_not_refute_that_there_is_none() -> 
         compare("mean", spread + difference, spread[::-1], 1.0, np.random.default_rng(0))
         for difference in (0.7, 1.6)
     )
-    assert inside.p_different < 0.001 and inside.p_far_greater > 0.9
+    assert inside.p_different < 0.001 and inside.p.far_greater > 0.9
     assert judged((inside, "equal")) == ["supported"]
     assert judged((beyond, "equal")) == ["refuted"]
     less = compare("mean", spread - 0.7, spread, 1.0, np.random.default_rng(0))
     assert judged((less, "equal")) == ["supported"]
-    assert judged((replace(less, p_equivalent=1.0), "equal")) == ["inconclusive"]
+    assert judged((replace(less, p=less.p._replace(equivalent=1.0)), "equal")) == ["inconclusive"]
 
 
 def test_the_smallest_p_is_of_the_claimed_direction() -> None:
-    few = Contrast(0.0, no_interval(), 1, 1, 1, (4, 4), smallest_greater=0.01, smallest_less=0.3)
+    few = replace(contrast(1, 1, 1), seeds=(4, 4), smallest=(0.01, 0.3))
     told = {way: smallest_p(few, way) for way in ("greater", "less", "different", "equal")}
     assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01}
 
@@ -110,7 +107,7 @@ def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
         assert verdicts.count("refuted") > 30
         told = {what_it_shows(c) for v, (c, _) in zip(verdicts, claims, strict=True) if v != "inconclusive"}
         wrong += told > {"equal"}
-        in_steps = holm([min(own.p_different, own.p_equivalent) for own, _ in claims]) <= 0.05
+        in_steps = holm([min(own.p_different, own.p.equivalent) for own, _ in claims]) <= 0.05
         wrong_in_steps += any(
             what_it_shows(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
         )

@@ -9,6 +9,7 @@ from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.curves import BANDS
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.judgement import decide
+from pneuma.analysis.pvalues import PValues
 from pneuma.bench.calibration import DISTRIBUTIONS, SETTINGS, band_coverage, is_false, wrong_lists
 
 
@@ -44,11 +45,7 @@ def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
     ],
 )
 def test_what_counts_as_a_false_verdict(truth: str, claimed: str, p: tuple[float, ...], wrong: bool) -> None:
-    greater, less, equal, far_greater, far_less = p
-    own = Contrast(
-        0.0, no_interval(), greater, less, equal, (9, 9),
-        p_far_greater=far_greater, p_far_less=far_less,
-    )  # fmt: skip
+    own = Contrast(0.0, no_interval(), PValues(*p), (9, 9))
     assert is_false(decide(own, claimed, 60)[0], own, truth, claimed) == wrong
 
 
