@@ -40,13 +40,11 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.execute": ("pneuma.engines.environment",),
     # what runs in the worker's own process:
     "pneuma.study.worker": (
-        "pneuma.engines.base", "pneuma.engines.loop", "pneuma.engines.policy", "pneuma.engines.records",
+        "pneuma.engines.loop", "pneuma.engines.policy", "pneuma.engines.records",
     ),
-    "pneuma.study.live": ("pneuma.engines.base", "pneuma.engines.records"),
+    "pneuma.study.live": ("pneuma.engines.loop", "pneuma.engines.records"),
     # what says that programs have to be compiled:
-    "pneuma.study.checkpoints": (
-        "pneuma.engines.base", "pneuma.engines.records",
-    ),
+    "pneuma.study.checkpoints": ("pneuma.engines.loop", "pneuma.engines.records"),
     # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
         "pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables",

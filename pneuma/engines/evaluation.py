@@ -16,10 +16,9 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
-from pneuma.engines.mlp import ACTIVATION_CODES, choose
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, kernel
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
-from pneuma.env.compiled import cached
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS, own_rewards
@@ -31,8 +30,6 @@ STEPS_AT_ONCE = 128
 """Steps of compiled play for which random numbers are drawn together."""
 WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
-
-kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
@@ -102,6 +99,9 @@ class Evaluation:
         share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
+        values: dict[str, float] = {}
+        if self.action_values and isinstance(policy, Policy):
+            values = self.action_values.measure(policy)
         return {
             "step": step,
             "episodes": self.episodes,
@@ -116,11 +116,7 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             "hunter_share_killed": self.hunter_share,
-            **(
-                self.action_values.measure(policy)
-                if self.action_values and isinstance(policy, Policy)
-                else {}
-            ),
+            **values,
         }
 
     def _score(self, share: np.ndarray) -> float:
@@ -267,7 +263,7 @@ class ActionValues:
             estimate = values.max(axis=1).reshape(worlds.players.shape)
             steps.append((estimate, worlds.events["reward"].copy(), worlds.present.copy()))
         estimates, rewards, present = (np.stack(each) for each in zip(*steps, strict=True))
-        return estimates, rewards, present.astype(np.bool_)
+        return estimates, rewards, present
 
 
 def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:

@@ -63,7 +63,9 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     run = replace(run, clip="joint", value_baseline=True)
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
-    model = make_model(run, DummyVecEnv([lambda: _Spaces(space, len(policy.actor[-1][1]))]))
+    spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
+    spaces_only.observation_space, spaces_only.action_space = space, spaces.Discrete(policy.actions)
+    model = make_model(run, DummyVecEnv([lambda: spaces_only]))
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
     with torch.no_grad():
@@ -108,13 +110,6 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     if space.shape != (features,):
         raise UserError(f"the policy observes {features} features, its environment has {space.shape[0]}")
     return space
-
-
-class _Spaces(gymnasium.Env[np.ndarray, np.int64]):
-    """A stand-in for an environment, with spaces only, for a learner that is never trained."""
-
-    def __init__(self, observation_space: spaces.Box, actions: int) -> None:
-        self.observation_space, self.action_space = observation_space, spaces.Discrete(actions)
 
 
 # --- ONNX ------------------------------------------------------------------------------------------

@@ -195,7 +195,7 @@ class Slots:
         for actions in saved["actions"]:
             while others and others[0][0] == self.steps:
                 self.reseed(others.pop(0)[1:])
-            self.step(actions.astype(np.int64) if actions.dtype == np.uint8 else actions)
+            self.step(actions)
         for _, *seeds in others:
             self.reseed(seeds)
         self.finished.clear()
@@ -252,7 +252,8 @@ def blamed(what: str) -> Iterator[None]:
     except UserError:
         raise
     except (Exception, SystemExit) as error:
-        raise UserError(f"{what}: {one_line(error)}") from None
+        said = ": ".join([type(error).__name__, *str(error).strip().splitlines()[:1]])
+        raise UserError(f"{what}: {said}") from None
 
 
 def _register_installed(namespace: str) -> None:
@@ -303,12 +304,6 @@ def module_files(name: str) -> list[Path]:
 def wrapper_files(names: Sequence[str]) -> list[Path]:
     """Return the source files of the wrappers' modules."""
     return [path for name in names for path in module_files(name.rpartition(":")[0])]
-
-
-def one_line(error: BaseException) -> str:
-    """Return an error as one line."""
-    lines = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
 # --- Evaluation ------------------------------------------------------------------------------------

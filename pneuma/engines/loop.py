@@ -1,18 +1,25 @@
-"""The training loop that all engines share: update, evaluate, report, and stop.
+"""The training loop that all engines share, and the contract between engines and studies.
 
     run → trainer (its engine's) → update, judge, tell → result
 
 An engine is a `Trainer`. Evaluation, divergence, stopping and the end of a run are the same for all engines.
+
+`train_run` trains a run by its engine and returns a `Result`. After every update it calls `on_update` with a
+`Progress`; if that returns false, the training stops there. A run's result depends on the run alone, not on
+runs that the same process trained before.
 """
 
 from __future__ import annotations
 
-from functools import partial
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
 from importlib import import_module
-from typing import Protocol
+from typing import Any
 
 from pneuma.config import Run
-from pneuma.engines.base import OnUpdate, Progress, Result, evaluation_updates
+from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, Records, Row
 
@@ -23,37 +30,83 @@ TRAINERS = {
 }
 """The trainer of each of `pneuma.config.ENGINES`, imported when it trains, as most are heavy."""
 
+EVALUATIONS = 20
+"""Evaluations per run."""
 
-class Trainer(Protocol):
+
+@dataclass(frozen=True)
+class Progress:
+    """The state of one run after an update.
+
+    Attributes:
+        step: agent steps trained, over all slots.
+        records: all records so far; the engine continues to add to them.
+        checkpoint: a function that takes a checkpoint; call it before the next update.
+    """
+
+    step: int
+    records: Records
+    checkpoint: Callable[[], Checkpoint]
+
+
+@dataclass(frozen=True)
+class Result:
+    """The end of a run.
+
+    Attributes:
+        status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
+            `on_update`.
+        step: agent steps trained, over all slots.
+        records: all records of the run.
+        policy: the last policy; None when it is not finite.
+    """
+
+    status: str
+    step: int
+    records: Records
+    policy: Policy | None
+
+
+OnUpdate = Callable[[Progress], bool]
+
+
+class Trainer(ABC):
     """An engine's part in training one run, from which it is made."""
 
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    @cached_property
+    def _evaluation(self) -> Any:
+        return make_evaluation(self.run)
+
+    def evaluate(self, step: int) -> Row:
+        """Evaluate the current policy; return a row of evaluations."""
+        return self._evaluation.evaluate(self.policy(), step)
+
+    @abstractmethod
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
 
         Raises:
             CheckpointError: for a checkpoint that does not fit.
         """
-        ...
 
+    @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
         """Do the update between two agent steps and record it.
 
         Returns:
             Whether all numbers are still finite.
         """
-        ...
 
-    def evaluate(self, step: int) -> Row:
-        """Evaluate the current policy; return a row of evaluations."""
-        ...
-
+    @abstractmethod
     def policy(self) -> Policy:
         """Return the current policy."""
-        ...
 
+    @abstractmethod
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         """Copy everything that the next update depends on."""
-        ...
 
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
@@ -90,3 +143,26 @@ def _make_trainer(run: Run) -> Trainer:
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
     """Return whether a checkpoint is the parent's, from which the run begins as a fork."""
     return bool(run.parent) and checkpoint.step == run.fork_step
+
+
+def evaluation_updates(run: Run) -> set[int]:
+    """Return the updates, counted from 1, after which a run is evaluated.
+
+    They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer.
+    """
+    return _spread(run.updates, EVALUATIONS)
+
+
+def checkpoint_steps(run: Run, count: int) -> set[int]:
+    """Return the agent steps at which a run's checkpoints are kept; none if `count` is 0.
+
+    That is after `count` evenly spread updates with the last one, and after the first one, so that a run can
+    be forked even if it collapses early.
+    """
+    first = {1} if count else set()
+    return {update * run.steps_per_update for update in first | _spread(run.updates, count)}
+
+
+def _spread(updates: int, count: int) -> set[int]:
+    """Return `count` evenly spread numbers from 1 to `updates`, including the last."""
+    return {-(-updates * k // count) for k in range(1, count + 1)}

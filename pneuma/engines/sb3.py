@@ -8,7 +8,6 @@ and the training on it; for DQN it is as many steps with the gradient steps betw
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,10 @@ from torch import nn
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
-from pneuma.engines.environment import make_evaluation, make_vec_env, slot_seeds
-from pneuma.engines.loop import begins_fork
+from pneuma.engines.environment import make_vec_env, slot_seeds
+from pneuma.engines.loop import Trainer, begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows
-from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, Row, action_shares
+from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, action_shares
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
@@ -54,28 +53,32 @@ VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES
 """Metrics of what a policy visited and did."""
 
 
-class Sb3Trainer:
-    """Trains one run by a learner of Stable-Baselines3; implements `pneuma.engines.loop.Trainer`."""
+class Sb3Trainer(Trainer):
+    """Trains one run by a learner of Stable-Baselines3."""
 
     def __init__(self, run: Run) -> None:
+        super().__init__(run)
         torch.set_num_threads(1)
-        self.run = run
         self._model: Any = make_model(run, make_vec_env(run))
         self._visited = Visited() if isinstance(self._model, DQN) else None
         _, self._callback = self._model._setup_learn(run.steps, callback=self._visited or CallbackList([]))
         self._policy = extract_policy(self._model, run)
 
-    @cached_property
-    def _evaluation(self) -> Any:
-        return make_evaluation(self.run)
-
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from a checkpoint, or start as a fork of the parent's."""
-        if begins_fork(self.run, checkpoint):
-            begin_fork(self._model, self.run, checkpoint)
-        else:
-            restore_checkpoint(self._model, checkpoint)
-        self._policy = extract_policy(self._model, self.run)
+        """Resume from a checkpoint; a fork starts from its parent's, with random streams of its own.
+
+        What a fork resets starts as in a new run.
+        """
+        model, run = self._model, self.run
+        begins = begins_fork(run, checkpoint)
+        reset = run.fork_reset if begins else ""
+        left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(reset, ())
+        restore_checkpoint(model, checkpoint, left_out)
+        if begins:
+            seen = model.env.fork(slot_seeds(run), reset == "xp")
+            model._last_obs = seen.copy()  # the fork may observe other scales or orders
+            seed_streams(model, run)
+        self._policy = extract_policy(model, run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Let the learner collect and train."""
@@ -86,15 +89,12 @@ class Sb3Trainer:
             else:
                 metrics = learn(model, run, self._policy, self._callback)
         records.metrics.append({"step": after, **metrics, **norms.means()})
-        records.episodes.extend(finished_episodes(model.env))
+        records.episodes.extend({name: row[name] for name in EPISODE_COLUMNS} for row in model.env.finished)
+        model.env.finished.clear()
         if not is_finite(records.metrics[-1], model):
             return False
         self._policy = extract_policy(model, run)
         return not overflows(self._policy, model._last_obs)
-
-    def evaluate(self, step: int) -> Row:
-        """Evaluate the policy."""
-        return self._evaluation.evaluate(self._policy, step)
 
     def policy(self) -> Policy:
         """Return the policy after the last update."""
@@ -157,19 +157,6 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
             losses.append(logged_losses(model, run)["value_loss"])
     mean = sum(losses) / len(losses) if losses else NAN
     return {**dict.fromkeys(LOSSES, NAN), "value_loss": mean, **visited_metrics(run, policy, *visited.take())}
-
-
-def begin_fork(model: Learner, run: Run, checkpoint: Checkpoint) -> None:
-    """Restore a learner from its parent's checkpoint, with random streams of its own.
-
-    What the run resets starts as in a new run.
-    """
-    left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(run.fork_reset, ())
-    restore_checkpoint(model, checkpoint, left_out)
-    env: Any = model.env
-    seen = env.fork(slot_seeds(run), run.fork_reset == "xp")
-    model._last_obs = seen.copy()  # the fork may observe other scales or orders
-    seed_streams(model, run)
 
 
 # --- Gradients -------------------------------------------------------------------------------------
@@ -286,13 +273,6 @@ def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
     observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
     metrics = visited_metrics(run, policy, observations, buffer.actions)
     return {**metrics, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else metrics
-
-
-def finished_episodes(env: Any) -> list[dict[str, Any]]:
-    """Return and forget the episodes that ended since the last call."""
-    rows = [{name: episode[name] for name in EPISODE_COLUMNS} for episode in env.finished]
-    env.finished.clear()
-    return rows
 
 
 # --- Networks --------------------------------------------------------------------------------------

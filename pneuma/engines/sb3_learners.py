@@ -195,7 +195,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str] = ()) -> None:
+def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str]) -> None:
     """Restore a learner, and torch's and NumPy's global generators, from a checkpoint.
 
     Arrays whose names begin with one of `left_out` are not restored.

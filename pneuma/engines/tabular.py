@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pneuma.config import Run, stream_seed
+from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
     EVALUATION_COLUMNS,
@@ -30,18 +31,16 @@ ENDING = "home"
 LONGEST_ROUTE = 2
 
 
-class TableTrainer:
-    """Trains the tables of one run; implements `pneuma.engines.loop.Trainer`.
+class TableTrainer(Trainer):
+    """Trains the tables of one run.
 
     Attributes:
         tables: (1 or 2, places, actions) action values, 0 at first; two in double Q-learning.
     """
 
     def __init__(self, run: Run) -> None:
-        assert run.action_slip is not None and run.reward_noise is not None
-        assert run.exploration is not None and run.exploration_fraction is not None
-        self.run = run
-        self.env = MailmanEnv(run.action_slip, run.reward_noise)
+        super().__init__(run)
+        self.env = _make_env(run)
         count = 2 if run.algorithm == "double-q-learning" else 1
         self.tables = np.zeros((count, PLACES, ACTIONS))
         self._generator = np.random.default_rng(stream_seed(run.stream, "actions"))
@@ -64,8 +63,7 @@ class TableTrainer:
         office and letters; the latter is the discounted value of the greedy route.
         """
         run, mean = self.run, self.tables.mean(axis=0)
-        assert run.action_slip is not None
-        process, greedy = decision_process(run.action_slip), mean.argmax(axis=1)[:HOME]
+        process, greedy = decision_process(self.env.slip), mean.argmax(axis=1)[:HOME]
         returns, lengths = _play(run, mean, step)
         return {
             **dict.fromkeys(EVALUATION_COLUMNS, NAN),
@@ -135,6 +133,11 @@ class TableTrainer:
             raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
 
 
+def _make_env(run: Run) -> MailmanEnv:
+    assert run.action_slip is not None and run.reward_noise is not None
+    return MailmanEnv(run.action_slip, run.reward_noise)
+
+
 def temporal_difference(
     tables: np.ndarray, updated: int, step: tuple[int, int, float, int | None], gamma: float
 ) -> float:
@@ -178,9 +181,8 @@ def _metrics(run: Run, steps: Sequence[tuple[int, float]]) -> dict[str, float]:
 
 def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
     """Return the return and length of each episode."""
-    assert run.action_slip is not None and run.reward_noise is not None
     generator = np.random.default_rng(stream_seed(run.stream, "evaluation-actions", step))
-    env = MailmanEnv(run.action_slip, run.reward_noise)
+    env = _make_env(run)
     env.reset(seed=stream_seed(run.stream, "evaluation"))
     returns, lengths = [0.0] * run.evaluation_episodes, [0] * run.evaluation_episodes
     for episode in range(run.evaluation_episodes):
@@ -200,12 +202,8 @@ def estimated_values(tables: np.ndarray) -> np.ndarray:
     For double Q-learning, this is the value in one table of the other table's best action, averaged over both
     tables (Eq. 3.9). It is the estimate from which it learns.
     """
-    count = len(tables)
-    rated = [
-        np.take_along_axis(tables[count - 1 - i], tables[i].argmax(axis=1)[:, None], axis=1)[:, 0]
-        for i in range(count)
-    ]
-    return np.asarray(np.mean(rated, axis=0))
+    best = tables.argmax(axis=2, keepdims=True)
+    return np.asarray(np.take_along_axis(tables[::-1], best, axis=2)[..., 0].mean(axis=0))
 
 
 def policy_values(process: tuple[np.ndarray, np.ndarray], actions: np.ndarray, gamma: float) -> np.ndarray:

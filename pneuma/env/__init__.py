@@ -4,8 +4,6 @@
 and `sb3.py` are the faces that other libraries know.
 """
 
-from typing import Any
-
 import gymnasium
 
 from pneuma.algorithms import MAILMAN
@@ -21,12 +19,11 @@ REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
 def register_environments() -> None:
     """Register all environments with Gymnasium, with vector environments for Pneuma's worlds."""
     for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
-        options: dict[str, Any] = {"kwargs": {"env_id": name}}
         gymnasium.register(
             name,
             entry_point="pneuma.env.single:PneumaEnv",
             vector_entry_point="pneuma.env.vector:PneumaVectorEnv",
-            **options,
+            kwargs={"env_id": name},
         )
         # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
         gymnasium.register(
@@ -34,7 +31,7 @@ def register_environments() -> None:
             entry_point="pneuma.env.single:PneumaMOEnv",
             vector_entry_point="pneuma.env.vector:PneumaMOVectorEnv",
             disable_env_checker=True,
-            **options,
+            kwargs={"env_id": name},
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")
     gymnasium.register(GODOT, entry_point="pneuma.env.godot:GodotGame", disable_env_checker=True)

@@ -244,11 +244,11 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 self.close()
                 self._start(seed)
                 answer = self._ask({"type": "reset"}, "reset")
-            self._begun = answer["obs"][0]
-        elif self._begun is None:
-            self._begun = self._ask({"type": "reset"}, "reset")["obs"][0]
-        begun, self._begun = self._begun, None
-        return self._array(begun["obs"]), {}
+            begun = answer["obs"][0]
+        else:
+            begun = self._begun or self._ask({"type": "reset"}, "reset")["obs"][0]
+        self._begun = None
+        return np.array(begun["obs"], np.float32), {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one step; an episode counts as truncated only if the game says so."""
@@ -259,7 +259,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         final, truncated = info.pop("final_observation", obs["obs"]), bool(info.pop("truncated", False))
         if done:
             self._begun = obs
-        return self._array(final if done else obs["obs"]), reward, done and not truncated, truncated, info
+        seen = np.array(final if done else obs["obs"], np.float32)
+        return seen, reward, done and not truncated, truncated, info
 
     def close(self) -> None:
         """End the game."""
@@ -364,9 +365,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             if acts["action_type"] == "discrete"
             else spaces.Box(-1.0, 1.0, (size,), np.float32)
         )
-
-    def _array(self, values: Any) -> np.ndarray:
-        return np.array(values, np.float32)
 
 
 _SPACES = ("n_agents", "action_space", "observation_space")

@@ -29,7 +29,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, Field
-from scipy.ndimage import label
+from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
 from pneuma.env_fields import SHIPPED_LEVELS, EnvConfig, is_own_level
@@ -349,13 +349,10 @@ def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
         abreast: side of the body, in tiles.
 
     Returns:
-        (rows - abreast + 1, columns - abreast + 1) int32: the region of a body whose upper left
-        tile is this one; 0 where it does not fit.
+        (rows, columns) int32: the region of a body whose upper left tile is this one; 0 where it does not
+        fit.
     """
-    rows, columns = (side - abreast + 1 for side in free.shape)
-    fits = np.ones((max(rows, 0), max(columns, 0)), np.bool_)
-    for down, along in np.ndindex(abreast, abreast):
-        fits &= free[down : down + rows, along : along + columns]
+    fits = minimum_filter(free, abreast, mode="constant", cval=False, origin=-(abreast // 2))
     return np.asarray(label(fits, output=np.int32)[0])
 
 

@@ -145,6 +145,5 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         return {agent: {"action_mask": self.worlds.masks[0, self._index[agent]].copy()} for agent in agents}
 
 
-def parallel_env(**settings: Any) -> PneumaParallelEnv:
-    """Make the environment, under PettingZoo's usual name."""
-    return PneumaParallelEnv(**settings)
+parallel_env = PneumaParallelEnv
+"""The environment under PettingZoo's usual name."""

@@ -36,8 +36,8 @@ class Body(NamedTuple):
 
     half_width: float
     half_height: float
-    x: float = 0.0
-    y: float = 0.0
+    body_x: float
+    body_y: float
 
 
 def spot(place: Place) -> Spot:
@@ -72,7 +72,7 @@ class Ways:
         self._shape = closed[0].shape
         # The cells into which the body fits, in the shape of the grid.
         free = [~grid & ~water for grid, water in zip(closed, drowns, strict=True)]
-        self._fits = [np.pad(walkable_regions(grid, rim) > 0, (0, rim - 1)) for grid in free]
+        self._fits = [walkable_regions(grid, rim) > 0 for grid in free]
         self._stops = [(grid.tolist(), grid.T.tolist()) for grid in closed]
         self._drowns = [grid.tolist() if grid.any() else None for grid in drowns]
         self._graphs = [_graph(fits) for fits in self._fits]

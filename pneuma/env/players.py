@@ -49,8 +49,9 @@ class Hunter:
         self._seen = np.full((2, *worlds.monsters.shape), np.nan)  # where awake monsters last were
         self._plans: dict[tuple[int, int], Plan] = {}
         stops, sea = int(worlds.settings["player_stops"][0]), worlds.config.coast == "deadly"
-        self._bodies = [_body(stats) for stats in worlds.player_stats]
-        self._ways = {body: Ways(worlds.levels, body, stops, sea) for body in set(self._bodies)}
+        bodies = [Body(*body) for body in worlds.player_stats[[*Body._fields]].tolist()]
+        ways = {body: Ways(worlds.levels, body, stops, sea) for body in set(bodies)}
+        self._ways = [ways[body] for body in bodies]
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions."""
@@ -109,7 +110,7 @@ class Hunter:
         drowns = np.zeros(walks.shape, bool)
         for world, player in np.argwhere(walks & (worlds.config.coast == "deadly")).tolist():
             level, place = int(worlds.worlds["level"][world]), _place(worlds, world, player)
-            step = self._ways_of(player).step(level, place, int(walk[world, player]), _reach(worlds, player))
+            step = self._ways[player].step(level, place, int(walk[world, player]), _reach(worlds, player))
             drowns[world, player] = step is None
         return drowns
 
@@ -124,7 +125,7 @@ class Hunter:
         level = worlds.worlds["level"].astype(np.int64)
         monsters, (x, y) = worlds.monsters, (worlds.players["x"].T, worlds.players["y"].T)  # (P, N)
         every = [
-            self._ways_of(p).lengths(level, monsters["x"], monsters["y"], x[p], y[p]) for p in range(len(x))
+            ways.lengths(level, monsters["x"], monsters["y"], x[p], y[p]) for p, ways in enumerate(self._ways)
         ]
         return np.stack(every, axis=1)
 
@@ -135,9 +136,6 @@ class Hunter:
             flags[key] = spot(_place(worlds, *key)) in plan
         return flags
 
-    def _ways_of(self, player: int) -> Ways:
-        return self._ways[self._bodies[player]]
-
     def _follow(self, worlds: Worlds, world: int, player: int, monster: int) -> int | None:
         """Return the next step of the plan, or of a new one if it is finished."""
         prey = worlds.monsters[world, monster]
@@ -145,7 +143,7 @@ class Hunter:
         plan = self._plans.get((world, player), {})
         if spot(place) not in plan:
             level, goal = int(worlds.worlds["level"][world]), (float(prey["x"]), float(prey["y"]))
-            ways, reach = self._ways_of(player), _reach(worlds, player)
+            ways, reach = self._ways[player], _reach(worlds, player)
             plan = self._plans[world, player] = ways.plan(level, place, goal, reach)
         return plan.get(spot(place))
 
@@ -179,10 +177,6 @@ def _ways_towards(dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarra
     along_x, along_y = np.where(dx > 0, rules.RIGHT, rules.LEFT), np.where(dy > 0, rules.DOWN, rules.UP)
     sideways = np.abs(dx) > np.abs(dy)
     return np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
-
-
-def _body(stats: np.void) -> Body:
-    return Body(*(float(stats[name]) for name in ("half_width", "half_height", "body_x", "body_y")))
 
 
 def _place(worlds: Worlds, world: int, player: int) -> tuple[float, float]:

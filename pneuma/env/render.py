@@ -17,7 +17,7 @@ from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
 from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError
 
 CAMERAS = ("map", "follow")
 SEA = "3d83c9"
@@ -68,10 +68,8 @@ class Renderer:
             panel: whether a strip above the picture shows HP, XP, step and monsters left.
 
         Raises:
-            UserError: for an unknown camera, or a level that is too large.
+            UserError: for a level that is too large.
         """
-        if camera not in CAMERAS:
-            raise unknown_name("camera", camera, CAMERAS)
         self.worlds = worlds
         self.camera = camera
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
@@ -167,18 +165,18 @@ class Renderer:
             if player["hp"] <= 0:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
-            flash = sprites.RED if bitten >> index & 1 else ""
+            flash = sprites.RED if bitten[index] else ""
             yield from self._standing(_player_picture(index, player, flash), player, stats)
             if player["busy"] > 0 and player["armed"] == rules.BLADE:
                 yield self._sword(player, stats)
 
-    def _bitten(self, world: int) -> int:
-        """Return a bit for each player that a living monster has just bitten."""
+    def _bitten(self, world: int) -> np.ndarray:
+        """Return which players a living monster has just bitten, (players,)."""
         level = int(self.worlds.worlds["level"][world])
         monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats[level]
         fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
         fresh &= (monsters["bite"] > 0) & (monsters["hp"] > 0)[:, None]
-        return sum(1 << int(index) for index in np.flatnonzero(fresh.any(axis=0)))
+        return np.asarray(fresh.any(axis=0))
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         """Yield a picture with its feet at the lower edge of a body, and its shadow."""
@@ -191,7 +189,7 @@ class Renderer:
     def _sword(self, player: Any, stats: Any) -> Item:
         """Return a player's sword, centred at its hilt."""
         way, facing = player["facing"], FACINGS[player["facing"]]
-        moment = sprites.SWINGS[int(3 * (stats["swing"] - player["busy"]) // stats["swing"])]
+        moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
         picture = sprites.sword_picture(facing, moment)
         x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
         _, foot = self._place(0.0, _foot(player, stats))

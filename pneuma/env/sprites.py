@@ -22,8 +22,8 @@ TILE = 16
 """Art pixels along a tile."""
 
 POSES = ("stand", "stride", "strike")
-SWINGS = ("begin", "strike", "follow")
-"""Three moments of a sword's swing."""
+SWINGS = 3
+"""Moments of a sword's swing."""
 OBSTACLES = ("pine", "tree", "rock", "cactus", "grave")
 LETTERS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ/-:.+"
 
@@ -80,9 +80,9 @@ def obstacle_picture(name: str) -> np.ndarray:
 
 
 @cache
-def sword_picture(facing: str, moment: str) -> np.ndarray:
+def sword_picture(facing: str, moment: int) -> np.ndarray:
     """Return a sword at one of the `SWINGS`; its centre is the weapon's place."""
-    upright = np.split(_read_art("sword.png"), len(SWINGS), axis=1)[SWINGS.index(moment)]
+    upright = np.split(_read_art("sword.png"), SWINGS, axis=1)[moment]
     return np.rot90(upright, _QUARTER_TURNS[facing])
 
 
@@ -192,8 +192,9 @@ def paint_ground(ground: np.ndarray) -> np.ndarray:
         np.copyto(image, _texture(ground.shape, kind), where=(kinds == kind)[..., None])
     _paint_water(image, kinds)
     _paint_banks(image, kinds)
-    for row, column in np.argwhere(ground == BRIDGE):
-        _paint_bridge(image, ground, int(row), int(column))
+    framed = np.pad(ground, 1, constant_values=WATER)
+    for row, column in np.argwhere(framed == BRIDGE).tolist():
+        _paint_bridge(image, framed, row, column)
     return image
 
 
@@ -309,18 +310,21 @@ def _paint_banks(image: np.ndarray, kinds: np.ndarray) -> None:
 
 
 def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) -> None:
-    """Draw one tile of a bridge: planks across the way that it leads, rails over the water."""
+    """Draw one tile of a bridge: planks across the way that it leads, rails over the water.
+
+    The ground has a frame of water, which the image has not.
+    """
     variants = _ground_pictures(BRIDGE)
-    planks = variants[int(tile_hash(row, column)) % len(variants)]
+    planks = variants[int(tile_hash(row - 1, column - 1)) % len(variants)]
     upright = _leads_down(ground, row, column)
     if not upright:
         image, ground, row, column = image.swapaxes(0, 1), ground.T, column, row
-    top, left = row * TILE, column * TILE
-    ends = [_ground_at(ground, row + way, column) not in (WATER, BRIDGE) for way in (-1, 1)]
+    top, left = (row - 1) * TILE, (column - 1) * TILE
+    ends = [ground[row + way, column] not in (WATER, BRIDGE) for way in (-1, 1)]
     first, last = max(top - _RAIL * ends[0], 0), min(top + TILE + _RAIL * ends[1], image.shape[0])
     image[first:last, left : left + TILE] = planks[np.arange(first - top, last - top) % TILE]
     for way, edge in ((-1, left), (1, left + TILE - 2)):
-        if _ground_at(ground, row, column + way) == WATER:
+        if ground[row, column + way] == WATER:
             for place, colour in enumerate(_RAIL_COLOURS, start=edge):
                 image[first:last, place] = rgb(colour)
 
@@ -329,13 +333,8 @@ def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
     """Return whether a bridge meets land both above and below."""
     for way in (-1, 1):
         r = row
-        while _ground_at(ground, r, column) == BRIDGE:
+        while ground[r, column] == BRIDGE:
             r += way
-        if _ground_at(ground, r, column) == WATER:
+        if ground[r, column] == WATER:
             return False
     return True
-
-
-def _ground_at(ground: np.ndarray, row: int, column: int) -> int:
-    inside = 0 <= row < ground.shape[0] and 0 <= column < ground.shape[1]
-    return int(ground[row, column]) if inside else WATER

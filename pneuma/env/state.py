@@ -275,13 +275,3 @@ def read_only(array: np.ndarray) -> np.ndarray:
 def as_bytes(array: np.ndarray) -> np.ndarray:
     """Return an array's memory, (bytes,) uint8."""
     return array.reshape(-1).view(np.uint8)
-
-
-def _no_events() -> Any:
-    events = np.zeros(1, EVENTS)
-    events["distance"] = np.inf
-    return raw(events)[0]
-
-
-NO_EVENTS = _no_events()
-"""Of a world in which nothing has happened."""

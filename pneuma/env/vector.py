@@ -60,7 +60,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
-        self._every = np.ones(num_envs, np.bool_)
         self._note_over(np.zeros(len(self.state), np.bool_))
 
     def reset(
@@ -166,7 +165,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Add every slot's action mask to the infos."""
         return {
             "action_mask": self.slots.masks,
-            "_action_mask": self._every.copy(),
+            "_action_mask": np.ones(self.num_envs, np.bool_),
             **(infos or {}),
         }
 

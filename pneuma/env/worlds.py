@@ -146,7 +146,7 @@ class Worlds:
     def _take_addresses(self) -> None:
         """Store the addresses of the arrays, and views of them that are needed."""
         self.handle = state.make_handle(self._arrays)
-        whole = self.worlds, self.players, self.monsters, self.events
+        whole = self.worlds, self.players, self.monsters
         self.raw = tuple(state.raw(each) for each in whole)  # bytes: NumPy copies those faster
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
@@ -291,7 +291,7 @@ class Worlds:
         if not self.worlds["players_left"][world] and self.ending(world) == "running":
             raise ValueError(f"no episode has begun in world {world}: reset it first")
         one = slice(world, world + 1)
-        worlds, players, monsters = (raw[one].copy() for raw in self.raw[:3])
+        worlds, players, monsters = (raw[one].copy() for raw in self.raw)
         arrays = worlds.view(state.WORLD), players.view(state.PLAYER), monsters.view(state.MONSTER)
         return Snapshot(*arrays, self._fits)
 
@@ -311,9 +311,9 @@ class Worlds:
                 "where other things stop whoever moves, does not fit this world"
             )
         saved = snapshot.worlds, snapshot.players, snapshot.monsters
-        for whole, array in zip(self.raw, saved, strict=False):
+        for whole, array in zip(self.raw, saved, strict=True):
             whole[world] = array.view(whole.dtype)[0]
-        self.raw[3][world] = state.NO_EVENTS
+        self.events[world], self.events["distance"][world] = 0, np.inf
 
     def _check_number(self, world: int) -> None:
         if not 0 <= world < len(self):

@@ -19,7 +19,7 @@ import numpy as np
 from safetensors.numpy import load, save
 
 from pneuma.config import Run
-from pneuma.engines.base import Progress, checkpoint_steps
+from pneuma.engines.loop import Progress, checkpoint_steps
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,

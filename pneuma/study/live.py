@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from pneuma.engines.base import Progress
+from pneuma.engines.loop import Progress
 from pneuma.engines.records import Row
 
 TRAILING_EPISODES = 100

@@ -24,8 +24,7 @@ from dataclasses import dataclass
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
-from pneuma.engines.base import Progress
-from pneuma.engines.loop import train_run
+from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from pneuma.config import make_run
-from pneuma.engines.base import Progress
-from pneuma.engines.loop import train_run
+from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.records import Checkpoint, CheckpointError
 from pneuma.study.checkpoints import (
     decode,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines.base import evaluation_updates
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation
+from pneuma.engines.loop import evaluation_updates
 from pneuma.engines.policy import Policy
 
 

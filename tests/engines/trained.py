@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from pneuma.config import Run
-from pneuma.engines.base import Progress, Result
-from pneuma.engines.loop import train_run
+from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import Checkpoint
 from pneuma.study.checkpoints import TABLES
 from pneuma.study.tables import to_parquet

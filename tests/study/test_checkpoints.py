@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from pneuma.config import make_run
-from pneuma.engines.base import Progress
+from pneuma.engines.loop import Progress
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.engines.base import OnUpdate, Progress, Result
+from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker

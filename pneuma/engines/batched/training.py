@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+import re
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,16 +12,14 @@ import numpy as np
 from pneuma.config import Run, is_gymnasium_id, stream_seed
 from pneuma.engines.batched.gymnasium_rollout import GymnasiumCollector
 from pneuma.engines.batched.learner import Learner
-from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Collector
-from pneuma.engines.environment import make_evaluation
-from pneuma.engines.loop import begins_fork
+from pneuma.engines.loop import Trainer, begins_fork
 from pneuma.engines.policy import Policy, overflows
-from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
+from pneuma.engines.records import Checkpoint, CheckpointError, Records
 
 
-class BatchedTrainer:
-    """Trains one run by compiled programs; implements `pneuma.engines.loop.Trainer`.
+class BatchedTrainer(Trainer):
+    """Trains one run by compiled programs.
 
     Attributes:
         collector: the worlds, and the random stream of actions.
@@ -28,15 +27,11 @@ class BatchedTrainer:
     """
 
     def __init__(self, run: Run) -> None:
-        self.run = run
+        super().__init__(run)
         self.collector: Collector | GymnasiumCollector = (
             GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
         )
         self.learner = Learner(run, self.collector.features, self.collector.actions)
-
-    @cached_property
-    def _evaluation(self) -> Any:
-        return make_evaluation(self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         """Collect one horizon, and learn from it."""
@@ -48,10 +43,6 @@ class BatchedTrainer:
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
         return not (is_last and overflows(self.policy(), self.collector.observations))
-
-    def evaluate(self, step: int) -> Row:
-        """Evaluate the policy."""
-        return self._evaluation.evaluate(self.policy(), step)
 
     def policy(self) -> Policy:
         """Return the networks as a stored policy."""
@@ -96,30 +87,22 @@ class BatchedTrainer:
 
 
 def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> None:
-    fresh = learner.networks
-    learner.networks = _filled(learner.networks, "networks", checkpoint)
-    if reset != "optimizer":
-        learner.optimizer = _filled(learner.optimizer, "optimizer", checkpoint)
-    if reset == "critic":
-        learner.networks = {**learner.networks, "critic": fresh["critic"]}
-        zero = initial_state(learner.run.optimizer, fresh)
-        for name, moment in learner.optimizer.items():
-            if name != "steps":  # zeros are copied, as an optimizer's moments may begin as one array
-                learner.optimizer[name] = {**moment, "critic": jax.tree.map(np.array, zero[name]["critic"])}
-    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"]
+    """Take over everything but what a fork resets: the optimizer, or the critic with its moments."""
 
+    def restored(part: str) -> Any:
+        return jax.tree.map_with_path(partial(saved, part), getattr(learner, part))
 
-def _filled(tree: Any, part: str, checkpoint: Checkpoint) -> Any:
-    """Return a tree of this structure with the arrays of a checkpoint."""
-
-    def saved(path: Any, leaf: Any) -> np.ndarray:
+    def saved(part: str, path: Any, fresh: Any) -> np.ndarray:
         name = _array_name(part, path)
+        if reset and reset in re.split(r"[/.]", name):
+            return np.array(fresh)  # a copy, as an optimizer's moments may begin as one array
         array = checkpoint.arrays[name]
-        if array.shape != np.shape(leaf):
-            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(leaf)}")
+        if array.shape != np.shape(fresh):
+            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(fresh)}")
         return np.array(array)
 
-    return jax.tree.map_with_path(saved, tree)
+    learner.networks, learner.optimizer = restored("networks"), restored("optimizer")
+    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"]
 
 
 def _array_name(part: str, path: Any) -> str:

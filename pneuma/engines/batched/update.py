@@ -64,14 +64,11 @@ def run_numbers(run: Run) -> dict[str, Any]:
         "dampening": run.dampening or 0.0,
         "smoothing": run.smoothing or 0.0,
         "weight_decay": 0.0 if run.optimizer == "upgd" else run.weight_decay,
+        "shrinking": run.weight_decay,
+        "utility_decay": run.utility_decay or 0.0,
+        "log_utility_decay": math.log(run.utility_decay) if run.utility_decay else -math.inf,
+        "noise": run.noise or 0.0,
     }
-    if run.optimizer == "upgd":
-        numbers |= {
-            "utility_decay": run.utility_decay or 0.0,
-            "log_utility_decay": math.log(run.utility_decay) if run.utility_decay else -math.inf,
-            "noise": run.noise or 0.0,
-            "shrinking": run.weight_decay,
-        }
     key = np.array([stream_seed(run.stream, "upgd-noise")], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
 
