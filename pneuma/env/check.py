@@ -26,7 +26,7 @@ from pneuma.errors import UserError, unknown_name
 
 STEPS = 400
 
-Settings = Mapping[str, object]
+Settings = Mapping[str, Any]
 
 
 def check_environment(env_id: str, settings: Settings) -> Iterator[tuple[str, str]]:
@@ -79,7 +79,7 @@ def _world_id(env_id: str) -> str:
 
 def _make(env_id: str, settings: Settings) -> Any:
     """Make an environment without Gymnasium's wrappers."""
-    return gymnasium.make(env_id, disable_env_checker=True, **dict(settings)).unwrapped  # type: ignore[arg-type]
+    return gymnasium.make(env_id, disable_env_checker=True, **dict(settings)).unwrapped
 
 
 # --- The libraries' checks ------------------------------------------------------------------------
