@@ -38,9 +38,9 @@ def encode_study(
 ) -> bytes:
     """Return the published table of a study; the same runs give the same bytes.
 
-    Curves are rounded to a five-hundredth of their range; outcomes, signs and evaluations are exact. An existing
-    table keeps its columns, and its runs that are not here. Runs of the selection that are not finished
-    anywhere keep their row, without numbers.
+    Curves are rounded to a five-hundredth of their range; outcomes, signs and evaluations are exact. An
+    existing table keeps its columns, and its runs that are not here. Runs of the selection that are not
+    finished anywhere keep their row, without numbers.
 
     Args:
         data: the study, with no runs from other tables.

@@ -95,7 +95,8 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     largest_first = sorted(names, key=lambda name: -sizes[name[0]])
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         verdicts = pool.submit(_draw_verdicts, folder, results)
-        drawn = dict(zip(largest_first, pool.map(partial(_draw_one, folder, results, logs), largest_first)))
+        entries_by_study = pool.map(partial(_draw_one, folder, results, logs), largest_first)
+        drawn = dict(zip(largest_first, entries_by_study, strict=True))
     entries += [entry for name in names for entry in drawn[name]]
     written = {entry["file"] for entry in entries}
     write_whole(folder / INDEX, encode_index(entries))
@@ -109,7 +110,11 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
 def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     """Draw the verdicts on the thesis's claims; nothing where no study is published."""
     store = Store(results)
-    return write_verdicts(judged_claims(store, stored=False)[0], folder) if store.published(shipped=False) else []
+    return (
+        write_verdicts(judged_claims(store, stored=False)[0], folder)
+        if store.published(shipped=False)
+        else []
+    )
 
 
 def _draw_environment(folder: Path) -> Entries:
