@@ -19,6 +19,7 @@ from scipy import special
 from pneuma.analysis import ACTION_QUANTITIES, EVALUATION_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import is_foreign
+from pneuma.errors import unknown_name
 
 Edges = tuple[np.ndarray, np.ndarray]
 """Lower and upper edge of a band, (points,) each; NaN where fewer than two runs have a value."""
@@ -55,6 +56,8 @@ class Curve:
 
     def band(self, name: str) -> Edges:
         """Return both edges of a band of `BANDS`."""
+        if name not in BANDS:
+            raise unknown_name("band", name, BANDS)
         edges = BANDS[name].edges
         low, high = edges(self._values) if edges else (np.full(self.step.shape, np.nan),) * 2
         return self._back(low), self._back(high)

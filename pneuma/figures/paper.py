@@ -110,11 +110,9 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
 def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     """Draw the verdicts on the thesis's claims; nothing where no study is published."""
     store = Store(results)
-    return (
-        write_verdicts(judged_claims(store, stored=False)[0], folder)
-        if store.published(shipped=False)
-        else []
-    )
+    if not store.published(shipped=False):
+        return []
+    return write_verdicts(judged_claims(store, stored=False)[0], folder)
 
 
 def _draw_environment(folder: Path) -> Entries:
