@@ -16,9 +16,10 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
-from pneuma.engines.mlp import ACTIVATION_CODES, choose, kernel
+from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
+from pneuma.env.compiled import cached
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS, own_rewards
@@ -30,6 +31,8 @@ STEPS_AT_ONCE = 128
 """Steps of compiled play for which random numbers are drawn together."""
 WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
+
+kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""

@@ -17,9 +17,10 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.mlp import ACTIVATION_CODES, forward, kernel, sample
+from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
+from pneuma.env.compiled import cached
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_fields import own_rewards
@@ -34,6 +35,7 @@ ENDED = np.dtype(
 
 _WORLDS = ("worlds", "players", "monsters")
 _EPISODES = ("returns", "lengths", "episodes", "begins")
+kernel: Any = cached(error_model="numpy")
 
 
 @dataclass(frozen=True)
