@@ -28,7 +28,7 @@ MOST_ROWS = 24
 
 PANELS = {
     "entropy": ("Entropy (nats)", float(np.log(5)), LEAST_ENTROPY),
-    "action": ("Most frequent action", 1.0, MOST_OF_ONE),
+    "action": ("Most used action", 1.0, MOST_OF_ONE),
     "dead_units": ("Dead units", 1.0, None),
     "share_killed": ("Monsters killed", 0.01, None),
     "return": ("Return", 0.0, None),
