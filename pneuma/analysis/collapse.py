@@ -132,12 +132,16 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     return pd.DataFrame(rows).astype(kinds)
 
 
-def incidence(data: StudyData) -> pd.DataFrame:
+def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:
     """Return how many runs of each condition collapsed: counts, share, and its 95 % interval.
 
     Runs whose records show no sign that decides are left out; `unknown` counts them.
+
+    Args:
+        data: a study.
+        every: its `diagnoses`.
     """
-    rows, every = [], diagnoses(data)
+    rows = []
     for condition in data.conditions:
         diagnosed = every[every["condition"] == condition]
         found = diagnosed[diagnosed["collapsed"].notna()]

@@ -242,7 +242,8 @@ def collapse(
     data = open_data(picked, name, published=not fork)
     from pneuma.analysis.collapse import diagnoses, incidence
 
-    found, shares = diagnoses(data), incidence(data)
+    found = diagnoses(data)
+    shares = incidence(data, found)
     collapsed = found[found["collapsed"]]
     if fork:
         parents = dict(zip(collapsed["run_id"], map(int, collapsed["sound_step"]), strict=True))

@@ -42,7 +42,7 @@ def collapsed_shares(data: StudyData) -> pd.DataFrame:
     """Return the `incidence` of all conditions; no rows if no run is known to have collapsed."""
     if "evaluations" not in data.tables:
         return pd.DataFrame()
-    shares = incidence(data)
+    shares = incidence(data, diagnoses(data))
     return shares[shares["collapsed"] > 0]
 
 
@@ -54,7 +54,8 @@ def draw_collapse(
     On the left are the curves of every run that collapsed, with steps counted from the onset. On the right is
     the share of each condition's runs that collapsed, with its interval.
     """
-    found, shares = diagnoses(data), incidence(data)
+    found = diagnoses(data)
+    shares = incidence(data, found)
     known = shares[shares["runs"] > 0]
     if known.empty:
         raise UserError(

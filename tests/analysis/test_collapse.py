@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pneuma.analysis import series
-from pneuma.analysis.collapse import Diagnosis, both, diagnose, incidence, joined, share_held
+from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import open_study
@@ -184,7 +184,7 @@ def data(tmp_path: Path) -> StudyData:
 
 def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
     """Clopper and Pearson's bounds of 2 of 3 and of 0 of 2, from their binomial equations."""
-    relu, tanh = incidence(data).to_dict("records")
+    relu, tanh = incidence(data, diagnoses(data)).to_dict("records")
     assert [relu[key] for key in ("runs", "collapsed", "recovered", "relearned")] == [3, 2, 1, 1]
     assert 3 * relu["low"] ** 2 * (1 - relu["low"]) + relu["low"] ** 3 == pytest.approx(0.025)
     assert 1 - relu["high"] ** 3 == pytest.approx(0.025)
@@ -214,7 +214,8 @@ def test_a_run_of_which_actions_alone_are_known_is_no_healthy_one(tmp_path: Path
     updates[:, 0] = np.nan  # its entropy
     save_collapse(store, "a0" * 8, updates, np.empty(0))
     record = collapse_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": "episode"}})
-    (row,) = incidence(open_study(store, record)).to_dict("records")
+    data = open_study(store, record)
+    (row,) = incidence(data, diagnoses(data)).to_dict("records")
     assert (row["runs"], row["collapsed"], row["unknown"]) == (0, 0, 1)
 
 
