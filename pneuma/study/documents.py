@@ -53,7 +53,7 @@ class Record(TypedDict):
     same: list[list[str]]
     selection: NotRequired[_Selection]
     runs: list[_Cell]
-    earlier: NotRequired[list[dict[str, Any]]]
+    earlier: NotRequired[list[Any]]
 
 
 class _Attempt(TypedDict):

@@ -34,7 +34,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
         OSError: when it cannot be created, or its path is not a file.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "ab", opener=_open) as file:
+    with open(folder / ".lock", "a+b", opener=_open) as file:
         yield _take(file.fileno())
 
 
@@ -45,7 +45,7 @@ def short_lock(path: Path) -> Iterator[None]:
     Raises:
         OSError: when it cannot be created, or its path is not a file.
     """
-    with open(path, "ab", opener=_open) as file:
+    with open(path, "a+b", opener=_open) as file:
         with suppress(OSError):
             fcntl.flock(file, fcntl.LOCK_EX)
         yield

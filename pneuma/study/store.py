@@ -273,7 +273,8 @@ class Store:
         latest = read_sealed(self.selection_path(study)) or {}
         if not fits(latest, Record) or "selection" not in latest or latest["study"] != study:
             return []
-        others = ({**latest, **record} for record in latest.pop("earlier", []))
+        earlier = latest.pop("earlier", [])
+        others = ({**latest, **record} for record in earlier if isinstance(record, dict))
         return [latest, *(record for record in others if fits(record, Record))]
 
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
