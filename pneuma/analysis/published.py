@@ -27,7 +27,7 @@ from typing_extensions import TypedDict
 
 from pneuma.analysis import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.analysis.records import Records, told_seconds
-from pneuma.analysis.series import EXTREMES, GRID_POINTS, Stretch, make_grid, peak_curve
+from pneuma.analysis.series import EXTREMES, GRID_POINTS, Stretch, held_curve, make_grid, peak_curve
 from pneuma.errors import UserError
 from pneuma.files import parse_json, read_json, read_whole
 from pneuma.study.documents import Record, fits
@@ -205,9 +205,8 @@ class PublishedRecords(Records):
 
     def curve(self, quantity: str, window: str, grid: np.ndarray, slots: int | None) -> np.ndarray:
         """Return a curve, (points,); on another grid than the table's, the last value before each point."""
-        values, steps = np.array(self.cell(curve_column(quantity, window)), float), make_grid(self.budget)
-        on_grid = np.concatenate([[np.nan], values])[np.searchsorted(steps, grid, side="right")]
-        return np.where(grid <= steps[-1], on_grid, np.nan)
+        values = np.array(self.cell(curve_column(quantity, window)), float)
+        return held_curve(make_grid(self.budget), values, grid, self.budget)
 
     def peaks(self, quantity: str, grid: np.ndarray) -> np.ndarray:
         """Return the extreme update since each previous point, (points,)."""

@@ -153,8 +153,8 @@ class Store:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
-        for name in manifest["files"] if manifest else ():
-            if not ((folder / name).is_file() if quick else self.is_whole(run_id, name)):
+        for name, known in manifest["files"].items() if manifest else ():
+            if not ((folder / name).is_file() if quick else is_sound(folder, name, known)):
                 return Status("damaged", 0, name)
         if recorded.finished:
             return recorded
@@ -212,21 +212,11 @@ class Store:
         Raises:
             UserError: when it is missing or not what was written.
         """
-        sums, path = self.checksums(run_id), self.run_folder(run_id) / name
-        with suppress(OSError):
-            if name in sums and _FILE_NAME.fullmatch(name):
-                data = read_whole(path)
-                if checksum(data) == sums[name]:
-                    return data
-        raise UserError(f"{path}: missing or damaged; run the study again to retrain this run")
-
-    def is_whole(self, run_id: str, name: str) -> bool:
-        """Return whether a file of a run is undamaged."""
-        try:
-            self.read_file(run_id, name)
-        except UserError:
-            return False
-        return True
+        folder = self.run_folder(run_id)
+        data = _read_sound(folder, name, self.checksums(run_id).get(name))
+        if data is None:
+            raise UserError(f"{folder / name}: missing or damaged; run the study again to retrain this run")
+        return data
 
     def read_document(self, run_id: str, name: str) -> dict[str, Any]:
         """Return a run's JSON file; empty if it is missing, damaged or no object."""
@@ -340,6 +330,18 @@ class Store:
             raise UserError(
                 f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
             ) from None
+
+
+def is_sound(folder: Path, name: str, known: str) -> bool:
+    """Return whether a file of a run has the checksum that its status lists."""
+    return _read_sound(folder, name, known) is not None
+
+
+def _read_sound(folder: Path, name: str, known: str | None) -> bytes | None:
+    with suppress(OSError):
+        if _FILE_NAME.fullmatch(name) and checksum(data := read_whole(folder / name)) == known:
+            return data
+    return None
 
 
 def read_checkpoint_name(name: str) -> tuple[int, str] | None:

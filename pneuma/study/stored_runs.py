@@ -13,7 +13,7 @@ from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, nearest_name
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Status, Store, is_sound
 
 LONGEST_LISTED = 5
 """Most run ids in an error message."""
@@ -52,7 +52,7 @@ class StoredRun:
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
-        states |= {name: "sound" for name in listed if self.store.is_whole(self.run_id, name)}
+        states |= {name: "sound" for name, known in listed.items() if is_sound(folder, name, known)}
         states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
         return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 
