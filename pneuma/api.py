@@ -103,22 +103,25 @@ def run_study(
     return open_study(store, execute.selection_record(planned))
 
 
-def open_data(study: Where, results: Where | None = None, *, world: str | None = None) -> StudyData:
-    """Open a study's stored runs of the budget with the most finished ones, or else its published runs.
+def open_data(
+    study: Where, results: Where | None = None, *, steps: int | None = None, world: str | None = None
+) -> StudyData:
+    """Open a study's stored runs of one budget, or else its published runs.
 
     Args:
         study: its name, or the path of its file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        steps: agent steps of each run; default: those of which the most runs are finished.
         world: a key of `pneuma.worlds.WORLDS`; default: the usual one.
 
     Raises:
-        UserError: when nothing of the study is stored, or no run has finished.
+        UserError: when nothing of the study is stored with so many steps, or no run has finished.
     """
     from pneuma.analysis.run_index import open_study
     from pneuma.analysis.stored_studies import study_record
 
     store = _store(results)
-    return open_study(store, study_record(store, os.fspath(study), world=world))
+    return open_study(store, study_record(store, os.fspath(study), plan.Selection(steps=plain(steps)), world))
 
 
 def compare(

@@ -57,6 +57,8 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert (code, "4 done" in out) == (0, True)
     assert "4 runs of 512 steps. Stored too: 2 runs of 1,024 steps (--steps 1024)" in told
     assert _shown(store, "activation", "--steps", "1024") == other
+    chosen = open_data("activation", tmp_path, steps=1024).record["runs"]
+    assert [run["run_id"] for run in chosen] == other
     more = _run(store, seeds=(2,), steps=512)
     assert _shown(store, "activation") == [*first, *more]
     record = study_record(store, "activation")
