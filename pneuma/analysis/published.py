@@ -4,8 +4,8 @@ results/published/STUDY.parquet contains a row for each run: its fields, status,
 outcomes, evaluations, and provenance. The same runs give the same bytes. Nothing is ever trained from it.
 
 The file's metadata contains the study's title and conditions, and a checksum over all other bytes, which is
-checked before anything else is read. STUDY.times.json beside it contains the training times and machines,
-because the table must not depend on them.
+checked before anything else is read. STUDY.times.json beside it contains the training times, because the
+table must not depend on them.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ CURVES = (
 """The quantities whose curves a table keeps by default."""
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
 """The provenance that a table keeps: without times, so that a run trained again gives the same table."""
-MACHINE = ("system", "cpu", "threads")
 LEVELS = 512
 """Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
 
@@ -171,19 +170,12 @@ def _curve(data: StudyData, run: FinishedRun, quantity: str, window: str) -> np.
 
 
 def encode_times(data: StudyData) -> bytes:
-    """Encode the file of times: seconds and machine of each finished run that has them."""
-    runs: dict[str, Mapping[str, Any]] = {}
-    for records in (run.records for run in data.runs if run.records.wall_seconds is not None):
-        if records.published:
-            runs[records.run_id] = records.times
-            continue
-        about = records.provenance()
-        times = {
-            "wall_seconds": round(records.wall_seconds or 0.0, 3),
-            "processor_share": records.processor_share,
-        }
-        machine = {key: about[key] for key in MACHINE if key in about} | other_processors(about)
-        runs[records.run_id] = {key: value for key, value in times.items() if value is not None} | machine
+    """Encode the file of times: of each finished run that has them, seconds and share of a core."""
+    runs = {}
+    for records in (run.records for run in data.runs):
+        if (seconds := records.wall_seconds) is not None:
+            times = {"wall_seconds": round(seconds, 3), "processor_share": records.processor_share}
+            runs[records.run_id] = {key: value for key, value in times.items() if value is not None}
     return to_json({"schema": 1, "study": data.study, "runs": runs})
 
 
