@@ -133,8 +133,11 @@ def studies_run_here(store: Store, world: str | None = None) -> list[str]:
 
 
 def steps_of(record: Mapping[str, Any]) -> int:
-    """Return the budget of a record's runs; the largest if they differ."""
-    return max((run["run"]["steps"] for run in record["runs"]), default=0)
+    """Return the budget of a record's runs, before each was rounded up; the largest if they differ."""
+    budgets = [(run["run"]["steps"], _steps_per_update(run)) for run in record["runs"]]
+    least = min(budgets, default=(0, 1))[0]
+    alike = all(_rounded_up(least, update) == steps for steps, update in budgets)
+    return least if alike else max(budgets)[0]
 
 
 def by_budget(records: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
@@ -147,6 +150,13 @@ def by_budget(records: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
 
 def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
     """Return whether a record's runs have so many steps, rounded up to whole updates of each."""
-    fields = [[run["run"].get(key) or 1 for key in ("horizon", "slots", "players")] for run in record["runs"]]
-    updates = {*map(math.prod, fields)}
-    return max((math.ceil(steps / update) * update for update in updates), default=0) == steps_of(record)
+    budget, updates = steps_of(record), {*map(_steps_per_update, record["runs"])}
+    return all(_rounded_up(steps, update) == _rounded_up(budget, update) for update in updates)
+
+
+def _steps_per_update(run: Mapping[str, Any]) -> int:
+    return math.prod(run["run"].get(key) or 1 for key in ("horizon", "slots", "players"))
+
+
+def _rounded_up(steps: int, update: int) -> int:
+    return math.ceil(steps / update) * update

@@ -66,6 +66,26 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert open_data("activation", tmp_path).record["runs"] == record["runs"]
 
 
+def test_budgets_are_told_apart_where_updates_of_one_condition_are_as_long_as_either(tmp_path: Path) -> None:
+    file, store = tmp_path / "own.toml", Store(tmp_path)
+    conditions = "[conditions.short]\nhorizon = 128\n[conditions.long]\nhorizon = 1024\n"
+    file.write_text(
+        f'title = "Own"\nbase = "table-6-2"\n{conditions}[presets.quick]\nseeds = 2\nsteps = 512\n'
+    )
+    ids = {}
+    for steps in (512, 1024):
+        plan = make_plan(load_study(str(file)), Selection(steps=steps))
+        prepare(plan, store)
+        for cell in plan.cells:
+            store.save_run(cell.run_id, Status("done", cell.run.steps), {})
+        ids[steps] = [cell.run_id for cell in plan.cells]
+    assert len({*ids[512], *ids[1024]}) == 6  # of `long`, both budgets are one update
+    assert all(_shown(store, "own", "--steps", str(steps)) == ids[steps] for steps in ids)
+    assert "has runs of 1,024, 512 steps" in refused(
+        "study", "status", "own", "--steps", "129", "--results", store.root
+    )
+
+
 def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
