@@ -73,7 +73,7 @@ def run_study(
         UserError: for an unknown study, selection or world, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
-    steps, workers, settings = map(plain, (steps, workers, settings))
+    steps, workers, settings = map(plain, (steps, workers, None if settings is None else dict(settings)))
     for name, count in (("steps", steps), ("workers", workers)):
         if count is not None and not (isinstance(count, int) and count >= 1):
             raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
@@ -146,7 +146,7 @@ def compare(
     from pneuma.analysis.summaries import compare_conditions
 
     data = study if isinstance(study, StudyData) else open_data(study, results)
-    return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else outcomes)
+    return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else tuple(outcomes))
 
 
 def load_policy(
@@ -161,7 +161,8 @@ def load_policy(
 
     Returns:
         The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`. If the
-        run has a module and wrappers of its own, you import and apply them.
+        run has a module and wrappers of its own, you import and apply them. The policy counts actions from 0:
+        add `env.action_space.start` where they begin elsewhere.
 
     Raises:
         UserError: for an unknown run, a run without a policy, or one that needs `trust`.

@@ -98,12 +98,12 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
         return {key: plain(item, deepest - 1) for key, item in value.items()}
+    if type(value).__module__ == "numpy":
+        value = value.tolist()
     if isinstance(value, list | tuple):
         return tuple(plain(item, deepest - 1) for item in value)
     if isinstance(value, PathLike):
         return fspath(value)
-    if type(value).__module__ == "numpy" and getattr(value, "ndim", None) == 0:
-        value = value.item()
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 

@@ -181,7 +181,7 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
         ]
         for _, player_rows in rows
     ]
-    if not levels or np.ptp(levels, axis=0).max() > NEAR:
+    if not levels or not np.ptp(levels, axis=0).max() <= NEAR:  # unlike, or NaN: no such players
         return {}
     return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))
 

@@ -376,6 +376,7 @@ def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
         values = (f"{value:.4f}" for value in (gain.seen, gain.fresh, gain.fresh_baseline))
         interval = " to ".join(f"{end:+.4f}" for end in gain.interval)
         gained = f"{gain.difference:+.4f}", interval, f"{gain.luck:+.4f}"
-        rows.append((f"{objective.over_seeds} of {objective.outcome}", *values, *gained))
+        shown = ("–" if "nan" in text else text for text in (*values, *gained))
+        rows.append((f"{objective.over_seeds} of {objective.outcome}", *shown))
     print_table(heads, rows)
     print("Luck: by how much the search's seeds had flattered it.")

@@ -63,6 +63,7 @@ def _plotting() -> Iterator[None]:
     try:
         with house_style(), warnings.catch_warnings():
             warnings.simplefilter("ignore", ExperimentalWarning)
+            warnings.filterwarnings("ignore", "Attempting to set identical")  # of a parameter with one value
             plt.rcParams["figure.constrained_layout.use"] = True
             yield
     finally:

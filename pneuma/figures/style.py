@@ -162,11 +162,12 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 # --- Files -------------------------------------------------------------------------------------------
 
 
-def save_figure(figure: Figure, folder: Path, stem: str, formats: Sequence[str]) -> list[Path]:
+def save_figure(figure: Figure, folder: Path | str, stem: str, formats: Sequence[str]) -> list[Path]:
     """Write a figure in each format; the same figure gives the same bytes."""
     for name in formats:
         if name not in _NO_DATES:
             raise unknown_name("format", name, _NO_DATES)
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))

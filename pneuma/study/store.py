@@ -270,13 +270,16 @@ class Store:
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.
 
-        If the recorded file no longer exists, it may have moved, and the new one is accepted.
+        If the recorded file no longer exists, it may have moved, and the new one is accepted. So is a file in
+        the folder itself, as the winners of a search have, which may be a copy.
 
         Raises:
             UserError: for another file.
         """
         other = record.get("path")
         if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
+            return
+        if path.resolve().is_relative_to(self.root.resolve()):
             return
         of = other or "no file (imported, published or forked)"
         mend = "give the file another name, or --results another folder"

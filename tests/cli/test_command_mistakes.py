@@ -33,6 +33,7 @@ MISTAKES = {
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
     f"{RUN} --set steps=3": "--steps",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
+    "study run collapse --set scale=raw": "--set scale: [factors] of study collapse has it",
     f"{RUN} --address a:1": "--address: goes with --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
@@ -41,7 +42,6 @@ MISTAKES = {
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
     "study compare activation tanh relu --out x": "--out: goes with --plot",
     "study collapse activation --format svg": "--format: goes with --out",
-    "study robustness magic --contrast gamma=0.9:0.99 --format svg": "--format: goes with --out",
 }
 
 

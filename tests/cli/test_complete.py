@@ -29,7 +29,6 @@ OWN = "[conditions.mine]\nhorizon = 128\n[conditions.yours]\nhorizon = 256\n[pre
         ("run show 01", "0123456789abcdef"),
         ("env play pneuma/PneumaA", "pneuma/PneumaArena-v0"),
         ("study show missing.toml --world ", "arena godot text"),
-        ("study run missing.toml --condition ", ""),
         ("search run arch", "architecture"),
     ],
 )

@@ -20,9 +20,9 @@ from pneuma.study.store import Status, Store
 from .calls import call, printed, refused
 
 
-def _run(store: Store, **selection: Any) -> list[str]:
-    """Plan and record some of activation as `study run` does, and have its runs end; return their ids."""
-    plan = make_plan(load_study("activation"), Selection(**{"conditions": ("tanh", "relu"), **selection}))
+def _run(store: Store, study: str = "activation", **selection: Any) -> list[str]:
+    """Plan and record some of a study as `study run` does, and have its runs end; return their ids."""
+    plan = make_plan(load_study(study), Selection(**{"conditions": ("tanh", "relu"), **selection}))
     prepare(plan, store)
     for cell in plan.cells:
         store.save_run(cell.run_id, Status("done", cell.run.steps), {})
@@ -57,33 +57,12 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert (code, "4 done" in out) == (0, True)
     assert "4 runs of 512 steps. Stored too: 2 runs of 1,024 steps (--steps 1024)" in told
     assert _shown(store, "activation", "--steps", "1024") == other
-    chosen = open_data("activation", tmp_path, steps=1024).record["runs"]
-    assert [run["run_id"] for run in chosen] == other
+    assert [run.run_id for run in open_data("activation", tmp_path, steps=1024).runs] == other
     more = _run(store, seeds=(2,), steps=512)
     assert _shown(store, "activation") == [*first, *more]
     record = study_record(store, "activation")
     assert record["selection"]["seeds"] == [0, 1, 2]
     assert open_data("activation", tmp_path).record["runs"] == record["runs"]
-
-
-def test_budgets_are_told_apart_where_updates_of_one_condition_are_as_long_as_either(tmp_path: Path) -> None:
-    file, store = tmp_path / "own.toml", Store(tmp_path)
-    conditions = "[conditions.short]\nhorizon = 128\n[conditions.long]\nhorizon = 1024\n"
-    file.write_text(
-        f'title = "Own"\nbase = "table-6-2"\n{conditions}[presets.quick]\nseeds = 2\nsteps = 512\n'
-    )
-    ids = {}
-    for steps in (512, 1024):
-        plan = make_plan(load_study(str(file)), Selection(steps=steps))
-        prepare(plan, store)
-        for cell in plan.cells:
-            store.save_run(cell.run_id, Status("done", cell.run.steps), {})
-        ids[steps] = [cell.run_id for cell in plan.cells]
-    assert len({*ids[512], *ids[1024]}) == 6  # of `long`, both budgets are one update
-    assert all(_shown(store, "own", "--steps", str(steps)) == ids[steps] for steps in ids)
-    assert "has runs of 1,024, 512 steps" in refused(
-        "study", "status", "own", "--steps", "129", "--results", store.root
-    )
 
 
 def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
@@ -109,16 +88,20 @@ def test_commands_at_the_same_time_record_the_seeds_of_all(tmp_path: Path) -> No
 
 def test_steps_are_rounded_up_for_the_horizon_of_each_run(tmp_path: Path) -> None:
     picked = Selection(steps=1_000_000)  # 1,000,192 with a horizon of 256, and 1,001,472 with one of 2048
-    assert len(study_record(Store(tmp_path), "hyperparameters", picked, "arena")["runs"]) == 400
+    study, store, both = "hyperparameters", Store(tmp_path), ("table-6-2", "horizon-2048")
+    assert len(study_record(store, study, picked, "arena")["runs"]) == 400
+    ids = {steps: _run(store, study, seeds=(0,), steps=steps, conditions=both) for steps in (1500, 2000)}
+    assert all(_shown(store, study, "--steps", str(steps)) == ids[steps] for steps in ids)
+    told = refused("study", "status", study, "--steps", "2049", "--results", store.root)
+    assert "has runs of 2,048, 1,536 steps" in told
 
 
 def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     study, several = load_study("activation"), {"learning_rate": [1e-4, 3e-4], "betas": [0.9, 0.9]}
     plan = make_plan(study, Selection(seeds=(0,), steps=512, conditions=("relu",), settings=several))
     assert plan.conditions == ("learning_rate=1e-4, relu", "learning_rate=3e-4, relu")
-    assert [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells] == [
-        (1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9)),
-    ]  # fmt: skip
+    set_ = [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells]
+    assert set_ == [(1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9))]
     for text in ("gradient_limit=none, 0.5", "reward=thesis, kills"):
         key, _, values = text.partition("=")
         plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
@@ -136,13 +119,12 @@ def test_a_study_that_was_run_by_its_path_is_found_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, store = tmp_path / "own.toml", Store(tmp_path / "results")
-    file.write_text(
-        'title = "Own"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
-    )
+    text = 'title = "Own"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
+    file.write_text(text)
     plan = make_plan(load_study(str(file)), Selection())
     prepare(plan, store)
     monkeypatch.chdir(tmp_path.parent)
     told = json.loads(printed("study", "plan", "own", "--json", "--results", store.root))
     assert [run["run_id"] for run in told["runs"]] == [plan.cells[0].run_id]
-    file.write_text(file.read_text() + '[run]\nreward = "theirs:reward"\n')
+    file.write_text(text + '[run]\nreward = "theirs:reward"\n')
     assert f"give its file: {file}" in refused("study", "run", "own", "--results", store.root)

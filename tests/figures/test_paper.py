@@ -48,9 +48,8 @@ def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert drawn["fig-mine"]["n"] == {"tanh": 2, "relu": 2}
     assert [entry["beside"] for entry in drawn.values() if "beside" in entry] == ["mine-godot"]
     assert "| Judged in |" in (tmp_path / "paper" / "verdicts.md").read_text()
-    assert (
-        "- [fig-mine.png](fig-mine.png): curves: share killed" in (tmp_path / "paper/README.md").read_text()
-    )
+    listed = (tmp_path / "paper/README.md").read_text()
+    assert "- [fig-mine.png](fig-mine.png): curves: share killed" in listed
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:

@@ -111,6 +111,8 @@ def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     prepare(first, store)
     with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
         prepare(second, store)
+    store.write(within := store.root / "searches" / "mine.toml", TINY.encode())
+    store.check_same_file(store.selections("mine")[0], within)  # Pneuma's own, in a folder that was copied
     with pytest.raises(UserError, match="are of .*a/mine.toml"):
         study_record(store, str(paths[1]))
     paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
