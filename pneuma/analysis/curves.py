@@ -127,8 +127,16 @@ def curve_names(data: StudyData) -> list[str]:
 
 
 def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
-    """Return some of `curve_names` for every condition, by name."""
-    evaluated = {*EVALUATION_QUANTITIES} & {*curve_names(data)}
+    """Return some of `curve_names` for every condition, by name.
+
+    Raises:
+        UserError: for a quantity that the data lack.
+    """
+    known = curve_names(data)
+    for name in names:
+        if name not in known:
+            raise unknown_name(f"curve of study {data.study}", name, known)
+    evaluated = {*EVALUATION_QUANTITIES} & {*known}
     return {
         name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)
         for name in names
