@@ -18,7 +18,7 @@ from scipy import special
 
 from pneuma.analysis import ACTION_QUANTITIES, EVALUATION_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
-from pneuma.analysis.outcomes import is_foreign
+from pneuma.analysis.outcomes import without_monsters
 from pneuma.errors import unknown_name
 
 Edges = tuple[np.ndarray, np.ndarray]
@@ -105,20 +105,21 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
     return curves
 
 
-def _is_no_action(data: StudyData, name: str) -> bool:
-    """Return whether a quantity is the share of an action that no run ever takes."""
-    return name in ACTION_QUANTITIES and not any((data.curve(run, name) > 0).any() for run in data.runs)
+def _is_empty(data: StudyData, name: str) -> bool:
+    """Return whether no run has a value of a quantity, or ever takes the action whose share it is."""
+    least = 0.0 if name in ACTION_QUANTITIES else -math.inf
+    return not any((data.curve(run, name) > least).any() for run in data.runs)
 
 
 def curve_names(data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
-    Of the evaluations, these are the quantities of which some run has a value. Without monsters there are no
-    kills and no HP.
+    Of the evaluations, and where there are no monsters, these are the quantities of which some run has a
+    value.
     """
     trained = list(data.quantities)
-    if is_foreign(data):
-        trained = [name for name in trained if name not in ("kills", "hp") and not _is_no_action(data, name)]
+    if without_monsters(data):
+        trained = [name for name in trained if not _is_empty(data, name)]
     if "evaluations" not in data.tables:
         return trained
     table = data.table("evaluations")

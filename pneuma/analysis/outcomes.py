@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from pneuma.algorithms import MAILMAN
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.records import Series
@@ -84,6 +85,11 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 def is_foreign(data: StudyData) -> bool:
     """Return whether no run was trained in one of Pneuma's worlds, so that there are no kills and no HP."""
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
+
+
+def without_monsters(data: StudyData) -> bool:
+    """Return whether no run had monsters: in environments that are not Pneuma's, and the mailman's."""
+    return all((env := run.fields.get("env")) == MAILMAN or is_gymnasium_id(env) for run in data.runs)
 
 
 def primary(data: StudyData) -> str:

@@ -106,7 +106,10 @@ def _refuse_losses(data: StudyData, before: published.PublishedTable, curves: Co
     recorded = {name for run in data.runs if not run.records.published for name in run.records.quantities}
     why = ""
     if before.finished - {run.run_id for run in data.runs}:
-        why = "has runs that are not of this selection: select them too (--preset, --condition, --seeds)"
+        why = (
+            "has runs that are not of this selection: select them too (--preset, --condition, --seeds), "
+            "or name another by --as"
+        )
     elif curves is not None and recorded & {*curves} != {*before.quantities}:
         why = f"keeps curves of {', '.join(before.quantities) or 'nothing'}: leave --curves out"
     elif data.published and data.budget != before.head["budget"]:

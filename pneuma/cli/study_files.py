@@ -114,7 +114,8 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
     """Return the quantities to draw, with `all` and `actions` expanded."""
     from pneuma.analysis.curves import curve_names
 
-    stand_for = {EVERY_QUANTITY: curve_names(data), ACTIONS: list(ACTION_QUANTITIES)}
+    known = curve_names(data)
+    stand_for = {EVERY_QUANTITY: known, ACTIONS: [name for name in ACTION_QUANTITIES if name in known]}
     return [quantity for name in names for quantity in stand_for.get(name, [name])]
 
 

@@ -27,7 +27,7 @@ from pneuma.analysis.curves import (
     study_curves,
 )
 from pneuma.analysis.frames import StudyData, common_step, step_words
-from pneuma.analysis.outcomes import have_one_return, is_foreign
+from pneuma.analysis.outcomes import have_one_return, without_monsters
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import panels, style
@@ -177,7 +177,7 @@ def _draw_quantities(
         if beside:
             axes.set_xlim(0, max(data.budget, beside.budget))
         label, title = QUANTITIES[name].label, QUANTITIES[name].title
-        if name.startswith("action_") and is_foreign(data):
+        if name.startswith("action_") and without_monsters(data):
             title = f"Share of action {name.removeprefix('action_')}"
         if data.averaged_over:  # in the log
             label = label.replace(" of an episode", f", mean of {data.averaged_over} episodes")
@@ -355,6 +355,11 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append("×: a run diverged, and its curve ends there.")
     if step := common_step(data):
         notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
+    logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
+    if logarithmic:
+        notes.append("On logarithmic axes means and bands are of logarithms.")
+    if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
+        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
     lacking: dict[str, list[str]] = {}
     for name, group in curves.items():
         for curve in group:
@@ -374,9 +379,4 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         averaged.append(f"the updates {of_budget}")
     if averaged:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
-    logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
-    if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
-        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
-    if logarithmic:
-        notes.append("On logarithmic axes means and bands are of logarithms.")
     return notes

@@ -101,7 +101,9 @@ def draw_comparison(
 
     The table contains the results of `compare_conditions` for several pairs.
     """
-    outcomes = list(dict.fromkeys(table["outcome"]))
+    every = list(dict.fromkeys(table["outcome"]))
+    finite = {*table["outcome"][np.isfinite(table["difference"])]}
+    outcomes = [name for name in every if name in finite] or every
     with style.house_style():
         figure = Figure(layout="constrained")
         panel_rows = -(-len(outcomes) // style.COLUMNS)
@@ -121,6 +123,8 @@ def draw_comparison(
         for axes in grid[len(outcomes) :]:
             axes.remove()
         caption = ["Differences of means of runs, with Welch's 95 % intervals.", *panels.notes_of(data)]
+        if lacking := [name for name in every if name not in finite]:
+            caption.append(f"Without a finite difference: {', '.join(lacking)}.")
         if step := common_step(data):
             caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
         inches = panel_rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
