@@ -74,9 +74,7 @@ def run_study(
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
     steps, workers, settings = map(plain, (steps, workers, None if settings is None else dict(settings)))
-    for name, count in (("steps", steps), ("workers", workers)):
-        if count is not None and not (isinstance(count, int) and count >= 1):
-            raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
+    _check_counts(steps=steps, workers=workers)
     selection = plan.Selection(
         preset=preset,
         seeds=None if seeds is None else _seeds(seeds),
@@ -120,8 +118,9 @@ def open_data(
     from pneuma.analysis.run_index import open_study
     from pneuma.analysis.stored_studies import study_record
 
-    store = _store(results)
-    return open_study(store, study_record(store, os.fspath(study), plan.Selection(steps=plain(steps)), world))
+    store, steps = _store(results), plain(steps)
+    _check_counts(steps=steps)
+    return open_study(store, study_record(store, os.fspath(study), plan.Selection(steps=steps), world))
 
 
 def compare(
@@ -234,6 +233,12 @@ def evaluate(
 
 def _store(results: Where | None) -> Store:
     return Store(os.environ.get("PNEUMA_RESULTS", "results") if results is None else results)
+
+
+def _check_counts(**counts: object) -> None:
+    for name, count in counts.items():
+        if count is not None and not (isinstance(count, int) and count >= 1):
+            raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
 
 
 def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:

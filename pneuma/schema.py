@@ -98,7 +98,7 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
         return {key: plain(item, deepest - 1) for key, item in value.items()}
-    if type(value).__module__ == "numpy":
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
         return tuple(plain(item, deepest - 1) for item in value)

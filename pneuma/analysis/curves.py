@@ -105,7 +105,7 @@ def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Cur
     return curves
 
 
-def _is_empty(data: StudyData, name: str) -> bool:
+def _shows_nothing(data: StudyData, name: str) -> bool:
     """Return whether no run has a value of a quantity, or ever takes the action whose share it is."""
     least = 0.0 if name in ACTION_QUANTITIES else -math.inf
     return not any((data.curve(run, name) > least).any() for run in data.runs)
@@ -114,12 +114,12 @@ def _is_empty(data: StudyData, name: str) -> bool:
 def curve_names(data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
-    Of the evaluations, and where there are no monsters, these are the quantities of which some run has a
-    value.
+    Quantities of evaluations without any value are left out. So are, where there are no monsters, those of
+    training, and actions that no run takes.
     """
     trained = list(data.quantities)
     if without_monsters(data):
-        trained = [name for name in trained if not _is_empty(data, name)]
+        trained = [name for name in trained if not _shows_nothing(data, name)]
     if "evaluations" not in data.tables:
         return trained
     table = data.table("evaluations")

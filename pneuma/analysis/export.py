@@ -34,9 +34,9 @@ def encode_table(
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
     window_name = data.checked_window(window)
-    names = [quantity for quantity in EPISODE_QUANTITIES if data.has_curve(quantity, window_name)]
-    if "share_killed" in curve_names(data):
-        names.append("share_killed")
+    known = curve_names(data)
+    names = [name for name in EPISODE_QUANTITIES if name in known and data.has_curve(name, window_name)]
+    names += ["share_killed"] if "share_killed" in known else []
     if not names:
         raise UserError(f"study {data.study}: {data.what} holds no returns, and so no curves")
     table = curves_table(study_curves(data, names, window), band)

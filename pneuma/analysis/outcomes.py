@@ -83,7 +83,7 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 
 def is_foreign(data: StudyData) -> bool:
-    """Return whether no run was trained in one of Pneuma's worlds, so that there are no kills and no HP."""
+    """Return whether every run was trained in an environment that is not Pneuma's."""
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
 
 

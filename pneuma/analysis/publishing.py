@@ -173,7 +173,7 @@ def _curve(data: StudyData, run: FinishedRun, quantity: str, window: str) -> np.
 
 
 def encode_times(data: StudyData) -> bytes:
-    """Encode the file of times: of each finished run that has them, seconds and share of a core."""
+    """Encode the file of times: how long each finished run trained, if known, and its share of a core."""
     runs = {}
     for records in (run.records for run in data.runs):
         if (seconds := records.wall_seconds) is not None:

@@ -53,10 +53,10 @@ def study_record(
         return study_record(store, otherwise[0], picked)
     if not records:
         raise _unknown(store, name, stem)
-    budgets = [*by_budget(records).values()]
-    fitting = [record for record in budgets if picked.steps is None or _has_steps(record, picked.steps)]
+    asked_for = (record for record in records if picked.steps is None or _has_steps(record, picked.steps))
+    fitting = [*by_budget(asked_for).values()]
     if not fitting:
-        stored = ", ".join(f"{steps_of(record):,}" for record in budgets)
+        stored = ", ".join(f"{steps:,}" for steps in by_budget(records))
         raise UserError(f"--steps {picked.steps}: study {stem} has runs of {stored} steps")
     return _pick(fitting[0] if len(fitting) == 1 else max(fitting, key=store.finished), picked)
 
@@ -133,11 +133,9 @@ def studies_run_here(store: Store, world: str | None = None) -> list[str]:
 
 
 def steps_of(record: Mapping[str, Any]) -> int:
-    """Return the budget of a record's runs, before each was rounded up; the largest if they differ."""
-    budgets = [(run["run"]["steps"], _steps_per_update(run)) for run in record["runs"]]
-    least = min(budgets, default=(0, 1))[0]
-    alike = all(_rounded_up(least, update) == steps for steps, update in budgets)
-    return least if alike else max(budgets)[0]
+    """Return the steps that round up to the budget of every run; if none do, the largest budget."""
+    steps = [run["run"]["steps"] for run in record["runs"]] or [0]
+    return min(steps) if _rounded_up(min(steps), record) == steps else max(steps)
 
 
 def by_budget(records: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
@@ -149,14 +147,13 @@ def by_budget(records: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
 
 
 def _has_steps(record: Mapping[str, Any], steps: int) -> bool:
-    """Return whether a record's runs have so many steps, rounded up to whole updates of each."""
-    budget, updates = steps_of(record), {*map(_steps_per_update, record["runs"])}
-    return all(_rounded_up(steps, update) == _rounded_up(budget, update) for update in updates)
+    """Return whether a record's runs have so many steps, rounded up; of unlike budgets, the largest."""
+    budgets, rounded = [run["run"]["steps"] for run in record["runs"]], _rounded_up(steps, record)
+    unlike = _rounded_up(steps_of(record), record) != budgets
+    return rounded == budgets or (unlike and max(rounded) == max(budgets))
 
 
-def _steps_per_update(run: Mapping[str, Any]) -> int:
-    return math.prod(run["run"].get(key) or 1 for key in ("horizon", "slots", "players"))
-
-
-def _rounded_up(steps: int, update: int) -> int:
-    return math.ceil(steps / update) * update
+def _rounded_up(steps: int, record: Mapping[str, Any]) -> list[int]:
+    """Return a number of steps rounded up to whole updates of each of a record's runs."""
+    fields = [[run["run"].get(key) or 1 for key in ("horizon", "slots", "players")] for run in record["runs"]]
+    return [math.ceil(steps / update) * update for update in map(math.prod, fields)]

@@ -116,7 +116,10 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
 
     known = curve_names(data)
     stand_for = {EVERY_QUANTITY: known, ACTIONS: [name for name in ACTION_QUANTITIES if name in known]}
-    return [quantity for name in names for quantity in stand_for.get(name, [name])]
+    quantities = [quantity for name in names for quantity in stand_for.get(name, [name])]
+    if names and not quantities:
+        raise UserError(f"study {data.study}: {data.what} has no {names[0]}")
+    return quantities
 
 
 # --- export ---------------------------------------------------------------------------------------

@@ -101,9 +101,10 @@ def draw_comparison(
 
     The table contains the results of `compare_conditions` for several pairs.
     """
-    every = list(dict.fromkeys(table["outcome"]))
-    finite = {*table["outcome"][np.isfinite(table["difference"])]}
-    outcomes = [name for name in every if name in finite] or every
+    every = dict.fromkeys(table["outcome"])
+    finite = {*table["outcome"][np.isfinite(table["difference"])]} or {*every}
+    table = table[table["outcome"].isin(finite)]
+    outcomes = list(dict.fromkeys(table["outcome"]))
     with style.house_style():
         figure = Figure(layout="constrained")
         panel_rows = -(-len(outcomes) // style.COLUMNS)

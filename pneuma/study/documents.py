@@ -23,7 +23,9 @@ class Manifest(TypedDict):
 class _Fields(TypedDict):
     steps: int
     env: str
+    horizon: NotRequired[int | None]
     slots: NotRequired[int | None]  # not known of imported logs
+    players: NotRequired[int | None]
 
 
 class _Cell(TypedDict):

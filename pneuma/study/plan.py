@@ -100,8 +100,10 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
     for key in settings:
-        if any(key in levels for levels in study.levels.values()):
-            raise UserError(f"--set {key}: [factors] of study {study.name} has it; choose by --condition")
+        if study.levels and any(key in fields for fields in study.conditions.values()):
+            raise UserError(
+                f"--set {key}: conditions of study {study.name} set it; choose them by --condition"
+            )
     over, swept = _read_settings(study, settings)
     if settings:
         study = study.variant(selection.variant or settings_name(settings))

@@ -153,8 +153,8 @@ class Store:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
-        for name, known in manifest["files"].items() if manifest else ():
-            if not ((folder / name).is_file() if quick else is_sound(folder, name, known)):
+        for name, expected in manifest["files"].items() if manifest else ():
+            if not ((folder / name).is_file() if quick else is_sound(folder, name, expected)):
                 return Status("damaged", 0, name)
         if recorded.finished:
             return recorded
@@ -270,8 +270,8 @@ class Store:
     def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
         """Refuse a study's file if the record of its name was made from another file.
 
-        If the recorded file no longer exists, it may have moved, and the new one is accepted. So is a file in
-        the folder itself, as the winners of a search have, which may be a copy.
+        If the recorded file no longer exists, it may have moved, and the new one is accepted. So is Pneuma's
+        own file of a search's winners, whose folder may have been copied.
 
         Raises:
             UserError: for another file.
@@ -279,7 +279,8 @@ class Store:
         other = record.get("path")
         if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
             return
-        if path.resolve().is_relative_to(self.root.resolve()):
+        copied = isinstance(other, str) and Path(other).parts[-2:] == ("searches", path.name)
+        if copied and path.resolve().parent == (self.root / "searches").resolve():
             return
         of = other or "no file (imported, published or forked)"
         mend = "give the file another name, or --results another folder"
@@ -335,15 +336,16 @@ class Store:
             ) from None
 
 
-def is_sound(folder: Path, name: str, known: str) -> bool:
+def is_sound(folder: Path, name: str, expected: str) -> bool:
     """Return whether a file of a run has the checksum that its status lists."""
-    return _read_sound(folder, name, known) is not None
+    return _read_sound(folder, name, expected) is not None
 
 
-def _read_sound(folder: Path, name: str, known: str | None) -> bytes | None:
+def _read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
     with suppress(OSError):
-        if _FILE_NAME.fullmatch(name) and checksum(data := read_whole(folder / name)) == known:
-            return data
+        if expected and _FILE_NAME.fullmatch(name):
+            data = read_whole(folder / name)
+            return data if checksum(data) == expected else None
     return None
 
 

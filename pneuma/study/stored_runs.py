@@ -52,7 +52,7 @@ class StoredRun:
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
-        states |= {name: "sound" for name, known in listed.items() if is_sound(folder, name, known)}
+        states |= {name: "sound" for name, expected in listed.items() if is_sound(folder, name, expected)}
         states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
         return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 

@@ -33,7 +33,7 @@ MISTAKES = {
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
     f"{RUN} --set steps=3": "--steps",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
-    "study run collapse --set scale=raw": "--set scale: [factors] of study collapse has it",
+    "study run collapse --set scale=raw": "--set scale: conditions of study collapse set it",
     f"{RUN} --address a:1": "--address: goes with --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",

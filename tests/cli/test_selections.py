@@ -109,10 +109,10 @@ def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
 
 
 def test_a_study_that_was_run_in_another_world_alone_is_shown_there(tmp_path: Path) -> None:
-    plan = make_plan(load_study("activation", "arena"), Selection(seeds=(0,), steps=512))
+    plan = make_plan(load_study("architecture", "arena"), Selection(seeds=(0,), steps=512))
     prepare(plan, Store(tmp_path))
-    assert _shown(Store(tmp_path), "activation") == [cell.run_id for cell in plan.cells]
-    assert "no runs" in refused("study", "status", "activation", "--world", "godot", "--results", tmp_path)
+    assert _shown(Store(tmp_path), "architecture") == [cell.run_id for cell in plan.cells]
+    assert "no runs" in refused("study", "status", "architecture", "--world", "godot", "--results", tmp_path)
 
 
 def test_a_study_that_was_run_by_its_path_is_found_by_its_name(

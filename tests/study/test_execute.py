@@ -101,18 +101,19 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
 
 def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     """The record is kept by the file's name alone, and would show one file's runs for the other's."""
-    paths = [tmp_path / folder / "mine.toml" for folder in ("a", "b")]
+    paths = [tmp_path / folder / "mine.toml" for folder in ("a", "b", "searches", "results/searches")]
     for path in paths:
-        path.parent.mkdir()
+        path.parent.mkdir(parents=True)
         path.write_text(TINY)
-    first, second = (make_plan(load_study(str(path)), Selection()) for path in paths)
+    first, second = (make_plan(load_study(str(path)), Selection()) for path in paths[:2])
     store = Store(tmp_path / "results")
     prepare(first, store)
     prepare(first, store)
     with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
         prepare(second, store)
-    store.write(within := store.root / "searches" / "mine.toml", TINY.encode())
-    store.check_same_file(store.selections("mine")[0], within)  # Pneuma's own, in a folder that was copied
+    store.check_same_file(
+        {"path": str(paths[2])}, paths[3]
+    )  # winners of a search, in a folder that was copied
     with pytest.raises(UserError, match="are of .*a/mine.toml"):
         study_record(store, str(paths[1]))
     paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
