@@ -40,7 +40,6 @@ MISTAKES = {
     "study export activation --out x.csv": "--table",
     "study plot algorithms": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
-    "study collapse activation --format svg": "--format: goes with --out",
 }
 
 

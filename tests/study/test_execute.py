@@ -94,6 +94,7 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     first, second = alone
     assert [(own.cell.seed, own.trained) for own in first.results] == [(1, True)]
     assert [(own.cell.seed, own.trained) for own in second.results] == [(0, True), (1, False)]
+    assert {*second.seeds} == {0}
     again = _run(together.plan, together.store, 2, lambda cell, event: pytest.fail("something happened"))
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
 
