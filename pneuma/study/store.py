@@ -154,7 +154,8 @@ class Store:
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
         for name, expected in manifest["files"].items() if manifest else ():
-            if not ((folder / name).is_file() if quick else is_sound(folder, name, expected)):
+            sound = (folder / name).is_file() if quick else read_sound(folder, name, expected) is not None
+            if not sound:
                 return Status("damaged", 0, name)
         if recorded.finished:
             return recorded
@@ -213,7 +214,7 @@ class Store:
             UserError: when it is missing or not what was written.
         """
         folder = self.run_folder(run_id)
-        data = _read_sound(folder, name, self.checksums(run_id).get(name))
+        data = read_sound(folder, name, self.checksums(run_id).get(name))
         if data is None:
             raise UserError(f"{folder / name}: missing or damaged; run the study again to retrain this run")
         return data
@@ -336,12 +337,8 @@ class Store:
             ) from None
 
 
-def is_sound(folder: Path, name: str, expected: str) -> bool:
-    """Return whether a file of a run has the checksum that its status lists."""
-    return _read_sound(folder, name, expected) is not None
-
-
-def _read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
+def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
+    """Return a file of a run; None if it lacks the checksum that the run's status lists."""
     with suppress(OSError):
         if expected and _FILE_NAME.fullmatch(name):
             data = read_whole(folder / name)

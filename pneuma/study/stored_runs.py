@@ -13,7 +13,7 @@ from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, nearest_name
-from pneuma.study.store import Status, Store, is_sound
+from pneuma.study.store import Status, Store, read_sound
 
 LONGEST_LISTED = 5
 """Most run ids in an error message."""
@@ -52,7 +52,8 @@ class StoredRun:
         paths = (path for path in folder.rglob("[!.]*") if path.is_file())
         sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
         states = {name: "damaged" if name in sizes else "missing" for name in listed}
-        states |= {name: "sound" for name, expected in listed.items() if is_sound(folder, name, expected)}
+        whole = [name for name, expected in listed.items() if read_sound(folder, name, expected) is not None]
+        states |= dict.fromkeys(whole, "sound")
         states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
         return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 

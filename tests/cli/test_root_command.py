@@ -30,6 +30,7 @@ def _commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...
 def test_every_command_has_help_and_no_list_of_commands_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     commands = [*_commands(get_command(app))]
+    assert len(commands) > 1
     for path in commands:
         usage, _, *rest = printed(*path, "--help").splitlines()
         assert " ".join([*path, "[OPTIONS]"]) in usage

@@ -111,9 +111,7 @@ def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
     prepare(first, store)
     with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
         prepare(second, store)
-    store.check_same_file(
-        {"path": str(paths[2])}, paths[3]
-    )  # winners of a search, in a folder that was copied
+    store.check_same_file({"path": str(paths[2])}, paths[3])  # of a search's winners, in a copied folder
     with pytest.raises(UserError, match="are of .*a/mine.toml"):
         study_record(store, str(paths[1]))
     paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
