@@ -136,7 +136,7 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
     known = curve_names(data)
     for name in names:
         if name not in known:
-            raise unknown_name(f"curve of study {data.study}", name, known)
+            raise unknown_name(f"curve in {data.what} of study {data.study}", name, known)
     evaluated = {*EVALUATION_QUANTITIES} & {*known}
     return {
         name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)

@@ -21,10 +21,7 @@ from pneuma.errors import UserError
 from pneuma.files import to_json
 from pneuma.study.provenance import other_processors
 
-CURVES = (
-    "return", "length", "entropy", "grad_norm", "grad_norm_actor", "grad_norm_critic", "dead_units",
-    *ACTION_QUANTITIES,
-)  # fmt: skip
+CURVES = ("return", "length", "entropy", "grad_norm", "dead_units", *ACTION_QUANTITIES)
 """The quantities whose curves a table keeps by default."""
 KEPT_PROVENANCE = ("python", "packages", "commit", "system", "cpu", "threads", "imported", "damage")
 """The provenance that a table keeps: without times, so that a run trained again gives the same table."""

@@ -98,7 +98,10 @@ def show(
         having: dict[str, list[str]] = {}
         for condition, value in values.items():
             having.setdefault(shown_value(value), []).append(condition)
-        each = (f"{value} ({', '.join(conditions)})" for value, conditions in having.items())
+        names = (
+            ", ".join(those) if len(those) <= 4 else f"{len(those)} conditions" for those in having.values()
+        )
+        each = map("{} ({})".format, having, names)
         say(f"  {key}: {'; '.join(each)}")
     if len(fields) > 1:
         say(f"Compared with: {record['baseline']}")
