@@ -205,7 +205,7 @@ def name_in_world(name: str, world: str | None) -> str:
     study = name.partition(VARIANT)[0]
     if study in list_studies():
         worlds = read_head(study).get("worlds")
-        if worlds and TEXT not in worlds and world == next(each for each in WORLDS if each in worlds):
+        if worlds and world == worlds[0]:
             return name
     return in_world(name, world or TEXT)
 
