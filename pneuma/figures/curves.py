@@ -46,6 +46,8 @@ MARKED_POINTS = 8
 """Markers per line, so that lines can be told apart in grey."""
 MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
+FEW_POINTS = 0.05
+"""Up to this share of a curve's points may lack some runs before the caption says so."""
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
 OTHERS_COLOUR, BESIDE_COLOUR = "#C4C4C4", "#404040"
@@ -360,6 +362,9 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append("On logarithmic axes means and bands are of logarithms.")
     if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
         notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
+    partly = ((0 < c.count) & (c.count < len(c.runs)) for group in curves.values() for c in group)
+    if any(points.mean() > FEW_POINTS for points in partly):
+        notes.append("Pale: means of those runs that have a value there.")
     lacking: dict[str, list[str]] = {}
     for name, group in curves.items():
         for curve in group:
