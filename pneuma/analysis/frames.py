@@ -25,7 +25,7 @@ from pneuma.analysis.published import PublishedRecords
 from pneuma.analysis.records import Records, Series
 from pneuma.analysis.series import make_grid
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.spec import VARIANT, list_studies, run_command
+from pneuma.study.spec import VARIANT, list_studies, run_command, world_of
 from pneuma.values import shown_settings
 from pneuma.worlds import in_world, split_world
 
@@ -106,9 +106,10 @@ class StudyData:
                 raise UserError(
                     f"the record of a study names its {key} {record[key]!r}, which is no file name"
                 )
-        name, self.world = split_world(self.study)
+        name, named_world = split_world(self.study)
+        self.world = world_of(record)
         self.own_name, _, self.variant = name.partition(VARIANT)
-        self.figure = in_world(record["figure"], self.world)  # each world has its own
+        self.figure = in_world(record["figure"], named_world)  # each world has its own
         self.picked: list[str] = record.get("picked", [])
         self.same: list[list[str]] = record["same"]
         planned = record["runs"]

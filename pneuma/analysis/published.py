@@ -46,7 +46,7 @@ OUTCOME, PEAKS = "outcome", "extreme"
 """'outcome final-return' is an outcome; 'entropy extreme', 'entropy' and 'return budget-5%' are curves."""
 
 
-OF_RECORD = ("study", "title", "figure", "baseline", "same", "budget")
+OF_RECORD = ("study", "world", "title", "figure", "baseline", "same", "budget")
 """The keys of a study's record in the file's metadata."""
 
 

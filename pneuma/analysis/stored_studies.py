@@ -36,23 +36,27 @@ def study_record(
     asked = world
     study, world = chosen_world(Path(name).stem if name.endswith(".toml") else name, world)
     stem = spec.name_in_world(study, world)
-    records = store.selections(stem)
-    if not records and asked:  # a file that is not for the text's world has its first world in no name
-        records = [record for record in store.selections(study) if record.get("world") == asked]
+    names = dict.fromkeys([stem, study] if world else [stem])  # the first world of a file is in no name
+
+    def of_world(records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+        return [record for record in records if world in (None, spec.world_of(record))]
+
+    records = next(filter(None, (of_world(store.selections(each)) for each in names)), [])
     if records and name.endswith(".toml"):
         store.check_same_file(records[0], Path(name))
     otherwise = [] if records or asked else related_studies(store, stem)
     own_world = [other for other in otherwise if spec.VARIANT not in other and store.selections(other)]
-    if not records and not own_world and store.published_path(stem).exists():
+    tables = [] if records or own_world else [each for each in names if store.published_path(each).exists()]
+    if tables:
         from pneuma.analysis.published import read_published
 
-        records = [read_published(store, stem).record]
+        records = of_world(read_published(store, each).record for each in tables)
     if not records and (otherwise := own_world or otherwise):
         more = f" Stored too: {'; '.join(otherwise[1:])}." if otherwise[1:] else ""
         tell(f"Note: no runs of {stem} are stored; {otherwise[0]} is shown.{more}")
         return study_record(store, otherwise[0], picked)
     if not records:
-        raise _unknown(store, name, stem)
+        raise _unknown(store, name, stem, world)
     asked_for = (record for record in records if picked.steps is None or _has_steps(record, picked.steps))
     fitting = [*by_budget(asked_for).values()]
     if not fitting:
@@ -94,7 +98,11 @@ def _pick(record: Mapping[str, Any], picked: Selection) -> dict[str, Any]:
     return {**record, "runs": runs, "same": same, "picked": narrowed, "every": known}
 
 
-def _unknown(store: Store, name: str, stem: str) -> UserError:
+def _unknown(store: Store, name: str, stem: str, world: str | None) -> UserError:
+    if is_shipped(stem):
+        spec.load_study(split_world(stem)[0], world)  # refuses a world in which it is not run
+    elif world and (store.selection(stem) or store.published_path(stem).exists()):
+        return UserError(f"study {stem} has no runs of the world {world} in {store.root}")
     if store.selection_path(stem).exists():
         return UserError(f"{store.selection_path(stem)}: damaged; run, import or fork its runs anew")
     if name.endswith(".toml") and not Path(name).exists():
@@ -122,7 +130,10 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
     """
     names = {*store.studies(), *store.published(shipped=False)}
     return sorted(
-        name for name in names if not name.endswith(".toml") and world in (None, split_world(name)[1])
+        name
+        for name in names
+        if not name.endswith(".toml")
+        and (world is None or world == spec.world_of(store.selection(name) or {"study": name}))
     )
 
 

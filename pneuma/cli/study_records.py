@@ -40,9 +40,13 @@ def file_of(store: Store, name: str, world: str | None) -> tuple[str, str | None
     if spec.VARIANT in own_name and not name.endswith(".toml"):
         of = own_name.partition(spec.VARIANT)[0]
         raise UserError(f"{name} is a variant: name the study, {of}, and give --set as when it was made")
-    recorded = (store.selection(in_world(own_name, each)) or {} for each in WORLDS)
+    if name.endswith(".toml") or is_shipped(name):
+        return name, world
+    recorded = [*filter(None, (store.selection(in_world(own_name, each)) for each in WORLDS))]
     path = next((record["path"] for record in recorded if record.get("path")), None)
-    if name.endswith(".toml") or is_shipped(name) or not isinstance(path, str) or not Path(path).is_file():
+    if recorded and path is None:
+        raise UserError(f"{name} has no study file: repeat the command that forked, searched or imported it")
+    if not isinstance(path, str) or not Path(path).is_file():
         return name, world
     study = spec.load_study(path, asked)
     for condition in study.conditions:

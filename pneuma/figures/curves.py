@@ -362,7 +362,7 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         notes.append("On logarithmic axes means and bands are of logarithms.")
     if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
         notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
-    partly = ((0 < c.count) & (c.count < len(c.runs)) for group in curves.values() for c in group)
+    partly = ((c.count > 0) & (c.count < len(c.runs)) for group in curves.values() for c in group)
     if any(points.mean() > FEW_POINTS for points in partly):
         notes.append("Pale: means of those runs that have a value there.")
     lacking: dict[str, list[str]] = {}

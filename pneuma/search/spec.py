@@ -251,7 +251,13 @@ def read_search(path: Path) -> Search:
     """
     file = read_toml(path)
     said = read_model(SearchFile, file)
-    space = Space(tuple(said.space.values()), modules_beside(path, said.run), said.base)
+    parameters = []
+    for each in said.space.values():
+        found = {
+            name: modules_beside(path, {each.name: value})[each.name] for name, value in each.choices.items()
+        }
+        parameters.append(each.model_copy(update={"choices": found}))
+    space = Space(tuple(parameters), modules_beside(path, said.run), said.base)
     try:
         space.check(unread=said.run)
         space.check_when()  # `--set` may leave out a part of the space, a file may not

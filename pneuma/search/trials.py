@@ -208,6 +208,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         baseline=cells[0].condition,
         base=task.search.space.base,
         conditions={cell.condition: {} for cell in cells},
+        world=task.search.world,
     )
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
 

@@ -49,6 +49,7 @@ class Record(TypedDict):
     """A study's record, as far as tables and figures need it."""
 
     study: str
+    world: NotRequired[str | None]
     title: str
     figure: str
     baseline: NotRequired[str | None]

@@ -20,6 +20,7 @@ from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
+from pneuma.worlds import TEXT, WORLDS
 
 CONTROL = "control"
 FIXED = (
@@ -122,7 +123,10 @@ def _plan(
     Forks of several parents are numbered in one sequence.
     """
     about = f"{about}, beside an unchanged control."
-    study = Study(name, None, title, about, name, CONTROL, {condition: {} for condition in conditions})
+    env = conditions[CONTROL][0].env
+    world = next((world for world, known in WORLDS.items() if known.env == env), TEXT)
+    named: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
+    study = Study(name, None, title, about, name, CONTROL, named, world=world)
     forks = [*product(range(len(conditions[CONTROL])), seeds)]
     places = tuple(seeds if len(conditions[CONTROL]) == 1 else range(len(forks)))
     cells = tuple(

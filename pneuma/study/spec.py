@@ -200,14 +200,22 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def name_in_world(name: str, world: str | None) -> str:
-    """Return the name under which a study's runs in a world are recorded; None is the usual world."""
+def first_world(name: str) -> str:
+    """Return the world of a study whose name ends with none; text if it is not a shipped one."""
     study = name.partition(VARIANT)[0]
-    if study in list_studies():
-        worlds = read_head(study).get("worlds")
-        if worlds and world == worlds[0]:
-            return name
-    return in_world(name, world or TEXT)
+    worlds = read_head(study).get("worlds", ()) if study in list_studies() else ()
+    return worlds[0] if worlds and TEXT not in worlds else TEXT
+
+
+def name_in_world(name: str, world: str | None) -> str:
+    """Return the name under which a study's runs in a world are recorded; None is its first world."""
+    return name if world in (None, first_world(name)) else in_world(name, world)
+
+
+def world_of(record: Mapping[str, Any]) -> str:
+    """Return the world of a study's record."""
+    world = split_world(record["study"])[1]
+    return record.get("world") or first_world(record["study"]) if world == TEXT else world
 
 
 def files_called(name: str) -> list[str]:

@@ -139,9 +139,9 @@ def test_a_study_is_the_same_whichever_of_its_runs_are_here(tmp_path: Path, opti
 
 def test_a_name_stands_for_its_latest_selection_or_what_is_published(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
-    record = trained(store)
+    record = {**trained(store), "world": "arena"}
     publish(open_study(store, record), store)
-    assert study_record(store, "mine")["source"] == "published"
+    assert study_record(store, "mine", world="arena")["source"] == "published"
     store.save_selection("mine", record)
     assert "source" not in study_record(store, "mine")
     with pytest.raises(UserError, match="unknown study 'other'"):
@@ -197,8 +197,8 @@ def test_tables_that_come_with_pneuma_stand_beside_runs_of_ones_own(tmp_path: Pa
     shipped = study_record(Store(tmp_path / "nowhere"), "activation-arena")
     record, store = trained(Store(tmp_path / "results")), Store(tmp_path / "results")
     tanh = [run for run in shipped["runs"] if run["condition"] == "tanh"][:2]
-    ours = [{**tanh[0], "condition": "ours", "run_id": A0}]
-    mine = {**record, "study": "mine", "runs": [*tanh, *ours]}
+    ours = {**tanh[0], "condition": "ours", "run_id": A0}
+    mine = {**record, "study": "mine", "runs": [*tanh, ours]}
     data = open_study(store, mine)
     assert [(run.condition, run.records.published) for run in data.runs] == [
         ("tanh", True), ("tanh", True), ("ours", False),

@@ -60,9 +60,8 @@ def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> N
     assert [run.run_id for run in open_data("activation", tmp_path, steps=1024).runs] == other
     more = _run(store, seeds=(2,), steps=512)
     assert _shown(store, "activation") == [*first, *more]
-    record = study_record(store, "activation")
-    assert record["selection"]["seeds"] == [0, 1, 2]
-    assert open_data("activation", tmp_path).record["runs"] == record["runs"]
+    record, data = study_record(store, "activation"), open_data("activation", tmp_path)
+    assert (record["selection"]["seeds"], record["runs"]) == ([0, 1, 2], data.record["runs"])
 
 
 def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
@@ -102,29 +101,31 @@ def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
     assert plan.conditions == ("learning_rate=1e-4, relu", "learning_rate=3e-4, relu")
     set_ = [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells]
     assert set_ == [(1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9))]
-    for text in ("gradient_limit=none, 0.5", "reward=thesis, kills"):
-        key, _, values = text.partition("=")
+    for key, values in {"gradient_limit": "none, 0.5", "reward": "thesis, kills"}.items():
         plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
         assert plan.conditions == tuple(f"{key}={value}, relu" for value in values.split(", "))
 
 
 def test_a_study_that_was_run_in_another_world_alone_is_shown_there(tmp_path: Path) -> None:
-    plan = make_plan(load_study("architecture", "arena"), Selection(seeds=(0,), steps=512))
-    prepare(plan, Store(tmp_path))
+    prepare(plan := make_plan(load_study("architecture", "arena"), Selection(steps=512)), Store(tmp_path))
     assert _shown(Store(tmp_path), "architecture") == [cell.run_id for cell in plan.cells]
     assert "no runs" in refused("study", "status", "architecture", "--world", "godot", "--results", tmp_path)
 
 
-def test_a_study_that_was_run_by_its_path_is_found_by_its_name(
+def test_a_study_that_was_run_by_its_path_is_found_by_its_name_and_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, store = tmp_path / "own.toml", Store(tmp_path / "results")
-    text = 'title = "Own"\nbase = "table-6-2"\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 512\n'
-    file.write_text(text)
+    text = 'title = "Own"\nbase = "table-6-2"\nworlds = ["godot", "arena"]\n[conditions.a]\n'
+    file.write_text(text := text + "[presets.quick]\nseeds = 1\nsteps = 512\n")
     plan = make_plan(load_study(str(file)), Selection())
     prepare(plan, store)
     monkeypatch.chdir(tmp_path.parent)
     told = json.loads(printed("study", "plan", "own", "--json", "--results", store.root))
     assert [run["run_id"] for run in told["runs"]] == [plan.cells[0].run_id]
+    assert _shown(store, "own", "--world", "godot") == [plan.cells[0].run_id]
+    for world in ("text", "arena"):
+        assert "no runs" in refused("study", "status", "own", "--world", world, "--results", store.root)
+        assert "No study" in printed("study", "status", "--world", world, "--results", store.root)
     file.write_text(text + '[run]\nreward = "theirs:reward"\n')
     assert f"give its file: {file}" in refused("study", "run", "own", "--results", store.root)

@@ -160,7 +160,6 @@ def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path
 
 
 def test_a_copy_of_a_shipped_study_does_not_take_its_figure(tmp_path: Path) -> None:
-    copy = tmp_path / "mine.toml"
-    copy.write_bytes((studies_folder() / "activation.toml").read_bytes())
+    (copy := tmp_path / "mine.toml").write_bytes((studies_folder() / "activation.toml").read_bytes())
     assert load_study(str(copy)).figure == "study-mine"
     assert load_study("activation").figure == "fig-6-5"
