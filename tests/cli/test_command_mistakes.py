@@ -38,7 +38,7 @@ MISTAKES = {
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
-    "study plot algorithms": "pneuma study run algorithms",
+    "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
 }
 
