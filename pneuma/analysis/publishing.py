@@ -196,4 +196,7 @@ def rounded(values: np.ndarray) -> np.ndarray:
     if not sys.float_info.min * LEVELS < span < math.inf:
         return values
     step = 2.0 ** math.ceil(math.log2(span / LEVELS))
-    return np.round(values / step) * step
+    steps = np.round(values / step)
+    if known.min() < 0:  # a return's sign tells a collapse, so it stays
+        steps = np.where((steps == 0) & (values != 0), np.sign(values), steps)
+    return steps * step

@@ -72,7 +72,7 @@ def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
     kept = rounded(values)
     assert np.isnan(kept[0]) and kept[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
     assert rounded(kept).tolist()[1:] == kept.tolist()[1:]
-    assert rounded(np.array([0.0, 0.25, 1.0])).tolist() == [0.0, 0.25, 1.0]
+    assert rounded(np.array([-1e-5, 0.25, 1.0])).tolist() == [-(2.0**-8), 0.25, 1.0]  # its sign stays
     for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
         assert np.array_equal(rounded(np.array(odd)), odd, equal_nan=True)
 
