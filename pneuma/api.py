@@ -110,7 +110,7 @@ def open_data(
         study: its name, or the path of its file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
         steps: agent steps of each run; default: those of which the most runs are finished.
-        world: a key of `pneuma.worlds.WORLDS`; default: the usual one.
+        world: a key of `pneuma.worlds.WORLDS`; default: the study's first.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.

@@ -36,7 +36,9 @@ def study_record(
     asked = world
     study, world = chosen_world(Path(name).stem if name.endswith(".toml") else name, world)
     stem = spec.name_in_world(study, world)
-    names = dict.fromkeys([stem, study] if world else [stem])  # the first world of a file is in no name
+    names = dict.fromkeys(
+        [stem, study] if world else [stem]
+    )  # that of its file's first world has no world in it
 
     def of_world(records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         return [record for record in records if world in (None, spec.world_of(record))]
@@ -50,7 +52,8 @@ def study_record(
     if tables:
         from pneuma.analysis.published import read_published
 
-        records = of_world(read_published(store, each).record for each in tables)
+        of_tables = (of_world([read_published(store, each).record]) for each in tables)
+        records = next(filter(None, of_tables), [])
     if not records and (otherwise := own_world or otherwise):
         more = f" Stored too: {'; '.join(otherwise[1:])}." if otherwise[1:] else ""
         tell(f"Note: no runs of {stem} are stored; {otherwise[0]} is shown.{more}")
@@ -61,7 +64,7 @@ def study_record(
     fitting = [*by_budget(asked_for).values()]
     if not fitting:
         stored = ", ".join(f"{steps:,}" for steps in by_budget(records))
-        raise UserError(f"--steps {picked.steps}: study {stem} has runs of {stored} steps")
+        raise UserError(f"--steps {picked.steps}: study {records[0]['study']} has runs of {stored} steps")
     return _pick(fitting[0] if len(fitting) == 1 else max(fitting, key=store.finished), picked)
 
 
@@ -132,9 +135,18 @@ def known_studies(store: Store, world: str | None = None) -> list[str]:
     return sorted(
         name
         for name in names
-        if not name.endswith(".toml")
-        and (world is None or world == spec.world_of(store.selection(name) or {"study": name}))
+        if not name.endswith(".toml") and (world is None or world == _world_of(store, name))
     )
+
+
+def _world_of(store: Store, name: str) -> str:
+    """Return the world of a study that was run or published here; by its name alone if it is damaged."""
+    from pneuma.analysis.published import read_published
+
+    try:
+        return spec.world_of(store.selection(name) or read_published(store, name).record)
+    except UserError:
+        return spec.world_of({"study": name})
 
 
 def studies_run_here(store: Store, world: str | None = None) -> list[str]:

@@ -218,7 +218,7 @@ def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str
     runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
     for before in earlier:
         if not (can_join(before, record) and _has_same_ids(before, plan)):
-            keys = ("selection", "same", "runs", "saved")
+            keys = ("world", "selection", "same", "runs", "saved")
             separate.append({key: before[key] for key in keys if key in before})
             continue
         more = [run for run in before["runs"] if run["condition"] in conditions]

@@ -215,7 +215,7 @@ def name_in_world(name: str, world: str | None) -> str:
 def world_of(record: Mapping[str, Any]) -> str:
     """Return the world of a study's record."""
     world = split_world(record["study"])[1]
-    return record.get("world") or first_world(record["study"]) if world == TEXT else world
+    return world if world != TEXT else record.get("world") or first_world(record["study"])
 
 
 def files_called(name: str) -> list[str]:
