@@ -36,9 +36,8 @@ def study_record(
     asked = world
     study, world = chosen_world(Path(name).stem if name.endswith(".toml") else name, world)
     stem = spec.name_in_world(study, world)
-    names = dict.fromkeys(
-        [stem, study] if world else [stem]
-    )  # that of its file's first world has no world in it
+    # A study in the first world of its file has a name without a world.
+    names = dict.fromkeys([stem, study] if world else [stem])
 
     def of_world(records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         return [record for record in records if world in (None, spec.world_of(record))]

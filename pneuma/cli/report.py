@@ -22,7 +22,7 @@ from pneuma.study import spec
 from pneuma.study.plan import differing_fields
 from pneuma.study.store import Store
 from pneuma.values import shown_settings, shown_value
-from pneuma.worlds import WORLDS, split_world
+from pneuma.worlds import TEXT, WORLDS, split_world
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """The provenance shown for runs: without times, in which equal runs differ."""
@@ -68,8 +68,8 @@ def _section(store: Store, study: str) -> dict[str, Any]:
     """Return a study in the worlds that it is meant for and those in which it was run."""
     shipped = spec.load_study(study) if study in spec.list_studies() else None
     known, meant = known_studies(store), shipped.worlds if shipped else ()
-    named = {spec.name_in_world(study, world): world for world in WORLDS}  # text, where another comes first
-    worlds = [world for name, world in named.items() if world in meant or name in known]
+    possible = [name for name in WORLDS if name != TEXT or spec.first_world(study) == TEXT]
+    worlds = [name for name in possible if name in meant or spec.name_in_world(study, name) in known]
     about = {key: getattr(shipped, key, "") for key in ("section", "about")}
     records = (store.selection(spec.name_in_world(study, name)) or {} for name in worlds)
     title = shipped.title if shipped else next((record["title"] for record in records if record), study)
