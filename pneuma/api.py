@@ -64,7 +64,7 @@ def run_study(
         steps: agent steps of each run, instead of the preset's.
         conditions: names of conditions; default: all.
         settings: fields to set in every condition.
-        world: a key of `pneuma.worlds.WORLDS`; default: the study's first.
+        world: a key of `pneuma.worlds.WORLDS`; default: the arena where the study is run in it.
         workers: number of runs that train at once, each in a process of one thread; default: one per core.
         on_progress: called with a cell and an event, such as a step, instead of showing progress.
         quiet: show no progress.
@@ -96,31 +96,45 @@ def run_study(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
-    from pneuma.analysis.run_index import open_study
-
-    return open_study(store, execute.selection_record(planned))
+    seeds = sorted({cell.seed for cell in planned.cells})
+    steps = steps or max(cell.run.steps for cell in planned.cells)
+    return open_data(
+        study, results, steps=steps, seeds=seeds, conditions=conditions, settings=settings, world=world
+    )
 
 
 def open_data(
-    study: Where, results: Where | None = None, *, steps: int | None = None, world: str | None = None
+    study: Where,
+    results: Where | None = None,
+    *,
+    steps: int | None = None,
+    seeds: int | Sequence[int] | None = None,
+    conditions: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    world: str | None = None,
 ) -> StudyData:
-    """Open a study's stored runs of one budget, or else its published runs.
+    """Open a study's finished runs of one budget, stored or published.
 
     Args:
         study: its name, or the path of its file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        steps: agent steps of each run; default: those of which the most runs are finished.
-        world: a key of `pneuma.worlds.WORLDS`; default: the study's first.
+        steps: agent steps of each run; default: those last trained here, or else those of most runs.
+        seeds: a count or a list of seeds; default: all.
+        conditions: names of conditions; default: all.
+        settings: fields that are set in every condition.
+        world: a key of `pneuma.worlds.WORLDS`; default: the arena where the study is run in it.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
     """
-    from pneuma.analysis.run_index import open_study
-    from pneuma.analysis.stored_studies import study_record
+    from pneuma.analysis.asked import open_study
+    from pneuma.analysis.run_index import RunIndex
 
-    store, steps = _store(results), plain(steps)
+    steps, settings = map(plain, (steps, None if settings is None else dict(settings)))
     _check_counts(steps=steps)
-    return open_study(store, study_record(store, os.fspath(study), plan.Selection(steps=steps), world))
+    conditions = (conditions,) if isinstance(conditions, str) else tuple(conditions)
+    picked = plan.Selection(None, None if seeds is None else _seeds(seeds), steps, conditions, settings)
+    return open_study(RunIndex(_store(results)), os.fspath(study), picked, world)
 
 
 def compare(

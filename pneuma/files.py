@@ -12,6 +12,7 @@ import os
 import stat
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,17 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
         for path in written.values():
             path.unlink(missing_ok=True)
         raise
+
+
+def create_whole(path: Path, data: bytes) -> None:
+    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
+    written = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        written.write_bytes(data)
+        with suppress(FileExistsError):
+            os.link(written, path)
+    finally:
+        written.unlink(missing_ok=True)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

@@ -1,9 +1,4 @@
-"""The worlds in which a study or a search can run.
-
-A name that ends in `-WORLD` stands for the study or search of that name in that world; without an ending
-it stands for the usual one, which is the text's but where a study's file lists others alone, or sets the
-arena's environment.
-"""
+"""The worlds in which a study or a search can run: the arena, the thesis's text, and its published code."""
 
 from __future__ import annotations
 
@@ -29,8 +24,9 @@ class World:
     overrides: Mapping[str, Any] = field(default_factory=dict)
 
 
-TEXT = "text"
-"""The usual world: a study's file unchanged, whichever environment it sets."""
+TEXT, ARENA = "text", "arena"
+"""The thesis's reward as printed, which is a study's file unchanged, whichever environment it sets; and the
+world that is meant where none is named."""
 
 WORLDS = {
     TEXT: World("pneuma/Pneuma-v0", "the text's world"),
@@ -38,7 +34,7 @@ WORLDS = {
     "godot": World(
         "pneuma/PneumaGodot-v0", "the published code's world", {"clip_range": 0.2, "actor": (256,)}
     ),
-    "arena": World("pneuma/PneumaArena-v0", "the arena"),
+    ARENA: World("pneuma/PneumaArena-v0", "the arena"),
 }
 
 
@@ -50,33 +46,22 @@ def world_fields(world: str, set_by_study: Collection[str]) -> dict[str, Any]:
     return {"env": row.env, **{key: value for key, value in row.overrides.items() if key not in set_by_study}}
 
 
-def in_world(name: str, world: str) -> str:
-    """Return the name of a study, record or figure in a world."""
-    return name if world == TEXT or name.endswith(f"-{world}") else f"{name}-{world}"
-
-
-def split_world(name: str) -> tuple[str, str]:
-    """Return a study's own name, and its world."""
-    for world in WORLDS:
-        if world != TEXT and name.endswith(f"-{world}"):
-            return name.removesuffix(f"-{world}"), world
-    return name, TEXT
-
-
-def chosen_world(name: str, world: str | None) -> tuple[str, str | None]:
-    """Return a study's own name, and the world chosen by it or by --world, if any.
+def checked_world(world: str | None) -> str | None:
+    """Return a world as it was asked for.
 
     Raises:
-        UserError: for an unknown world, or where they stand for two.
+        UserError: for an unknown one.
     """
     if world is not None and world not in WORLDS:
         raise UserError(f"--world {world}: {unknown_name('world', world, WORLDS)}")
-    study, named = split_world(name)
-    if named != TEXT and world not in (None, named):
-        raise UserError(f"--world {world}: the name {name} stands for the world {named}")
-    return study, world or (None if named == TEXT else named)
+    return world
 
 
-def world_option(world: str) -> list[str]:
-    """Return the command-line words that choose a world; none for the usual one."""
-    return [] if world == TEXT else ["--world", world]
+def usual_world(worlds: Collection[str]) -> str:
+    """Return the world that is meant where none is named: the arena, or else the first."""
+    return ARENA if ARENA in worlds else next(iter(worlds))
+
+
+def world_option(world: str, worlds: Collection[str] = tuple(WORLDS)) -> list[str]:
+    """Return the command-line words that choose one of a study's worlds; none for the usual one."""
+    return [] if world == usual_world(worlds) else ["--world", world]

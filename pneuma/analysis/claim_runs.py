@@ -18,7 +18,7 @@ from pneuma.config import as_fields
 from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study, load_study
-from pneuma.worlds import split_world, world_option
+from pneuma.worlds import world_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -95,13 +95,11 @@ class ClaimRuns:
 
     def _machines(self, names: Sequence[str]) -> str:
         """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
-        records = [run.records for name in names for run in self.found(name)]
-        origins = [record.provenance() for record in records]
+        rows = [run.row for name in names for run in self.found(name)]
+        origins = [row.provenance for row in rows]
         if len({(on, str(origin.get("threads"))) for origin in origins for on in processors(origin)}) > 1:
             return "timed on different machines"
-        least = min(
-            (record.processor_share for record in records if record.processor_share is not None), default=1.0
-        )
+        least = min((row.processor_share for row in rows if row.processor_share is not None), default=1.0)
         return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
 
     def arm(self, name: str, condition: str) -> Arm:
@@ -151,19 +149,19 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
                 condition: plan(path, world, condition, claim.seeds[condition], claim.steps[condition])
                 for condition in claim.conditions
             }
-            runs = [
-                {"condition": condition, "seed": cell.seed, "run_id": cell.run_id, "run": as_fields(cell.run)}
+            ids = [cell.run_id for each in cells.values() for cell in each]
+            rows = index.rows(index.entries[run_id] for run_id in ids if run_id in index.entries)
+            found = [
+                FinishedRun(condition, cell.seed, rows[cell.run_id])
                 for condition, each in cells.items()
                 for cell in each
+                if cell.run_id in rows
             ]
-            about = {"study": study.name, "title": study.title, "figure": study.figure}
-            record = {**about, "same": [], "runs": runs}
-            found = index.of_record(record)
-            finished = any(record.status.finished for record in found.values())
-            data = StudyData(found, record, str(store.root)) if finished else None
-            commands = _preset_commands(claims, claim, study) or _commands(claim, path, world)
+            fields = {condition: as_fields(each[0].run) for condition, each in cells.items()}
+            data = StudyData(study.name, study.title, study.figure, "", fields, found) if found else None
+            commands = _preset_commands(claims, claim, study) or _commands(claim, path, world, study.worlds)
             mend = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
-            yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.damaged)
+            yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.problems)
 
 
 def _preset_commands(claims: ClaimList, claim: Claim, study: Study) -> list[str]:
@@ -172,13 +170,13 @@ def _preset_commands(claims: ClaimList, claim: Claim, study: Study) -> list[str]
         return []
     alike = [one for one in claims.claims.values() if one.study == claim.study and study.world in one.worlds]
     several = len({steps for one in alike for steps in one.steps.values()}) > 1
-    name = study.own_path or split_world(study.name)[0]
-    words = ["pneuma", "study", "run", name, "--preset", CLAIMS, *world_option(study.world)]
+    name = study.own_path or study.name
+    words = ["pneuma", "study", "run", name, "--preset", CLAIMS, *world_option(study.world, study.worlds)]
     budgets = sorted({*claim.steps.values()}) if several else [0]
     return [shlex.join([*words, *(["--steps", str(steps)] if steps else [])]) for steps in budgets]
 
 
-def _commands(claim: Claim, study: str, world: str) -> list[str]:
+def _commands(claim: Claim, study: str, world: str, worlds: Sequence[str]) -> list[str]:
     """Return the commands that train the runs of a claim in a list that is not beside the study's file."""
     alike: dict[tuple[tuple[int, ...], int], list[str]] = {}
     for name in claim.conditions:
@@ -187,7 +185,7 @@ def _commands(claim: Claim, study: str, world: str) -> list[str]:
     for (seeds, steps), names in alike.items():
         every = seeds == tuple(range(seeds[0], seeds[-1] + 1))
         listed = f"{seeds[0]}..{seeds[-1]}" if every else ",".join(map(str, seeds))
-        words = ["pneuma", "study", "run", study, *world_option(world)]
+        words = ["pneuma", "study", "run", study, *world_option(world, worlds)]
         words += [word for name in names for word in ("--condition", name)]
         commands.append(shlex.join([*words, "--seeds", listed, "--steps", str(steps)]))
     return commands

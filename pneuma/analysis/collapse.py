@@ -21,7 +21,7 @@ import pandas as pd
 
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
 from pneuma.analysis.intervals import incidence_interval
-from pneuma.analysis.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
+from pneuma.study.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
 SHORTEST = 0.05
 """Share of the budget that a single action, or a return below zero, must last to count as collapse."""
@@ -68,15 +68,15 @@ class Diagnosis:
         return {NO_ENTROPY, FALL, LOSS} <= {*self.unseen}
 
 
-def diagnose(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Diagnosis:
-    """Diagnose a run, up to a step if one is given."""
-    seen = view(data, run, at_step)
+def diagnose(seen: RunView) -> Diagnosis:
+    """Diagnose a run as it stood at a step."""
+    run = seen.run
     steps, shares, random = _played(seen)
     distance = _update_steps(run)
     gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
     found = {
         sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
-        for sign, parts in run.records.signs().items()
+        for sign, parts in run.row.signs().items()
     }
     falls, losses = _falls(steps, shares, random), _losses(seen)
     sunk = _lasting(losses or [], gap, shortest)
@@ -123,7 +123,7 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     """
     rows = []
     for run in data.runs:
-        found = diagnose(data, run)
+        found = diagnose(view(data, run))
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
         shown = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
         rows.append({**named, **shown, "collapsed": None if found.blind else found.collapsed})

@@ -319,11 +319,9 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
 
 def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the fields of all conditions, including those without a finished run; lists as tuples."""
-    found: dict[str, dict[str, Any]] = {}
-    for run in data.record["runs"]:
-        fields = {key: as_tuple(value) for key, value in run["run"].items() if key not in ("seed", "steps")}
-        found.setdefault(run["condition"], fields)
-    return found
+    return {
+        name: {key: as_tuple(value) for key, value in fields.items()} for name, fields in data.fields.items()
+    }
 
 
 def _levels(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:

@@ -16,10 +16,11 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from pneuma.analysis import ACTION_QUANTITIES, EVALUATION_QUANTITIES
 from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.errors import unknown_name
+from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES
 
 Edges = tuple[np.ndarray, np.ndarray]
 """Lower and upper edge of a band, (points,) each; NaN where fewer than two runs have a value."""
@@ -60,7 +61,8 @@ class Curve:
             raise unknown_name("band", name, BANDS)
         edges = BANDS[name].edges
         low, high = edges(self._values) if edges else (np.full(self.step.shape, np.nan),) * 2
-        return self._back(low), self._back(high)
+        enough = self.count >= BANDS[name].least_runs
+        return self._back(np.where(enough, low, np.nan)), self._back(np.where(enough, high, np.nan))
 
     @property
     def _values(self) -> np.ndarray:
@@ -95,7 +97,7 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
 
 def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
     """Return each condition's curve of an evaluation column, at the steps of the evaluations."""
-    table = data.table("evaluations").drop_duplicates(["condition", "run_id", "step"], keep="last")
+    table = data.evaluations.drop_duplicates(["condition", "run_id", "step"], keep="last")
     curves = []
     for runs in _groups(data):
         rows = table[table["condition"] == runs[0].condition]
@@ -120,9 +122,9 @@ def curve_names(data: StudyData) -> list[str]:
     trained = list(data.quantities)
     if without_monsters(data):
         trained = [name for name in trained if not _shows_nothing(data, name)]
-    if "evaluations" not in data.tables:
+    if not data.evaluated:
         return trained
-    table = data.table("evaluations")
+    table = data.evaluations
     evaluated = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
     return [*evaluated, *trained]
 
@@ -180,9 +182,9 @@ def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
     """
     if quantity == "score":
         return dict(zip(PLAYERS, (0.0, 1.0), strict=True))
-    if quantity not in EVALUATION_QUANTITIES or "evaluations" not in data.tables:
+    if quantity not in EVALUATION_QUANTITIES or not data.evaluated:
         return {}
-    rows = data.table("evaluations").groupby("condition", sort=False)
+    rows = data.evaluations.groupby("condition", sort=False)
     levels = [
         [
             np.ascontiguousarray(player_rows[f"{player}_share_killed"], float).mean()
@@ -204,6 +206,7 @@ class Band(NamedTuple):
     Attributes:
         label: its words in a legend.
         edges: takes (runs, points) values, NaN where a run has none; None if the runs themselves are drawn.
+        least_runs: with fewer, there is no band.
         enough_runs: with fewer, the runs are drawn too, because a band that estimates the mean covers it less
             often than 90 % for some of the distributions of `pneuma bench calibration`. 0 for bands that
             show how far runs lie apart.
@@ -211,6 +214,7 @@ class Band(NamedTuple):
 
     label: str
     edges: Callable[[np.ndarray], Edges] | None
+    least_runs: int = 2
     enough_runs: float = 0
 
 
@@ -249,8 +253,8 @@ def _extremes(runs: np.ndarray) -> Edges:
 
 
 BANDS = {
-    "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half), 20),
-    "se": Band("± 1 standard error", _around(_standard_error), math.inf),
+    "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half), LEAST_RUNS, 20),
+    "se": Band("± 1 standard error", _around(_standard_error), LEAST_RUNS, math.inf),
     "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(_variance(runs)))),
     "minmax": Band("least to greatest", _extremes),
     "runs": Band("every run as a thin line", None),

@@ -8,16 +8,24 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from pneuma.analysis import EPISODE_QUANTITIES, EXPORTED_BAND
+from pneuma.analysis import EXPORTED_BAND
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
+from pneuma.study.measure import record_frame
+from pneuma.study.quantities import EPISODE_QUANTITIES, RECORD_TABLES
+from pneuma.study.store import Store
 
 
 def encode_table(
-    data: StudyData, table: str, form: str, window: str | None = None, band: str = EXPORTED_BAND
+    data: StudyData,
+    table: str,
+    form: str,
+    store: Store,
+    window: str | None = None,
+    band: str = EXPORTED_BAND,
 ) -> tuple[bytes, int]:
     """Encode one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`; also return its number of rows.
 
@@ -26,9 +34,30 @@ def encode_table(
     """
     if table == "curves":
         frame = _curves(data, window, band)
+    elif table == "summary":
+        frame = summary_table(data)
     else:
-        frame = summary_table(data) if table == "summary" else data.table(table)
+        frame = _records(data, table, store)
     return encode_frame(frame, form), len(frame)
+
+
+def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
+    """Return one of `RECORD_TABLES`: evaluations from rows, all others from the runs' folders."""
+    if table == "evaluations" and data.evaluated:
+        return data.evaluations
+    if table == "evaluations" or (data.averaged_over and table != "metrics"):
+        known = ", ".join(name for name in (*RECORD_TABLES, "curves", "summary") if name != table)
+        raise UserError(f"study {data.study}: {data.what} holds no {table}; try {known}")
+    if published := len(data.published):
+        raise UserError(f"study {data.study}: of {published} runs, only rows are published, and no {table}")
+    frames = []
+    for run in data.runs:
+        frame = record_frame(store, run.run_id, table)
+        for place, key in enumerate(("condition", "seed", "run_id")):
+            frame = frame.drop(columns=key, errors="ignore")
+            frame.insert(place, key, getattr(run, key))
+        frames.append(frame)
+    return pd.concat(frames, ignore_index=True)
 
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:

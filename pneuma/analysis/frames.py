@@ -1,33 +1,27 @@
-"""A study's data: its finished runs, with their tables and curves, wherever they are stored.
+"""A study's data: its finished runs, each with its row, and a run as it stood at a step.
 
-    open_study → StudyData of FinishedRuns; StudyData, run and step → RunView
-
-`open_study` (`pneuma.analysis.run_index`) makes the data. A run's `Records` give access to what is stored. A
-`RunView` is the state of a run at a step. It uses only evaluations and curves on the study's grid, which runs
-and published tables both have, so that both give the same numbers.
+    `open_study` (asked.py) → StudyData of FinishedRuns; StudyData, run and step → RunView
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
-from pneuma.analysis import RECORD_TABLES, WINDOWS
-from pneuma.analysis.published import PublishedRecords
-from pneuma.analysis.records import Records, Series
-from pneuma.analysis.series import make_grid
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.spec import VARIANT, list_studies, run_command, world_of
-from pneuma.values import shown_settings
-from pneuma.worlds import in_world, split_world
+from pneuma.study.quantities import WINDOWS
+from pneuma.study.rows import Row
+from pneuma.study.series import STATISTICS, Series, held_curve, make_grid
+from pneuma.values import settings_name, shown_settings
+from pneuma.worlds import WORLDS
 
 SLACK = 1 / 40
 """Budgets that differ by less than this share are equal: half the distance between evaluations."""
@@ -35,35 +29,42 @@ SLACK = 1 / 40
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A finished run, done or diverged, which counts in every statistic.
+    """A finished run of a study, done or diverged, which counts in every statistic.
 
     Attributes:
-        fields: the run's fields as recorded, which may be untrusted.
-        records: its records.
+        seed: of a fork, its number in the study.
+        row: what it comes to.
     """
 
     condition: str
     seed: int
-    run_id: str
-    fields: Mapping[str, Any] = field(repr=False)
-    records: Records = field(compare=False, repr=False)
+    row: Row = field(compare=False, repr=False)
+
+    @property
+    def run_id(self) -> str:
+        """Its id."""
+        return self.row.run_id
+
+    @property
+    def fields(self) -> Mapping[str, Any]:
+        """Its fields as recorded, which may be untrusted."""
+        return self.row.fields
 
     @property
     def status(self) -> str:
         """'done' or 'diverged'."""
-        return self.records.status.name
+        return self.row.status
 
     @property
     def slots(self) -> int | None:
         """Players, over all worlds, from which the run collects; None if unknown."""
-        slots, players = self.fields["slots"], self.fields.get("players", 1)
+        slots, players = self.fields.get("slots"), self.fields.get("players", 1)
         return slots * players if isinstance(slots, int) and isinstance(players, int) else None
 
     @property
     def budget(self) -> int:
         """Agent steps that the run was to train."""
-        steps: int = self.fields["steps"]
-        return steps
+        return self.row.budget
 
     @property
     def begun(self) -> int:
@@ -73,109 +74,97 @@ class FinishedRun:
     @property
     def end(self) -> int:
         """Agent steps trained; fewer than the budget if the run diverged."""
-        return self.records.status.step
+        return self.row.end
 
     def ends_before(self, step: float | None) -> bool:
         """Return whether the run's budget ends before `step`."""
         return step is not None and self.budget * (1 + SLACK) < step
 
 
+@dataclass(frozen=True, eq=False)
 class StudyData:
-    """The finished runs of a study's selection, with their records. `open_study` makes it.
+    """The finished runs of a study that were asked for.
 
-    Args:
-        index: the records of each run by its id; other runs are ignored.
-        record: a selection, as `pneuma.study.execute.selection_record` makes it.
-        where: the results folder, for messages.
-
-    Raises:
-        UserError: when no run of the selection has finished, or the record's names are no file names:
-            a results folder may be untrusted.
+    Attributes:
+        study: its name.
+        title: its title, without world and changed fields.
+        figure: the stem of its figure.
+        baseline: the condition that others are compared with.
+        fields: by condition, its fields without seed and steps.
+        runs: the finished runs, seed by seed.
+        same: groups of conditions that are one configuration.
+        every: all conditions of the study, also those that were not asked for.
+        narrowed: conditions and seeds that were asked for, if not all.
+        world: its world; empty if it has a single one.
+        changed: fields that `--set` changed.
     """
 
-    def __init__(self, index: Mapping[str, Records], record: Mapping[str, Any], where: str = "") -> None:
-        self.index = index
-        self.record = record
-        self._where = where
-        self.study: str = record["study"]
-        self.changed: dict[str, Any] = dict(record.get("selection", {}).get("settings") or {})
-        changes = shown_settings(self.changed)
-        self.title: str = record["title"] + (f" ({changes})" if changes else "")
-        for key in ("study", "figure"):
-            if not re.fullmatch(r"(?!\.+$)[^/\\\0]+", record[key]):
-                raise UserError(
-                    f"the record of a study names its {key} {record[key]!r}, which is no file name"
-                )
-        name, named_world = split_world(self.study)
-        self.world = world_of(record)
-        self.own_name, _, self.variant = name.partition(VARIANT)
-        self.figure = in_world(record["figure"], named_world)  # each world has its own
-        self.picked: list[str] = record.get("picked", [])
-        self.same: list[list[str]] = record["same"]
-        planned = record["runs"]
-        self.conditions: list[str] = list(dict.fromkeys(run["condition"] for run in planned))
-        self.environments: list[str] = list(dict.fromkeys(run["run"]["env"] for run in planned))
-        self.runs = [
-            FinishedRun(run["condition"], run["seed"], run["run_id"], run["run"], index[run["run_id"]])
-            for run in planned
-            if index[run["run_id"]].status.finished
-        ]
-        self.left_out = len(planned) - len(self.runs)
-        if not self.runs:
-            raise UserError(
-                f"no finished run of this selection of study {self.study} is in {where}: "
-                f"{self.how_to_train} first"
-            )
+    study: str
+    title: str
+    figure: str
+    baseline: str
+    fields: Mapping[str, Mapping[str, Any]]
+    runs: Sequence[FinishedRun]
+    same: Sequence[Sequence[str]] = ()
+    every: Sequence[str] = ()
+    narrowed: Sequence[str] = ()
+    world: str = ""
+    changed: Mapping[str, Any] = field(default_factory=dict)
+    budget: int = 0
+
+    def __post_init__(self) -> None:
+        """Set the budget, at which curves end, to the largest of the runs, unless it is given."""
+        object.__setattr__(self, "budget", self.budget or max(run.budget for run in self.runs))
 
     def __repr__(self) -> str:
         conditions = ", ".join(f"{name} ({len(self.of_condition(name))})" for name in self.conditions)
-        missing = f", {self.left_out} not finished" if self.left_out else ""
-        return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}{missing}"
+        return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}"
 
     def _repr_html_(self) -> str:
         """Return a notebook's view: the number of runs of each condition."""
         rows = [(name, len(self.of_condition(name))) for name in self.conditions]
         table = pd.DataFrame(rows, columns=["condition", "runs"])
-        return f"<b>{escape(self.title)}</b>{table.to_html(index=False)}"
+        return f"<b>{escape(self.full_title)}</b>{table.to_html(index=False)}"
 
     @property
-    def how_to_train(self) -> str:
-        """How to train the study, if that is known; forks and searches have commands of their own."""
-        shipped = self.own_name in list_studies()
-        path = None if shipped else self.record.get("path")
-        if shipped or path:
-            return f"run `{run_command(self.study, path)}` with the same options"
-        return "repeat the command that began it"
+    def conditions(self) -> list[str]:
+        """The names of its conditions, in the study's order."""
+        return [*self.fields]
+
+    @property
+    def full_title(self) -> str:
+        """Its title with its world and changed fields."""
+        world = f" in {WORLDS[self.world].title}" if self.world else ""
+        return f"{self.title}{world}" + (f" ({shown_settings(self.changed)})" if self.changed else "")
+
+    @property
+    def environments(self) -> list[str]:
+        """The environments of its conditions."""
+        return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
 
     @property
     def what(self) -> str:
         """Where the runs are, for messages."""
-        here_first = sorted(self.runs, key=lambda run: run.records.published)
-        return " with ".join(dict.fromkeys(run.records.what for run in here_first))
+        if self.averaged_over:
+            return "a study of imported TensorBoard logs"
+        places = {run.row.published: "" for run in self.runs}
+        words = {False: "the results folder", True: "the published table"}
+        return " with ".join(words[place] for place in sorted(places))
 
     @property
     def published(self) -> list[FinishedRun]:
         """The runs that come from published tables."""
-        return [run for run in self.runs if run.records.published]
+        return [run for run in self.runs if run.row.published]
 
     def engines(self, condition: str) -> set[str]:
         """Return the engines that trained a condition's runs, as far as known."""
-        runs = (run["run"] for run in self.record["runs"] if run["condition"] == condition)
-        return {str(run["engine"]) for run in runs if run.get("engine")}
-
-    @cached_property
-    def budget(self) -> int:
-        """Agent steps at which curves end: the largest budget of the runs and of their published tables."""
-        tables = (run.records.budget for run in self.runs if isinstance(run.records, PublishedRecords))
-        return self.record.get("budget") or max(*(run.budget for run in self.runs), 0, *tables)
+        return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
 
     @cached_property
     def latest_first_evaluation(self) -> float:
         """The step from which every run has an evaluation; 0 if none has any."""
-        if "evaluations" not in self.tables:
-            return 0.0
-        tables = (run.records.table("evaluations") for run in self.runs)
-        return max((float(table["step"].iloc[0]) for table in tables if len(table)), default=0.0)
+        firsts = (steps[0] for run in self.runs if len(steps := run.row.evaluations("step")))
+        return max(map(float, firsts), default=0.0)
 
     @cached_property
     def grid(self) -> np.ndarray:
@@ -184,18 +173,18 @@ class StudyData:
 
     @cached_property
     def windows(self) -> tuple[str, ...]:
-        """The windows of `WINDOWS` that all curves have, the usual one first."""
-        return tuple(name for name in WINDOWS if all(name in run.records.windows for run in self.runs))
+        """The windows of `WINDOWS` that all returns have, the usual one first."""
+        return tuple(name for name in WINDOWS if all(name in run.row.windows for run in self.runs))
 
     @cached_property
-    def tables(self) -> tuple[str, ...]:
-        """The tables of `RECORD_TABLES` that all runs have."""
-        return tuple(name for name in RECORD_TABLES if all(name in run.records.tables for run in self.runs))
+    def evaluated(self) -> bool:
+        """Whether all runs were evaluated."""
+        return all(run.row.evaluation_columns for run in self.runs)
 
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return next((episodes for run in self.runs if (episodes := run.records.averaged_over)), None)
+        return next((episodes for run in self.runs if (episodes := run.row.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
@@ -204,41 +193,44 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        published = {run.records.quantities for run in self.published}
-        some = dict.fromkeys(name for run in self.runs for name in run.records.quantities)
+        published = {run.row.quantities for run in self.published}
+        some = dict.fromkeys(name for run in self.runs for name in run.row.quantities)
         return [name for name in some if all(name in names for names in published)]
 
     def of_conditions(self, names: str | Sequence[str]) -> StudyData:
-        """Return the study with one or some of its conditions, on the same grid and for the same figure."""
+        """Return the study with one or some of its conditions, on the same grid."""
         names = [names] if isinstance(names, str) else names
         for name in names:
             if name not in self.conditions:
                 raise unknown_name(f"condition of study {self.study}", name, self.conditions)
-        runs = [run for run in self.record["runs"] if run["condition"] in names]
         same = [[name for name in group if name in names] for group in self.same]
-        same = [group for group in same if len(group) > 1]
-        some = StudyData(
-            self.index, {**self.record, "runs": runs, "same": same, "budget": self.budget}, self._where
+        return replace(
+            self,
+            fields={name: self.fields[name] for name in self.fields if name in names},
+            runs=[run for run in self.runs if run.condition in names],
+            same=[group for group in same if len(group) > 1],
         )
-        some.figure = self.figure
-        return some
 
     def of_condition(self, condition: str) -> list[FinishedRun]:
-        """Return a condition's finished runs, in the selection's order."""
-        return [run for run in self.runs if run.condition == condition]
+        """Return a condition's finished runs, in the order of their seeds."""
+        return self._by_condition.get(condition, [])
 
-    def table(self, name: str) -> pd.DataFrame:
-        """Return one of `RECORD_TABLES` for all finished runs, in the selection's order.
+    @cached_property
+    def _by_condition(self) -> dict[str, list[FinishedRun]]:
+        found: dict[str, list[FinishedRun]] = {}
+        for run in self.runs:
+            found.setdefault(run.condition, []).append(run)
+        return found
 
-        Columns are `condition`, `seed`, `run_id` and those of the table (`pneuma.engines.records`).
-        """
-        if name not in self.tables:
-            known = ", ".join((*self.tables, "curves"))
-            raise UserError(f"study {self.study}: {self.what} holds no {name}; there are {known}")
-        naming = ["condition", "seed", "run_id"]
-        keys = [(run.condition, run.seed, run.run_id) for run in self.runs]
-        frame = pd.concat([run.records.table(name) for run in self.runs], keys=keys, names=naming)
-        return frame.drop(columns=naming, errors="ignore").reset_index(naming).reset_index(drop=True)
+    @cached_property
+    def evaluations(self) -> pd.DataFrame:
+        """The evaluations of all runs: condition, seed, run_id, and the columns of the records."""
+        tables = [run.row.evaluations_table() for run in self.runs]
+        frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
+        counts = [table.num_rows for table in tables]
+        for place, key in enumerate(("condition", "seed", "run_id")):
+            frame.insert(place, key, np.repeat([getattr(run, key) for run in self.runs], counts))
+        return frame
 
     def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
@@ -248,20 +240,21 @@ class StudyData:
             quantity: one of `quantities`.
             window: one of `windows`; default: the first. Quantities of updates have only one.
         """
-        window, records = self.checked_window(window), run.records
-        if quantity in self.quantities and quantity not in records.quantities:
+        window = self.checked_window(window)
+        if quantity in self.quantities and quantity not in run.row.quantities:
             return np.full(self.grid.shape, np.nan)
-        if quantity not in self.quantities or not records.has_curve(quantity, window):
+        if quantity not in self.quantities or window not in run.row.windows_of(quantity):
             known = ", ".join(self.quantities) or "none"
             raise UserError(
                 f"study {self.study}: {self.what} holds no {quantity} in the window {window}; "
                 f"its curves are: {known}"
             )
-        return records.curve(quantity, window, self.grid, run.slots)
+        values = run.row.curve(quantity, window)
+        return values if run.budget == self.budget else held_curve(run.row.grid, values, self.grid, run.end)
 
     def has_curve(self, quantity: str, window: str) -> bool:
         """Return whether all runs have the curve of a quantity in a window."""
-        return all(run.records.has_curve(quantity, window) for run in self.runs)
+        return all(window in run.row.windows_of(quantity) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`; the first if None."""
@@ -270,6 +263,42 @@ class StudyData:
         if window not in self.windows:
             raise unknown_name(f"window of study {self.study}", window, self.windows)
         return window
+
+
+def figure_basename(data: StudyData, *parts: str) -> str:
+    """Return the name of a figure's files, or of a table, without its ending.
+
+    It contains the world, changed fields, and the conditions and seeds that were asked for, so that neither a
+    variant nor a part of a study replaces the study's own figure.
+    """
+    slug = settings_name(data.changed, *filter(None, [*data.narrowed, *parts]))
+    return "-".join(filter(None, [data.figure, data.world, slug]))
+
+
+def table_name(data: StudyData) -> str:
+    """Return the name of a study's published table: the study, its world and changed fields."""
+    return "-".join(filter(None, [data.study, data.world, settings_name(data.changed)]))
+
+
+def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str, tuple[str, str]]]:
+    """Return the runs of two studies as one study's, and the two new names of each condition that both have.
+
+    Conditions are called CONDITION, STUDY.
+    """
+    words = [data.study for data in (one, other)]
+    if words[0] == words[1]:
+        words = [data.full_title for data in (one, other)]
+    names = [
+        {name: f"{name}, {word}" for name in data.conditions}
+        for data, word in zip((one, other), words, strict=True)
+    ]
+    parts = [(data, renamed) for data, renamed in zip((one, other), names, strict=True)]
+    fields = {renamed[name]: data.fields[name] for data, renamed in parts for name in renamed}
+    runs = [replace(run, condition=renamed[run.condition]) for data, renamed in parts for run in data.runs]
+    title = f"{one.title}, and {other.title}"
+    joined = StudyData(one.study, title, one.figure, "", fields, runs, every=[*fields], world=one.world)
+    shared = [name for name in names[0] if one.of_condition(name) and other.of_condition(name)]
+    return joined, {name: (names[0][name], names[1][name]) for name in shared}
 
 
 # --- A run up to a step -----------------------------------------------------------------------------
@@ -284,7 +313,6 @@ class RunView:
         since: where means over evaluations begin.
     """
 
-    data: StudyData
     run: FinishedRun
     until: float
     since: float = 0.0
@@ -296,25 +324,28 @@ class RunView:
 
     def evaluations(self, column: str) -> Series:
         """Return a column of the evaluations; empty if there is no such column."""
-        if "evaluations" not in self.run.records.tables:
+        row = self.run.row
+        if column not in row.evaluation_columns:
             return _NOTHING
-        table = self.run.records.table("evaluations")
-        if column not in table:
-            return _NOTHING
-        return self._finite(table["step"].to_numpy(float), table[column].to_numpy(float))
+        return self._finite(row.evaluations("step"), row.evaluations(column))
 
     def curve(self, quantity: str) -> Series:
         """Return the points of a training curve that have a value; empty if there is no such quantity."""
-        records, grid = self.run.records, self.data.grid
-        if quantity not in records.quantities:
+        if quantity not in self.run.row.quantities:
             return _NOTHING
-        return self._finite(grid, records.curve(quantity, self.data.windows[0], grid, self.run.slots))
+        return self._finite(self.run.row.grid, self.run.row.curve(quantity))
 
     def peaks(self, quantity: str) -> Series:
         """Return, for each point, the extreme value of an update since the previous point."""
-        if quantity not in self.run.records.quantities:
-            return _NOTHING
-        return self._finite(self.data.grid, self.run.records.peaks(quantity, self.data.grid))
+        return self._finite(self.run.row.grid, self.run.row.peaks(quantity))
+
+    def statistic(self, quantity: str, name: str) -> float:
+        """Return one of `STATISTICS` of a curve, with all digits at the run's end; NaN if it has no value."""
+        exact = self.run.row.exact(quantity, name) if self.until >= self.run.budget else math.nan
+        if not math.isnan(exact):
+            return exact
+        step, values = self.curve(quantity)
+        return STATISTICS[name](step, values, self.until) if len(values) else math.nan
 
     def _finite(self, step: np.ndarray, values: np.ndarray) -> Series:
         finite = np.isfinite(values) & (step <= self.last_step)
@@ -331,7 +362,7 @@ def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> Run
     budget, so that their common range begins at the latest of their first evaluations.
     """
     since = 0.0 if at_step is None else data.latest_first_evaluation
-    return RunView(data, run, min(run.budget, at_step or run.budget), since)
+    return RunView(run, min(run.budget, at_step or run.budget), since)
 
 
 def common_step(data: StudyData) -> int | None:

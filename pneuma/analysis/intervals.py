@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +20,8 @@ from scipy import special
 TRIMMED = 0.25
 """The share of runs that the interquartile mean leaves out at each end."""
 LEVEL = 0.95
-LEAST_RESAMPLED = 3
-"""The fewest runs that have a bootstrap interval."""
+LEAST_RUNS = 5
+"""The fewest runs of which tables and figures give an interval."""
 RESAMPLES = 2_000
 SIGNIFICANT = 2
 """Digits of an interval's half width that are shown."""
@@ -142,6 +142,11 @@ def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     return around(runs.mean(), error, runs.size - 1, level, "t")
 
 
+def within(interval: Interval, low: float, high: float) -> Interval:
+    """Return an interval without the part that no mean can have; it covers as often as before."""
+    return replace(interval, low=max(interval.low, low), high=min(interval.high, high))
+
+
 def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Welch's t interval of the difference of means, a - b."""
     first, second = finite(a), finite(b)
@@ -219,7 +224,7 @@ def bootstrap_interval(
         generator: draws the resamples.
     """
     runs = finite(values)
-    if runs.size < LEAST_RESAMPLED or np.ptp(runs) == 0:
+    if runs.size < LEAST_RUNS or np.ptp(runs) == 0:
         return no_interval()
     seen = float(statistic(runs))
     drawn = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])

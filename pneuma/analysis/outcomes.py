@@ -2,10 +2,10 @@
 
     StudyData, run and name → float; condition and name → (seeds,)
 
-An outcome is NaN if the run has none; `reason` says why. A diverged run counts with its last recorded values
-in every outcome. `at_step` gives the outcome at an earlier step, which all conditions reached. "Final" is a
-run's last evaluation, or the last point of its training curve: the mean of the last 5 % of the budget. Runs
-and their published table give the same numbers.
+An outcome is a function of a run's row; it is NaN if the run has none, and `reason` says why. A diverged run
+counts with its last recorded values in every outcome. `at_step` gives the outcome at an earlier step, which
+all conditions reached. "Final" is a run's last evaluation, or the last point of its training curve: the mean
+of the last 5 % of the budget.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from pneuma.algorithms import MAILMAN
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
-from pneuma.analysis.records import Series
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.series import EXTREMES, Series, mean_height
 
 NAN = float("nan")
 ANYTHING = (-np.inf, np.inf)
@@ -72,7 +72,7 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[tuple[str, str]]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
     names = data.conditions if conditions is None else conditions
-    firsts = [runs[0].fields for name in names if (runs := data.of_condition(name))]
+    firsts = [runs[0].fields for name in names if (runs := data.of_condition(name)) and _tells_reward(runs[0])]
     return {
         (
             fields["env"] if is_gymnasium_id(fields.get("env")) else "",
@@ -80,6 +80,11 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
         )
         for fields in firsts
     }
+
+
+def _tells_reward(run: FinishedRun) -> bool:
+    """Return whether a run's reward is known; logs do not tell theirs."""
+    return run.row.averaged_over is None
 
 
 def is_foreign(data: StudyData) -> bool:
@@ -109,10 +114,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
 def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
     """Return a run's outcome at a step, or at its budget; NaN if it has none."""
     found = find_outcome(name)
-    if run.ends_before(at_step):
-        return NAN
-    published = None if at_step is not None and at_step < run.budget else run.records.kept_outcome(name)
-    return found.measure(view(data, run, at_step)) if published is None else published
+    return NAN if run.ends_before(at_step) else found.measure(view(data, run, at_step))
 
 
 def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
@@ -144,7 +146,7 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
         return ""
     if run.ends_before(at_step):
         return f"the run ends at step {run.end:,}, before the others are compared"
-    if found.source == "signs" and not diagnose(data, run, at_step).collapsed:
+    if found.source == "signs" and not diagnose(view(data, run, at_step)).collapsed:
         return "no sign of collapse is recorded, or there was none"
     end = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
     return f"{end} has nothing that {name} is taken from ({found.source}) in {data.what}"
@@ -167,9 +169,23 @@ def _of(read: Callable[[RunView, str], Series], name: str, take: Take) -> Measur
     return measure
 
 
-_evaluations, _curve, _peaks = (
-    partial(_of, read) for read in (RunView.evaluations, RunView.curve, RunView.peaks)
-)
+_evaluations = partial(_of, RunView.evaluations)
+
+
+def _curve(quantity: str, statistic: str) -> Measure:
+    """Return a function that measures a statistic of a training curve; NaN without a value."""
+    return lambda seen: seen.statistic(quantity, statistic)
+
+
+def _peak(quantity: str) -> Measure:
+    """Return a function that measures the extreme update of a quantity; NaN without a value."""
+
+    def measure(seen: RunView) -> float:
+        exact = seen.run.row.exact(quantity, "peak") if seen.until >= seen.run.budget else NAN
+        _, values = seen.peaks(quantity)
+        return exact if not np.isnan(exact) or not len(values) else float(EXTREMES[quantity].reduce(values))
+
+    return measure
 
 
 def _last(values: np.ndarray) -> float:
@@ -190,35 +206,15 @@ def _roughness(values: np.ndarray) -> float:
 
 def _most_of_one(seen: RunView) -> float:
     """Return the share of the most frequent action at the end of training."""
-    shares = [_curve(f"action_{i}", _last)(seen) for i in range(len(ACTION_NAMES))]
+    shares = [seen.statistic(f"action_{i}", "last") for i in range(len(ACTION_NAMES))]
     most = is_gymnasium_id(seen.run.fields.get("env"))  # whose columns are the most frequent actions
     return max(*shares, 0.0 if most else 1 - sum(shares))  # flame, heal and dash have none: together
-
-
-def _early_variance(seen: RunView) -> float:
-    """Return the critic's mean explained variance over the first tenth of the budget."""
-    steps, values = seen.curve("explained_variance")
-    early = values[steps <= 0.1 * min(seen.run.budget, seen.until)]
-    return float(early.mean()) if len(early) else NAN
-
-
-def _mean_height(series: Series, until: float) -> float:
-    """Return the mean height of a curve, by trapezoids over its steps.
-
-    If a run ended early, its last value extends to `until`. NaN without a value.
-    """
-    step, values = series
-    if not len(values):
-        return NAN
-    step, values = np.append(step, max(until, step[-1])), np.append(values, values[-1])
-    span = step[-1] - step[0]
-    return float(np.trapezoid(values, step) / span) if span > 0 else float(values[0])
 
 
 def _share_area(seen: RunView) -> float:
     steps, shares = seen.evaluations("share_killed")
     first = min(np.searchsorted(steps, seen.since), max(len(steps) - 1, 0))  # one that diverged early has one
-    return _mean_height((steps[first:], shares[first:]), seen.until)
+    return mean_height(steps[first:], shares[first:], seen.until)
 
 
 def _steps_to(seen: RunView, least: float, column: str) -> float:
@@ -239,7 +235,7 @@ def _diagnosed(part: str) -> Measure:
     """Return an attribute of the diagnosis of collapse; NaN if it is None or no sign can be seen."""
 
     def measure(seen: RunView) -> float:
-        found = diagnose(seen.data, seen.run, seen.until)
+        found = diagnose(seen)
         value = None if found.blind else getattr(found, part)
         return NAN if value is None else float(value)
 
@@ -253,7 +249,7 @@ def _wall_seconds(seen: RunView) -> float:
 
 
 def _pace(seen: RunView) -> float:
-    seconds = seen.run.records.wall_seconds
+    seconds = seen.run.row.wall_seconds
     return (seen.run.end - seen.run.begun) / seconds if seconds else NAN
 
 
@@ -285,43 +281,44 @@ OUTCOMES: dict[str, Outcome] = {
         "evaluation episodes that succeeded, where the environment tells", "share", UP, SHARE, EVALUATED,
         _evaluations("success", _last)),
     "final-return": Outcome(
-        "return at the end of training", "", UP, ANYTHING, "return", _curve("return", _last)),
+        "return at the end of training", "", UP, ANYTHING, "return", _curve("return", "last")),
     "auc-return": Outcome(
         "return, mean over training", "", UP, ANYTHING, "return",
-        lambda seen: _mean_height(seen.curve("return"), seen.until)),
-    "best-return": Outcome("best return of training", "", UP, ANYTHING, "return", _curve("return", np.max)),
+        _curve("return", "height")),
+    "best-return": Outcome("best return of training", "", UP, ANYTHING, "return", _curve("return", "best")),
     "final-length": Outcome(
-        "episode length at the end", "steps", "", POSITIVE, "length", _curve("length", _last)),
-    "final-hp": Outcome("HP at the end of an episode", "points", UP, POSITIVE, "hp", _curve("hp", _last)),
+        "episode length at the end", "steps", "", POSITIVE, "length", _curve("length", "last")),
+    "final-hp": Outcome("HP at the end of an episode", "points", UP, POSITIVE, "hp", _curve("hp", "last")),
     "final-died": Outcome(
         "evaluation episodes that ended in death", "share", DOWN, SHARE, EVALUATED,
         _evaluations("died", _last)),
     "final-entropy": Outcome(
-        "entropy of the policy at the end", "nats", "", POSITIVE, "entropy", _curve("entropy", _last)),
+        "entropy of the policy at the end", "nats", "", POSITIVE, "entropy", _curve("entropy", "last")),
     "least-entropy": Outcome(
-        "least entropy of any update", "nats", "", POSITIVE, "entropy", _peaks("entropy", np.min)),
+        "least entropy of any update", "nats", "", POSITIVE, "entropy", _peak("entropy")),
     "max-grad-norm": Outcome(
         "greatest gradient norm of any update (mean over its minibatches)", "", DOWN, POSITIVE, "grad_norm",
-        _peaks("grad_norm", np.max)),
+        _peak("grad_norm")),
     "median-grad-norm": Outcome(
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm",
-        _curve("grad_norm", np.median)),
+        _curve("grad_norm", "median")),
     "final-dead-units": Outcome(
-        "dead hidden units at the end", "share", DOWN, SHARE, "dead_units", _curve("dead_units", _last)),
+        "dead hidden units at the end", "share", DOWN, SHARE, "dead_units", _curve("dead_units", "last")),
     **{
         f"final-action-{i}": Outcome(
             f"share of the action {name} at the end", "share", "", SHARE, f"action_{i}",
-            _curve(f"action_{i}", _last))
+            _curve(f"action_{i}", "last"))
         for i, name in enumerate(ACTION_NAMES)
     },
     "one-action": Outcome(
         "share of the most frequent action at the end", "share", "", SHARE, "action_0", _most_of_one),
     "mean-kl": Outcome(
         "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl",
-        _curve("approx_kl", np.mean)),
+        _curve("approx_kl", "average")),
     "early-explained-variance": Outcome(
         "share of the returns' variance that the critic explains, first tenth of training",
-        "", UP, (-np.inf, 1.0), "explained_variance", _early_variance),
+        "", UP, (-np.inf, 1.0), "explained_variance",
+        _curve("explained_variance", "early")),
     "collapsed": Outcome(
         "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", _diagnosed("collapsed")),
     "collapse-step": Outcome(

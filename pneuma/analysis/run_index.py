@@ -1,116 +1,148 @@
-"""From a run's id to what is held of it, and from a selection to its data: wherever the runs are.
+"""Which runs there are, and their rows: in the results folder, in its published tables and in Pneuma's own.
 
-Runs in the results folder come first, whether trained or imported. Missing runs (in a fresh clone, all) are
-looked up in published tables: first the study's own, then those of other studies, because a run is the same
-in every study. These are the tables in the folder and those that come with Pneuma.
+    store → RunIndex: run id → Entry; some entries → rows
+
+Of a run that is in several places, the one in the results folder counts if it has finished.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
-from pneuma.analysis.frames import StudyData
-from pneuma.analysis.published import PublishedTable, read_published
-from pneuma.analysis.records import LoggedRecords, Records
 from pneuma.errors import UserError
-from pneuma.study.store import SCALARS_FILE, Status, Store
+from pneuma.files import read_whole
+from pneuma.study.measure import UNKNOWN, stored_row
+from pneuma.study.rows import Published, Row
+from pneuma.study.store import FINISHED, Identity, Store
 
-Tables = Literal["all", "own", "none"]
-"""Which published tables count beside the runs that are here: all, the study's own, or none."""
+
+class Entry(NamedTuple):
+    """A run that is stored or published.
+
+    Attributes:
+        steps: agent steps that it was to train.
+        status: of `pneuma.study.store.STATUSES`.
+        step: agent steps trained.
+        table: the published table that has it; None if it is in the results folder.
+    """
+
+    run_id: str
+    config_id: str
+    seed: int
+    steps: int
+    status: str
+    step: int
+    table: Path | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has a row."""
+        return self.status in FINISHED
 
 
 class RunIndex:
-    """What a results folder holds of runs, by their ids.
+    """The runs of a results folder and of published tables.
 
     With `stored = False` only published tables are used; with `shipped = False` not those that come with
     Pneuma.
 
     Attributes:
-        damaged: messages on tables of other studies that cannot be read.
+        problems: messages on what cannot be read, or contradicts itself.
     """
 
     def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
         self.store = store
-        self._shipped = shipped
-        self.damaged: list[str] = []
         self._stored = stored
-        self._own = cache(self._read_own)
-        self.table = cache(self._read_table)
-        self._others = cache(self._read_others)
+        self._shipped = shipped
+        self.problems: list[str] = []
+        self.row = cache(self._read_row)
 
-    def of_record(self, record: Mapping[str, Any], tables: Tables = "all") -> dict[str, Records]:
-        """Return what is held of every run of a selection, by its id; of others that they are planned."""
-        found = {run["run_id"]: self._own(run["run_id"]) for run in record["runs"]}
-        if tables != "none":
-            table = self.table(record["study"]) if _lacking(found) else None
-            _fill(found, [table] if table else [])
-        if tables == "all" and _lacking(found):
-            _fill(found, self._others())
+    @cached_property
+    def entries(self) -> Mapping[str, Entry]:
+        """Every run, by its id."""
+        here = {entry.run_id: entry for entry in self._entries_here()} if self._stored else {}
+        published = {
+            run_id: Entry(run_id, *named, "done", named[2], table.path)
+            for table in self.tables.values()
+            for run_id, *named in table.index
+        }
+        finished = {name: entry for name, entry in here.items() if entry.finished}
+        return {**here, **published, **finished}
+
+    @cached_property
+    def tables(self) -> dict[str, Published]:
+        """The published tables that can be read, by name."""
+        return {name: table for path in self.store.published(self._shipped) for name, table in self._open(path)}
+
+    @cached_property
+    def by_configuration(self) -> Mapping[str, list[Entry]]:
+        """The runs of each configuration, by its id."""
+        found: dict[str, list[Entry]] = {}
+        for entry in self.entries.values():
+            found.setdefault(entry.config_id, []).append(entry)
         return found
 
-    def _read_own(self, run_id: str) -> Records:
-        status = self.store.status(run_id) if self._stored else Status("planned")
-        logged = self._stored and SCALARS_FILE in self.store.checksums(run_id)
-        return (LoggedRecords if logged else Records)(self.store, run_id, status)
+    def rows(self, entries: Iterable[Entry]) -> dict[str, Row]:
+        """Return the rows of finished runs, by id; those that cannot be read are among `problems`."""
+        found = {entry.run_id: self.row(entry.run_id) for entry in entries if entry.finished}
+        return {name: row for name, row in found.items() if row is not None}
 
-    def _read_table(self, study: str) -> PublishedTable | None:
-        """Return a study's published table, if it has one."""
-        path = self.store.published_path(study, self._shipped)
-        return read_published(self.store, study) if path.exists() else None
+    def listing(self, name: str) -> dict[str, Any] | None:
+        """Return the record of a study without a file, from here or from its published table."""
+        listing = self.store.listing(name) if self._stored else None
+        if listing is None and name in self.tables:
+            listing = self.tables[name].about.get("listing")
+        return listing
 
-    def _read_others(self) -> list[PublishedTable]:
-        """Return all published tables that can be read."""
-        tables = []
-        for study in self.store.published(self._shipped):
-            try:
-                tables += [table] if (table := self.table(study)) else []
-            except UserError as error:
-                self.damaged.append(str(error))
-        return tables
+    def listings(self) -> list[str]:
+        """Return the names of the studies without a file."""
+        published = (name for name, table in self.tables.items() if table.about.get("listing"))
+        return sorted({*(self.store.listings() if self._stored else ()), *published})
 
+    def _entries_here(self) -> Iterator[Entry]:
+        for run_id in self.store.runs():
+            status = self.store.status(run_id, quick=True)
+            if (known := self.store.identity(run_id)) is None and status.finished:
+                try:  # of an older version: its row is made now
+                    row = stored_row(self.store, run_id)
+                    yield Entry(run_id, row.config_id, row.seed, row.budget, status.name, status.step)
+                except UserError as error:
+                    self.problems.append(str(error))
+            else:
+                about = known or Identity(UNKNOWN, 0, 0)
+                yield Entry(run_id, about.config_id, about.seed, about.steps, status.name, status.step)
 
-def open_study(where: Store | RunIndex, record: Mapping[str, Any], tables: Tables = "all") -> StudyData:
-    """Return the finished runs of a selection, from wherever they are.
+    def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
+        try:
+            yield path.stem, Published(path, read_whole(path))
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            self.problems.append(
+                f"{path}: cannot be read ({reason}); take it from version control again, or publish it anew"
+            )
 
-    Raises:
-        UserError: when no run of the selection has finished, or its published table is damaged.
-    """
-    index = where if isinstance(where, RunIndex) else RunIndex(where)
-    return StudyData(index.of_record(record, tables), record, str(index.store.root))
+    def _read_row(self, run_id: str) -> Row | None:
+        entry = self.entries[run_id]
+        published = self._published(run_id, [entry.table] if entry.table else ())
+        if entry.table:
+            return published
+        try:
+            row = stored_row(self.store, run_id)
+        except UserError as error:
+            self.problems.append(str(error))
+            return self._published(run_id)
+        if (other := self._published(run_id)) is not None and not other.same_numbers(row):
+            self.problems.append(f"run {run_id} has other numbers here than published; those here are used")
+        return row
 
-
-def join_studies(one: StudyData, other: StudyData) -> StudyData:
-    """Return the runs of two studies as one study's; their conditions are called CONDITION, STUDY."""
-    runs = [
-        {**run, "condition": f"{run['condition']}, {data.study}"}
-        for data in (one, other)
-        for run in data.record["runs"]
-    ]
-    about: dict[str, Any] = {
-        "title": f"{one.title}, and {other.title}",
-        "selection": {},
-        "same": [],
-        "baseline": None,
-    }
-    record = {key: value for key, value in one.record.items() if key not in ("budget", "every")}
-    return StudyData({**one.index, **other.index}, {**record, **about, "runs": runs})
-
-
-def open_published(results: Path, names: Sequence[str] | None = None) -> list[StudyData]:
-    """Return studies by the published tables of a results folder alone; all when none is named."""
-    index = RunIndex(Store(results), stored=False, shipped=False)
-    tables = [read_published(index.store, name) for name in names or index.store.published(shipped=False)]
-    return [open_study(index, table.record) for table in tables]
-
-
-def _lacking(found: Mapping[str, Records]) -> set[str]:
-    return {run_id for run_id, records in found.items() if not records.status.finished}
-
-
-def _fill(found: dict[str, Records], tables: Sequence[PublishedTable]) -> None:
-    """Put in what tables hold of the runs that are lacking."""
-    for table in tables:
-        found |= {run_id: table.runs[run_id] for run_id in _lacking(found) & table.finished}
+    def _published(self, run_id: str, paths: Collection[Path] = ()) -> Row | None:
+        for table in self.tables.values():
+            if (not paths or table.path in paths) and run_id in table.places:
+                try:
+                    return table.row(run_id)
+                except ValueError as error:
+                    self.problems.append(f"{table.path}: {error}")
+        return None

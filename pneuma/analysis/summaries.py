@@ -15,7 +15,7 @@ import pandas as pd
 
 from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.intervals import (
-    LEAST_RESAMPLED,
+    LEAST_RUNS,
     LEVEL,
     RESAMPLES,
     Interval,
@@ -30,6 +30,7 @@ from pneuma.analysis.intervals import (
     median,
     no_interval,
     probability_of_improvement,
+    within,
 )
 from pneuma.analysis.outcomes import (
     PRIMARY,
@@ -104,7 +105,10 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str], at_step: int
 
 def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
     generator = _generator(condition, name)
-    yield condition, name, "mean", float(mean(values)), mean_interval(values), len(values)
+    interval = no_interval()
+    if len(values) >= LEAST_RUNS:
+        interval = within(mean_interval(values), *find_outcome(name).bounds)
+    yield condition, name, "mean", float(mean(values)), interval, len(values)
     resampled: dict[str, Callable[..., np.ndarray]] = {"median": median, "iqm": interquartile_mean}
     for statistic, estimate in resampled.items():
         interval = bootstrap_interval(values, estimate, generator)
@@ -116,7 +120,7 @@ def _improvement(
     data: StudyData, condition: str, name: str, values: np.ndarray, at_step: int | None
 ) -> Iterator[Row]:
     """Return the probability that a run is better than one of the baseline; nothing for the baseline."""
-    baseline, found = data.record.get("baseline"), find_outcome(name)
+    baseline, found = data.baseline, find_outcome(name)
     if (
         condition == baseline
         or baseline not in data.conditions
@@ -138,9 +142,9 @@ def _improvement(
 def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
     """Return the percentile bootstrap interval of that probability, as rliable does.
 
-    There is none for fewer than three runs, or if all resamples are equal.
+    There is none for few runs, or if all resamples are equal.
     """
-    if min(len(a), len(b)) < LEAST_RESAMPLED:
+    if min(len(a), len(b)) < LEAST_RUNS:
         return no_interval()
     first, second = (  # how often each run is drawn, (resamples, runs)
         np.array([np.bincount(row, minlength=n) for row in generator.integers(0, n, (RESAMPLES, n))])
@@ -204,10 +208,7 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
     for name in outcomes:
         refuse_unlike_returns(data, name, (a, b))
-    rows = list(_compared(data, a, b, outcomes))
-    if data.engines(a) != data.engines(b):
-        raise UserError(f"{a} and {b} were trained by different engines, which are never compared")
-    return pd.DataFrame(rows, columns=list(COMPARISON_COLUMNS))
+    return pd.DataFrame(_compared(data, a, b, outcomes), columns=list(COMPARISON_COLUMNS))
 
 
 def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Iterator[tuple[object, ...]]:
@@ -219,7 +220,10 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
         means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
         comparable = min(len(first), len(second)) > 0
         finite = comparable and np.isfinite(means).all()  # steps to a threshold may be infinite
-        interval = difference_interval(first, second) if finite else no_interval()
+        interval = no_interval()
+        if finite and min(len(first), len(second)) >= LEAST_RUNS:
+            width = found.bounds[1] - found.bounds[0]
+            interval = within(difference_interval(first, second), -width, width)
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
         better = probability_of_improvement(sign * first, sign * second) if sign and comparable else np.nan
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)

@@ -18,7 +18,6 @@ from pneuma.config import Run
 from pneuma.env import REGISTERED
 from pneuma.study import spec
 from pneuma.study.store import Store
-from pneuma.worlds import split_world
 
 Names = Callable[[Mapping[str, Any]], Iterable[str]]
 Complete = Callable[[typer.Context, str], list[str]]
@@ -44,9 +43,7 @@ def _store(typed: Mapping[str, Any]) -> Store:
 def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Return the unchecked file of the study on the command line, by its name or path."""
     name = typed.get("name") or (typed.get("names") or typed["rest"])[0]
-    study = split_world(name)[0]
-    shipped = spec.studies_folder() / f"{study}.toml"
-    path = Path(name) if name.endswith(".toml") else shipped if shipped.exists() else Path(f"{study}.toml")
+    path = spec.find_file("study", name, spec.studies_folder())
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
@@ -62,7 +59,7 @@ def _searches(typed: Mapping[str, Any]) -> list[str]:
     return [*shipped, *recorded, *_own_files("[space.")]
 
 
-studies = offering(lambda typed: [*spec.list_studies(), *_store(typed).studies(), *_own_files("[conditions")])
+studies = offering(lambda typed: [*spec.list_studies(), *_store(typed).listings(), *_own_files("[conditions")])
 searches = offering(_searches)
 conditions = offering(lambda typed: _study(typed).get("conditions", ()))
 presets = offering(lambda typed: [*_study(typed).get("presets", ()), spec.CLAIMS])

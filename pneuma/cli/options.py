@@ -20,7 +20,7 @@ from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
 from pneuma.values import read_value
-from pneuma.worlds import TEXT, WORLDS, world_option
+from pneuma.worlds import WORLDS
 
 # --- How options are declared ----------------------------------------------------------------------
 
@@ -186,7 +186,7 @@ WorldName = Annotated[
     choice(
         "--world",
         WORLDS,
-        "Whose rules: of the text, the published code, the arena (default: the first).",
+        "Whose rules: the arena (default), the thesis's text, or its published code.",
     ),
 ]
 Formats = Annotated[
@@ -233,14 +233,16 @@ def _chosen(
 def _picked(
     seeds: Seeds = None,
     steps: Annotated[
-        Any, count("--steps", "Runs of so many steps (default: those of which most are finished).")
+        Any, count("--steps", "Runs of so many steps (default: those last trained here).")
     ] = None,
     condition: Conditions = None,
+    set_: Settings = None,
     world: WorldName = None,
     results: Results = RESULTS,
 ) -> Chosen:
     """Read the options that select stored runs."""
-    return Chosen(Selection(None, seeds, steps, tuple(condition or ())), world, Store(results))
+    selection = Selection(None, seeds, steps, tuple(condition or ()), dict(set_ or ()))
+    return Chosen(selection, world, Store(results))
 
 
 def _place(
@@ -325,11 +327,12 @@ def selecting_words(selection: Selection) -> list[str]:
         listed = ",".join(map(str, selection.seeds)) + ("," if len(selection.seeds) == 1 else "")
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
     words += ["--steps", str(selection.steps)] if selection.steps is not None else []
-    return words + [word for name in selection.conditions for word in ("--condition", name)]
+    words += [word for name in selection.conditions for word in ("--condition", name)]
+    return words + [f"--set={key}={value}" for key, value in (selection.settings or {}).items()]
 
 
 def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:
     """Return the command that draws a study's figure again: its words, and options with their values."""
-    chosen = [*selecting_words(picked.selection), *world_option(picked.world or TEXT)]
+    chosen = [*selecting_words(picked.selection), *(["--world", picked.world] if picked.world else [])]
     options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
     return shlex.join(["pneuma", "study", *words, *chosen, *options])

@@ -28,7 +28,17 @@ app = typer.Typer(
 @app.command("list", short_help="List the stored runs.")
 def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
-    runs = [run.row() for run in stored_runs.list_runs(Store(results))]
+    from pneuma.analysis.asked import holders
+    from pneuma.analysis.run_index import RunIndex
+
+    index = RunIndex(Store(results))
+    held = holders(index)
+    runs = [
+        {"run_id": name, "status": entry.status, "step": entry.step, "seed": entry.seed,
+         "studies": held.get(name, [])}
+        for name, entry in index.entries.items()
+        if entry.table is None
+    ]  # fmt: skip
     if json:
         return print_json({"runs": runs})
     if not runs:
@@ -38,8 +48,7 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         studies = (
             ", ".join(f"{held['study']}/{held['condition']}" for held in run["studies"]) or "of no study"
         )
-        seed = "?" if run["seed"] is None else run["seed"]
-        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {seed}", studies))
+        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies))
     return print_table([""] * 5, rows)
 
 
@@ -53,16 +62,21 @@ def show(
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
     run = stored_runs.stored_run(store, name)
+    from pneuma.analysis.asked import holders
+    from pneuma.analysis.run_index import RunIndex
+
+    held = holders(RunIndex(store)).get(run.run_id, [])
     usual = stored_runs.default_settings(run.settings)
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     provenance = store.read_document(run.run_id, "provenance.json")
     if json:
         defaults = {key: usual.get(key) for key in differing}
         about = {"settings": run.settings, "defaults": defaults, "provenance": provenance}
-        return print_json({**run.row(), **about, "files": run.files()})
+        head = {"run_id": run.run_id, "status": run.status.name, "step": run.status.step, "studies": held}
+        return print_json({**head, **about, "files": run.files()})
     detail = f" ({run.status.detail})" if run.status.detail else ""
     say(f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained")
-    for study in run.studies:
+    for study in held:
         say(f"study {study['study']}, condition {study['condition']}, seed {study['seed']}")
     print("\nFields" if all_ else "\nFields that are not at their defaults (--all shows the others)")
     for key, value in (run.settings if all_ else differing).items():

@@ -8,17 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.analysis.stored_studies import is_shipped, known_studies, studies_run_here, study_record
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
-from pneuma.cli.study_records import each_study, run_states, tell_shown
 from pneuma.errors import UserError, unknown_name
 from pneuma.study import plan, spec
-from pneuma.study.execute import selection_record
 from pneuma.study.store import Store
-from pneuma.values import shown_settings, shown_value
-from pneuma.worlds import split_world
+from pneuma.values import shown_value
 
 app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -75,20 +71,17 @@ def show(
     json: opt.Json = False,
 ) -> None:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    store, study = Store(results), None
-    own_name = split_world(name)[0]
-    if not is_shipped(name) and own_name in {split_world(known)[0] for known in known_studies(store)}:
-        record = study_record(store, name, world=world)
-    else:
-        study = spec.load_study(name, world)
-        record = selection_record(plan.make_plan(study, plan.Selection(next(iter(study.presets)))))
-    fields = {run["condition"]: run["run"] for run in record["runs"]}
+    from pneuma.analysis.asked import ask
+    from pneuma.analysis.run_index import RunIndex
+
+    asked = ask(RunIndex(Store(results)), name, world=world)
+    study, fields = asked.study, asked.fields
     if json:
         about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
         presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
-        head = {key: record[key] for key in ("study", "title", "baseline")}
+        head = {"study": asked.name, "title": asked.title, "baseline": asked.baseline}
         return print_json({**head, **about, "conditions": fields, "presets": presets})
-    say(record["title"] + (f" (thesis section {study.section})" if study and study.section else ""))
+    say(asked.title + (f" (thesis section {study.section})" if study and study.section else ""))
     if study:
         say(study.about)
     differing = plan.differing_fields(fields)
@@ -104,13 +97,13 @@ def show(
         each = map("{} ({})".format, having, names)
         say(f"  {key}: {'; '.join(each)}")
     if len(fields) > 1:
-        say(f"Compared with: {record['baseline']}")
+        say(f"Compared with: {asked.baseline}")
     print("\nAll conditions share:" if len(fields) > 1 else "\nThe one condition has:")
     for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
             say(f"  {key} = {shown_value(value)}")
     if study is None:
-        return say(f"Seeds: {', '.join(dict.fromkeys(str(run['seed']) for run in record['runs']))}")
+        return say(f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}")
     from pneuma.study.claimed import fixed_amounts
 
     print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
@@ -137,41 +130,41 @@ def status(
     json: opt.Json = False,
 ) -> None:
     """Say how far the runs of a study are."""
-    store = picked.store
-    jobs = _queued(store)
+    from pneuma.analysis.asked import answer, ask, studies_here
+    from pneuma.analysis.run_index import RunIndex
 
-    def standing(study: str) -> dict[str, Any]:
-        record = study_record(store, study, picked.selection, picked.world)
-        tell_shown(store, record)
-        states = run_states(store, record)
-        runs = [
-            {key: state.run[key] for key in ("run_id", "condition", "seed")}
-            | {"status": state.status.name, "step": state.status.step, "published": state.published}
-            for state in states
-        ]
-        queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
-        if not json:
-            counts = tallied(state.label for state in states)
-            changed = shown_settings(record.get("selection", {}).get("settings") or {})
-            say(f"{record['study']}{changed and f' ({changed})'}: {counts}")
-            rows = []
-            for state in states if name else ():
-                run_id, label = state.run["run_id"], state.label
-                if state.status.step and not state.status.finished:
-                    label += f" at step {state.status.step:,}"
-                if job := queued.get(run_id):
-                    label += f" job {job['job']} {job['state'].lower()}"
-                rows.append((f"  {state.run['condition']}", f"seed {state.run['seed']}", run_id, label))
-            if rows:
-                print_table([""] * 4, rows)
-        return {"study": record["study"], "runs": runs, "jobs": queued}
-
-    found = [standing(name)] if name else each_study(studies_run_here(store, picked.world), standing)
+    index = RunIndex(picked.store)
+    if name is None:
+        held = studies_here(index, picked.world)
+        if json:
+            keys = ("run_id", "status", "step")
+            return print_json({
+                "studies": [
+                    {"study": one.name, "world": one.world,
+                     "runs": [{key: getattr(entry, key) for key in keys} for entry in one.entries]}
+                    for one in held
+                ]
+            })  # fmt: skip
+        rows = [(one.name, one.world, tallied(entry.status for entry in one.entries)) for one in held]
+        return print_table([""] * 3, rows) if rows else print(f"No study was run in {picked.store.root} yet.")
+    jobs = _queued(picked.store)
+    shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
+    say(shown.told(), aside=True)
+    runs: list[dict[str, Any]] = []
+    rows = []
+    for condition, seed, entry in shown.runs:
+        about = {"run_id": entry.run_id, "condition": condition, "seed": seed}
+        runs.append({**about, "status": entry.status, "step": entry.step, "published": entry.table is not None})
+        label = f"{entry.status} as published" if entry.table else entry.status
+        label += f" at step {entry.step:,}" if entry.step and not entry.finished else ""
+        if job := jobs.get(entry.run_id):
+            label += f" job {job['job']} {job['state'].lower()}"
+        rows.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
     if json:
-        return print_json(found[0] if name else {"studies": found})
-    if not found:
-        print(f"No study was run in {store.root} yet.")
-    return None
+        queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
+        return print_json({"study": shown.asked.name, "runs": runs, "jobs": queued})
+    print_table([""] * 4, rows)
+    return print(tallied(entry.status for *_, entry in shown.runs))
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

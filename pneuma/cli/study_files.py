@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import (
-    ACTION_QUANTITIES,
-    BAND_NAMES,
-    CURVE_QUANTITIES,
-    EDGED_BANDS,
-    EPISODE_QUANTITIES,
-    EXPORT_SUFFIXES,
-    EXPORT_TABLES,
-    EXPORTED_BAND,
-    UPDATE_QUANTITIES,
-    WINDOWS,
-)
-from pneuma.analysis.stored_studies import is_shipped, studies_run_here, study_record
+from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES, EXPORTED_BAND
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -33,15 +20,27 @@ from pneuma.cli.output import (
     tell_written,
     write_file,
 )
-from pneuma.cli.study_records import each_study, nothing_yet, open_data, tell_left_out
+from pneuma.cli.study_records import each_study, nothing_yet, open_data
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import FIGURE_KINDS
-from pneuma.worlds import in_world, split_world
+from pneuma.study.plan import Selection
+from pneuma.study.quantities import (
+    ACTION_QUANTITIES,
+    CURVE_QUANTITIES,
+    EPISODE_QUANTITIES,
+    UPDATE_QUANTITIES,
+    WINDOWS,
+)
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
+PUBLISHED_CURVES = (
+    "return", "length", "hp", "entropy", "grad_norm", "approx_kl", "explained_variance", "dead_units",
+    *ACTION_QUANTITIES,
+)  # fmt: skip
+"""The quantities whose curves a published table keeps by default."""
 
 
 # --- plot -----------------------------------------------------------------------------------------
@@ -78,17 +77,17 @@ def plot(
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
     formats, store = read_formats(format, out), picked.store
-    if not names and (lacking := nothing_yet(store, picked.world)):
+    if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
-    from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, settle
     from pneuma.figures.index import index_entries
     from pneuma.figures.summary import draw_summary, shown_outcome
 
-    other = open_study(store, study_record(store, beside)) if beside else None
+    other = open_data(opt.Chosen(Selection(), None, store), beside) if beside else None
 
-    def draw_one(folder: Path, name: str) -> list[dict[str, Any]]:
-        data = open_data(picked, name)
+    def draw_one(folder: Path, asked: tuple[str, str | None]) -> list[dict[str, Any]]:
+        name, world = asked
+        data = open_data(replace(picked, world=world), name)
         if figure == "curves":
             settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
             drawn: dict[str, Any] = asdict(settled)
@@ -104,10 +103,23 @@ def plot(
 
     def draw(folder: Path) -> list[dict[str, Any]]:
         one = partial(draw_one, folder)
-        drawn = map(one, names) if names else each_study(studies_run_here(store, picked.world), one)
+        asked = [(name, picked.world) for name in names or ()]
+        drawn = [*map(one, asked)] if names else each_study(_run_here(picked), one)
         return [entry for entries in drawn for entry in entries]
 
     tell_written(draw_indexed(store, out, draw), json)
+
+
+def _run_here(picked: opt.Chosen) -> list[tuple[str, str | None]]:
+    """Return the studies, each with its world, all of whose conditions have runs in the results folder."""
+    from pneuma.analysis.asked import studies_here
+    from pneuma.analysis.run_index import RunIndex
+
+    held = studies_here(RunIndex(picked.store), picked.world)
+    if not any(one.whole for one in held):
+        names = ", ".join(dict.fromkeys(one.name for one in held)) or "one"
+        raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")
+    return [(one.name, one.world or None) for one in held if one.whole]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -151,11 +163,11 @@ def export(
         check_file(out, EXPORT_SUFFIXES)
     elif json:
         raise UserError("--json: standard output is for the table; name a file by --out")
-    data = open_data(picked, name, published=table not in ("episodes", "metrics"))
+    data = open_data(picked, name)
     from pneuma.analysis.export import encode_table
 
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
-    encoded, rows = encode_table(data, table, form, window, band or EXPORTED_BAND)
+    encoded, rows = encode_table(data, table, form, picked.store, window, band or EXPORTED_BAND)
     if printed:
         sys.stdout.buffer.write(encoded)
         return None
@@ -193,40 +205,33 @@ def publish(
             _read_curves,
         ),
     ] = None,
-    as_: Annotated[
-        opt.Text, opt.option("--as", "NAME", "Name the table: a second budget has one of its own.")
-    ] = None,
     json: opt.Json = False,
 ) -> None:
-    """Write a study's runs as one small table, from which it is drawn and judged without them.
+    """Write a study's runs as rows of one small table, from which they are read where they are not stored.
 
-    Runs of the selection that were published before and are not here stay in it as they are: a study
-    may thus be trained on several machines, or part by part. Runs that other studies have published are found
-    in their tables.
+    Rows that the table has already stay in it. The same runs give the same bytes.
     """
     store = picked.store
-    record = study_record(store, name, picked.selection, picked.world)
-    if as_ is not None:
-        if is_shipped(as_) or not re.fullmatch(r"[\w-]+", as_):
-            raise UserError(f"--as {as_}: must be letters, digits and hyphens, and no shipped study's name")
-        world = split_world(record["study"])[1]
-        table, (title, place, _) = in_world(as_, world), record["title"].partition(f" ({world})")
-        record = {**record, "study": table, "figure": table, "title": f"{title}: {as_}{place}"}
-    from pneuma.analysis.published import TIMES_SUFFIX
-    from pneuma.analysis.publishing import encode_study, encode_times
-    from pneuma.analysis.run_index import RunIndex, open_study
+    data = open_data(picked, name)
+    from pneuma.analysis.frames import table_name
+    from pneuma.analysis.run_index import RunIndex
+    from pneuma.study.rows import encode_published
 
-    index, path = RunIndex(store, shipped=False), store.published_path(record["study"], shipped=False)
-    data = open_study(index, record, "own")
-    new, staying = len(data.runs) - len(data.published), len(data.published)
+    index, stem = RunIndex(store, shipped=False), table_name(data)
+    new = {run.run_id: run.row for run in data.runs if not run.row.published}
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
-    tell_left_out(data)
-    encoded = encode_study(data, curves, index.table(data.study))
+    before = index.tables.get(stem)
+    rows = {run_id: before.row(run_id) for run_id in (before.places if before else ())} | new
+    listing = store.listing(data.study)
+    about = {"study": data.study, **({"listing": listing} if listing else {})}
+    order = sorted(rows, key=lambda run_id: (rows[run_id].config_id, rows[run_id].budget, rows[run_id].seed))
+    encoded = encode_published([rows[run_id] for run_id in order], about, curves or PUBLISHED_CURVES)
+    path = store.published_path(stem)
     store.write(path, encoded)
-    store.write(path.with_suffix(TIMES_SUFFIX), encode_times(data))
+    staying = len(rows) - len(new)
     if json:
         about = {"study": data.study, "file": path, "bytes": len(encoded)}
-        return print_json({**about, "runs": new, "staying": staying})
+        return print_json({**about, "runs": len(new), "staying": staying})
     more = f", {staying} as they were published before" if staying else ""
-    return say(f"wrote {path}: {new} runs from here{more}; {len(encoded) / 1000:.0f} kB")
+    return say(f"wrote {path}: {len(new)} runs from here{more}; {len(encoded) / 1000:.0f} kB")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis.stored_studies import known_studies
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -26,6 +27,7 @@ from pneuma.errors import UserError, counted, nearest_name
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
 from pneuma.study.spec import list_studies
+from pneuma.study.store import Store
 from pneuma.values import shown_level, shown_value
 
 if TYPE_CHECKING:
@@ -72,7 +74,7 @@ def summary(
         step = common_step(data)
         left_out = [run.run_id for run in data.runs if run.ends_before(step)]
         return print_json({"study": data.study, "at_step": step, "left_out": left_out, "summary": table})
-    say(data.title)
+    say(data.full_title)
     _tell_step(data)
     print()
     cells = {
@@ -144,31 +146,23 @@ def compare(
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
     formats = read_formats(format, out, "" if plot else "--plot")
-    data, heads = open_data(picked, name), [a, b or ""]
+    selected = replace(picked.selection, conditions=(a, b) if b else picked.selection.conditions)
+    data, heads = open_data(replace(picked, selection=selected), name), [a, b or ""]
     pairs = {"": (a, b or "")}
     if b is None:
-        from pneuma.analysis.run_index import join_studies
+        from pneuma.analysis.frames import join_studies
 
         if others := [condition for condition in data.conditions if condition != a and a in data.conditions]:
             raise UserError(
                 f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
             )
-        hint, known = nearest_name(a, data.conditions), (*list_studies(), *known_studies(picked.store))
-        if hint and a not in known:
+        if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
             raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
-        other = open_data(picked, a)
+        other = open_data(replace(picked, selection=replace(selected, conditions=(), settings=None)), a)
         heads = [data.study, other.study]
-        shared = [
-            condition
-            for condition in data.conditions
-            if data.of_condition(condition) and other.of_condition(condition)
-        ]
-        if data.study == other.study or not shared:
+        data, pairs = join_studies(data, other)
+        if not pairs:
             raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
-        pairs = {
-            condition: (f"{condition}, {data.study}", f"{condition}, {other.study}") for condition in shared
-        }
-        data = join_studies(data, other)
     import pandas as pd
 
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
@@ -193,8 +187,9 @@ def compare(
         files = draw_indexed(picked.store, out, draw)
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
-    say(f"{data.title}: {heads[0]} against {heads[1]}")
+    say(f"{data.full_title}: {heads[0]} against {heads[1]}")
     _tell_step(data)
+    _tell_engines(data, [*pairs.values()])
     print()
     rows = []
     compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
@@ -211,6 +206,21 @@ def compare(
     print("\nMeans, and their difference with a 95 % interval (Welch). P(better): the probability that a run")
     print("of the first is better than one of the second. no value: runs without one, which are left out.")
     return tell_written(files)
+
+
+def _tell_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> None:
+    """Say where what is compared was trained by different engines; claims refuse that."""
+    for pair in pairs:
+        engines = [", ".join(sorted(data.engines(name))) or "not known" for name in pair]
+        if engines[0] != engines[1]:
+            return say(f"Note: trained by different engines ({' and '.join(engines)}).")
+    return None
+
+
+def _is_study(store: Store, name: str) -> bool:
+    from pneuma.analysis.run_index import RunIndex
+
+    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())
 
 
 # --- collapse -------------------------------------------------------------------------------------
@@ -239,17 +249,19 @@ def collapse(
     if workers and not fork:
         raise UserError("--workers: is of --fork")
     formats, store = read_formats(format, out, "" if out else "--out"), picked.store
-    data = open_data(picked, name, published=not fork)
+    data = open_data(picked, name)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
     shares = incidence(data, found)
     collapsed = found[found["collapsed"]]
     if fork:
+        here = {run.run_id for run in data.runs if not run.row.published}
+        collapsed = collapsed[collapsed["run_id"].isin(here)]
         parents = dict(zip(collapsed["run_id"], map(int, collapsed["sound_step"]), strict=True))
         if not parents:
-            runs = counted(len(data.runs), "run")
-            raise UserError(f"study {data.study}: none of its {runs} collapsed, so there is nothing to fork")
+            runs = counted(len(here), "run")
+            raise UserError(f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork")
         plan = plan_cause_forks(store, data.study, parents, fork_seeds, trust=trust)
         how = Supervision(workers=opt.most_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
@@ -304,7 +316,7 @@ def effects(
     from pneuma.analysis.intervals import decimals, shown
 
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{data.title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
+    say(f"{data.full_title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
     print()
     rows = []
     for row in found.table.to_dict("records"):
@@ -360,7 +372,7 @@ def robustness(
 
     against = " against ".join(map(shown_value, found.values))
     of = found.outcome + (" (turned, as less is better)" if turned else "")
-    say(f"{data.title}: {found.setting} {against}, {of}: {found.label}")
+    say(f"{data.full_title}: {found.setting} {against}, {of}: {found.label}")
     rows = []
     for cell in found.cells.to_dict("records"):
         levels = ", ".join(f"{key} {shown_level(cell[key])}" for key in found.factors) or cell["better"]

@@ -12,14 +12,12 @@ import typer
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say, tallied
-from pneuma.cli.study_records import file_of
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
 from pneuma.study.store import Status, Store
-from pneuma.worlds import TEXT, split_world
 
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that no cell should have after a study was run."""
@@ -88,18 +86,11 @@ def run(
     ] = None,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
-    as_: Annotated[opt.Text, opt.option("--as", "NAME", "What to call the variant that --set makes.")] = None,
     json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> int:
     """Train the missing runs of a study, resuming those that were stopped."""
     store = chosen.store
-    if as_:
-        if not chosen.selection.settings:
-            raise UserError(f"--as {as_}: names what --set changes; give --set KEY=VALUE too")
-        if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT:
-            raise UserError(f"--as {as_}: must be letters, digits, - and _, and not end in a world's name")
-        chosen = replace(chosen, selection=replace(chosen.selection, variant=as_))
     planned = _plan(chosen, name, unpublished)
     how = replace(
         place,
@@ -171,7 +162,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
-    study = spec.load_study(*file_of(chosen.store, name, chosen.world))
+    study = spec.load_study(name, chosen.world)
     fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
     named_code = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):
@@ -182,10 +173,10 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(chosen.store, stored=False)
-    found = index.of_record(execute.selection_record(planned))
-    for error in index.damaged:
-        say(f"Note: {error}; its runs are trained.", aside=True)
-    return replace(planned, published=frozenset(name for name, records in found.items() if records.published))
+    published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.entries)
+    for problem in index.problems:
+        say(f"Note: {problem}; its runs are trained.", aside=True)
+    return replace(planned, published=published)
 
 
 def _cell(cell: plan.Cell) -> dict[str, Any]:
@@ -218,5 +209,5 @@ def _tell_results(
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):
-        drawn = command("study", "plot", planned.study.name, "--results", store.root)
-        say(f"Draw it with: {drawn}", as_json, quiet)
+        say(f"Draw it with: {command('study', 'plot', *spec.asked_words(planned.study), '--results', store.root)}",
+            as_json, quiet)

@@ -11,15 +11,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.analysis import ACTION_QUANTITIES
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
 from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
 from pneuma.analysis.outcomes import is_foreign
-from pneuma.analysis.records import Series
-from pneuma.analysis.series import LEAST_ENTROPY, LOSS, MOST_OF_ONE, NO_ENTROPY
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
 from pneuma.figures.style import GREY, INK
+from pneuma.study.quantities import ACTION_QUANTITIES
+from pneuma.study.series import LEAST_ENTROPY, LOSS, MOST_OF_ONE, NO_ENTROPY, Series
 
 PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
 """Heights in inches: of panels as usual, of panels that fill a page, and of a condition's row."""
@@ -40,7 +39,7 @@ Colours = Mapping[str, str]
 
 def collapsed_shares(data: StudyData) -> pd.DataFrame:
     """Return the `incidence` of all conditions; no rows if no run is known to have collapsed."""
-    if "evaluations" not in data.tables:
+    if not data.evaluated:
         return pd.DataFrame()
     shares = incidence(data, diagnoses(data))
     return shares[shares["collapsed"] > 0]

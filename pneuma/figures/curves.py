@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
-from pneuma.analysis import BAND_NAMES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import (
     BANDS,
     Curve,
@@ -26,11 +26,13 @@ from pneuma.analysis.curves import (
     shared_levels,
     study_curves,
 )
-from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_words
+from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import have_one_return, without_monsters
 from pneuma.env_fields import ACTION_NAMES
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import panels, style
+from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 
 _, TRAILING_WINDOW = WINDOWS
 AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
@@ -125,8 +127,8 @@ def settle(
             of episodes replaces them.
     """
     window = data.checked_window(window)
-    if band is not None and band not in BANDS:
-        raise unknown_name("band", band, BANDS)
+    if band is not None:
+        _check_band(data, band)
     names = tuple(dict.fromkeys([quantities] if isinstance(quantities, str) else quantities))
     if not names:
         known = curve_names(data)
@@ -138,6 +140,16 @@ def settle(
     return Drawing(names, band or BAND_NAMES[0], window)
 
 
+def _check_band(data: StudyData, band: str) -> None:
+    """Refuse a band that could not be drawn, as runs are too few."""
+    if band not in BANDS:
+        raise unknown_name("band", band, BANDS)
+    for name in data.conditions:
+        if 0 < (count := len(data.of_condition(name))) < BANDS[band].least_runs:
+            runs, least = counted(count, "run"), BANDS[band].least_runs
+            raise UserError(f"--band {band}: {name} has {runs}, and it needs {least}; try --band std or runs")
+
+
 def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> str:
     """Return the name of a figure's files: the study's figure, and how this one differs from the usual."""
     usual, differs = settle(data), []
@@ -146,7 +158,7 @@ def file_stem(data: StudyData, drawing: Drawing, beside: str | None = None) -> s
         differs.append("all" if every else "-".join(drawing.quantities))
     differs += [drawing.band] * (drawing.band != usual.band)
     differs += [drawing.window.removesuffix("%")] * (drawing.window != data.windows[0])
-    return panels.stem_of(data, *differs, *(["beside", beside] if beside else []))
+    return figure_basename(data, *differs, *(["beside", beside] if beside else []))
 
 
 # --- Panels ------------------------------------------------------------------------------------------
@@ -174,7 +186,7 @@ def _draw_quantities(
         _draw_means(axes, name, group, drawing.band, looks, labels)
         for curve in others.get(name, ()):
             look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
-            axes.plot(curve.step, curve.runs.T, label=beside.title if beside else "", alpha=faint, **look)
+            axes.plot(curve.step, curve.runs.T, label=beside.full_title if beside else "", alpha=faint, **look)
         _draw_around(axes, data, name, [*group, *others.get(name, ())])
         if beside:
             axes.set_xlim(0, max(data.budget, beside.budget))
@@ -264,11 +276,11 @@ QUANTITIES = {
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
     count = len(curve.runs)
-    return BANDS[band].edges is None or 1 < count < panels.FEW_RUNS or count < BANDS[band].enough_runs
+    return BANDS[band].edges is None or 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
 
 
 def _shows_band(curve: Curve, band: str) -> bool:
-    return BANDS[band].edges is not None and len(curve.runs) >= panels.FEW_RUNS
+    return BANDS[band].edges is not None and len(curve.runs) >= BANDS[band].least_runs
 
 
 def _draw_means(

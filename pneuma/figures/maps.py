@@ -51,7 +51,7 @@ MAPS: dict[str, tuple[tuple[str, Any, Any], ...]] = {
 def study_maps(data: StudyData) -> list[Map]:
     """Return all maps of a study, without those whose conditions were not run."""
     found = []
-    for contrast in MAPS.get(data.own_name, ()):
+    for contrast in MAPS.get(data.study, ()):
         try:
             found.append(robustness_map(data, *contrast))
         except UserError:

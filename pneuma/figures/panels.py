@@ -27,11 +27,9 @@ from pneuma.figures.style import (
     clean,
     condition_looks,
 )
-from pneuma.values import settings_name
+from pneuma.values import shown_settings
 from pneuma.worlds import WORLDS
 
-FEW_RUNS = 5
-"""With fewer runs than this, runs are drawn without an interval, which would set the axis."""
 FAR = 3.0
 """A player's level this many times above the highest point is not drawn."""
 BELOW_ZERO = 0.02
@@ -45,21 +43,10 @@ PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 
 # --- Texts -------------------------------------------------------------------------------------------
 
 
-def stem_of(data: StudyData, *parts: str) -> str:
-    """Return the name of a figure's files without its ending.
-
-    It contains a variant's name or changed fields, and the selected conditions and seeds, so that neither a
-    variant nor a part of a study replaces the study's own figure.
-    """
-    named = {} if data.variant else data.changed
-    slug = settings_name(named, *filter(None, [data.variant, *data.picked, *parts]))
-    return "-".join(filter(None, [data.figure, slug]))
-
-
 def title_of(data: StudyData) -> str:
-    """Return a study's title, with a variant's changed fields and the world."""
-    title, changed = data.record["title"], data.title.removeprefix(data.record["title"])
-    whole = title.removesuffix(f" ({data.world})") + changed
+    """Return a study's title, with changed fields and the world."""
+    changed = shown_settings(data.changed)
+    whole = data.title + (f" ({changed})" if changed else "")
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
     read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
     read = {name for name in read if not name.startswith("random:")}
@@ -87,7 +74,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     Returns of `beside` are drawn with it. Imported logs do not tell their reward.
     """
     notes = []
-    engines = sorted({str(run["run"].get("engine")) for run in data.record["runs"]} - {"None"})
+    engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
     if len(engines) > 1:
         notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
     units = kinds_of_return(data) | (
@@ -114,7 +101,7 @@ def label_of(data: StudyData, condition: str, name: str = "") -> str:
 
 def looks_of(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the looks of conditions, which they keep where a part of the study is drawn, if it is small."""
-    every = data.record.get("every", data.conditions)
+    every = data.every or data.conditions
     return condition_looks(every if len(every) <= MOST_IN_A_PANEL else data.conditions)
 
 

@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, shared_levels
-from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_words
+from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -27,7 +28,6 @@ from pneuma.analysis.outcomes import (
 )
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import panels, style
-from pneuma.figures.panels import FEW_RUNS
 from pneuma.figures.style import GREY, INK
 
 WITHOUT_EVALUATIONS = "final-return"
@@ -45,7 +45,7 @@ Colours = Mapping[str, str]
 
 def shown_outcome(data: StudyData) -> str:
     """Return the outcome that is drawn."""
-    if is_foreign(data) and "evaluations" in data.tables:
+    if is_foreign(data) and data.evaluated:
         return primary(data)
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
@@ -60,7 +60,7 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
         if data.of_condition(name):
             found = outcome_values(data, name, outcome, common_step(data))
             values[name] = found[np.isfinite(found)]
-    several = [name for name, runs in values.items() if len(runs) >= FEW_RUNS]
+    several = [name for name, runs in values.items() if len(runs) >= LEAST_RUNS]
     improved = table[(table["statistic"] == "improvement") & table["condition"].isin(several)]
     profiled = len(values) <= style.MOST_IN_A_PANEL
     pitch = min(max(LONGEST_INCHES / len(values), LEAST_ROW_INCHES), ROW_INCHES)
@@ -91,7 +91,7 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
         step = common_step(data)
         when = f"at {step:,} steps" if step else "at the end of training"
         panels.put_texts(figure, inches, panels.headline_of(data, when), entries, caption)
-        return style.save_figure(figure, folder, panels.stem_of(data, "summary"), formats)
+        return style.save_figure(figure, folder, figure_basename(data, "summary"), formats)
 
 
 def draw_comparison(
@@ -156,7 +156,7 @@ def _draw_rows(axes: Axes, values: Values, table: pd.DataFrame, colours: Colours
             markeredgewidth=0, alpha=0.7 if len(runs) < 20 else 0.4, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
-        enough = len(runs) >= FEW_RUNS
+        enough = len(runs) >= LEAST_RUNS
         for row in table[table["condition"] == condition].to_dict("records"):
             if row["statistic"] == "mean" and len(runs) > 1:
                 _draw_interval(axes, row, place - ABOVE, "D", colours[condition], mark, enough)
@@ -220,9 +220,9 @@ def _marks(values: Values) -> dict[str, Any]:
     entries = {"a run": Line2D([], [], **run)}
     if most > 1:
         look: Any = {"color": INK, "marker": "D", "markersize": 4}
-        enough = most >= FEW_RUNS
+        enough = most >= LEAST_RUNS
         entries["mean" + ", 95 % interval" * enough] = Line2D([], [], **look, linestyle="-" if enough else "")
-    if most >= FEW_RUNS:
+    if most >= LEAST_RUNS:
         entries["interquartile mean, 95 % interval"] = Line2D([], [], **iqm)
     return entries
 
@@ -237,10 +237,10 @@ def _caption(data: StudyData, outcome: str, values: Values, improved: bool) -> l
         total = len(data.of_condition(name))
         if len(known) < total:
             notes.append(f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere.")
-    if any(len(known) < FEW_RUNS for known in values.values()):
-        notes.append(f"Of fewer than {FEW_RUNS} runs there is no interval.")
-    if any(len(known) >= FEW_RUNS for known in values.values()):
+    if any(len(known) < LEAST_RUNS for known in values.values()):
+        notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
+    if any(len(known) >= LEAST_RUNS for known in values.values()):
         notes.append("Intervals: Student's t for means, else bootstrap.")
     if improved:
-        notes.append(f"The baseline is {data.record['baseline']}; a tie counts half.")
+        notes.append(f"The baseline is {data.baseline}; a tie counts half.")
     return notes

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import optuna
 
+from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.analysis.run_index import open_study
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import OVER_SEEDS, Budget, Median, Objective, Pruner, Search
-from pneuma.study.execute import selection_record
 from pneuma.study.identity import contents, run_id
+from pneuma.study.measure import stored_row
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
@@ -141,9 +141,10 @@ class Outcomes:
             worst = find_outcome(name).bounds[minimized]
             if np.isfinite(worst):
                 return float(worst)
-        record = selection_record(make_trial_plan(self.task, [cell]))
-        data = open_study(self.store, record, "none")
-        return outcome(data, data.runs[0], name)
+        run = FinishedRun(cell.condition, cell.seed, stored_row(self.store, cell.run_id))
+        title = self.task.search.title
+        data = StudyData(title, title, title, cell.condition, {cell.condition: as_fields(cell.run)}, [run])
+        return outcome(data, run, name)
 
     def diverged(self, cell: Cell) -> bool:
         """Return whether a finished run diverged."""

@@ -20,7 +20,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, TomlFile, Where, read_model, read_toml
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, SEEDS_ALLOWED, Preset, Study, read_seeds
 from pneuma.values import OneOf, Reads
-from pneuma.worlds import WORLDS, split_world
+from pneuma.worlds import WORLDS
 
 
 def listed(value: object) -> object:
@@ -167,4 +167,4 @@ def _is_about(name: str, study: Study, folder: Path) -> bool:
     """Return whether a claim names this study, by name if it is shipped, else by path."""
     if name.endswith(".toml"):
         return study.path is not None and (folder / name).resolve() == study.path.resolve()
-    return study.own_path is None and study.path is not None and split_world(name)[0] == study.path.stem
+    return study.own_path is None and study.path is not None and name == study.path.stem

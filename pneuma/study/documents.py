@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, NotRequired
 
+from annotated_types import MinLen
 from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
@@ -18,45 +19,24 @@ class Manifest(TypedDict):
     status: Literal[STATUSES]  # type: ignore[valid-type]
     step: int
     files: dict[str, str]
+    config_id: NotRequired[str]
+    seed: NotRequired[int]
+    steps: NotRequired[int]
 
 
-class _Fields(TypedDict):
-    steps: int
-    env: str
-    horizon: NotRequired[int | None]
-    slots: NotRequired[int | None]  # not known of imported logs
-    players: NotRequired[int | None]
-
-
-class _Cell(TypedDict):
+class _Listed(TypedDict):
     run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
     condition: str
     seed: int
-    run: _Fields
 
 
-class _Selection(TypedDict):
-    preset: NotRequired[str | None]
-    seeds: NotRequired[list[int] | None]
-    steps: NotRequired[int | None]
-    engine: NotRequired[str | None]
-    conditions: NotRequired[list[str]]
-    settings: NotRequired[dict[str, Any] | None]
-    variant: NotRequired[str]
+class Listing(TypedDict):
+    """The record of a study without a file."""
 
-
-class Record(TypedDict):
-    """A study's record, as far as tables and figures need it."""
-
-    study: str
-    world: NotRequired[str | None]
+    study: Annotated[str, StringConstraints(pattern=r"^(?!\.+$)[^/\\\0]+$")]
     title: str
-    figure: str
-    baseline: NotRequired[str | None]
-    same: list[list[str]]
-    selection: NotRequired[_Selection]
-    runs: list[_Cell]
-    earlier: NotRequired[list[Any]]
+    baseline: str
+    runs: Annotated[list[_Listed], MinLen(1)]
 
 
 class _Attempt(TypedDict):
@@ -72,7 +52,7 @@ class History(TypedDict):
 
 
 def fits(document: Mapping[str, Any], kind: type) -> bool:
-    """Return whether a document has the structure of `kind`: `Manifest`, `Record` or `History`."""
+    """Return whether a document has the structure of `kind`: `Manifest`, `Listing` or `History`."""
     try:
         _adapter(kind).validate_python(document, strict=True)
     except ValidationError:

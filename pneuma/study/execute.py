@@ -1,4 +1,4 @@
-"""Execute a plan: train the runs that are not stored yet, and record the selection.
+"""Execute a plan: train the runs that are not stored yet.
 
 Plan → groups of runs → executor → store
 """
@@ -6,20 +6,15 @@ Plan → groups of runs → executor → store
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, as_fields, env_config, make_run
-from pneuma.errors import UserError, counted
-from pneuma.files import parse_json, to_json
+from pneuma.config import OF_GYMNASIUM, Run, env_config
+from pneuma.errors import counted
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
-from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan
-from pneuma.study.store import Status, Store
-from pneuma.values import shown_settings
+from pneuma.study.store import Status, Store, run_identity
 
 
 @dataclass(frozen=True)
@@ -51,22 +46,20 @@ MOST_IN_GROUP = 8
 
 
 def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
-    """Check a plan and record its selection; return the runs to train, by id, and notes for the user.
+    """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
 
     Raises:
-        UserError: before anything is written, if an environment cannot be made, if the results folder cannot
-            be written, or if it has runs of another file of the same name.
+        UserError: before anything is written, if an environment cannot be made or the results folder cannot
+            be written.
     """
-    if recorded := store.selection(plan.study.name):
-        if plan.study.own_path is not None:
-            store.check_same_file(recorded, Path(plan.study.own_path))
-        _check_same_variant(recorded, plan)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     check_environments(todo.values())
     store.check_writable()
-    with store.selecting():  # other commands may record other seeds of the study
-        store.save_selection(plan.study.name, _joined_record(plan, store.selections(plan.study.name)))
+    for name, run in todo.items():
+        store.plan_run(name, run_identity(run))
+    if plan.study.path is None:
+        store.save_listing(plan.study.name, listing_of(plan))
     return todo, _notes(plan, statuses, todo)
 
 
@@ -183,86 +176,11 @@ def check_environments(runs: Iterable[Run]) -> None:
         check_environment(run)
 
 
-def selection_record(plan: Plan) -> dict[str, Any]:
-    """Return the record of a plan, as `results/studies/NAME.json` stores it."""
+def listing_of(plan: Plan) -> dict[str, Any]:
+    """Return the record of a study without a file: its runs, by condition."""
+    keys = ("run_id", "condition", "seed")
     return {
-        "study": plan.study.name,
-        "path": plan.study.own_path,
-        "world": plan.study.world,
         "title": plan.study.title,
-        "figure": plan.study.figure,
         "baseline": plan.study.baseline,
-        "same": [list(names) for names in plan.same],
-        "selection": asdict(plan.selection),
-        "saved": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "runs": [
-            {
-                "condition": cell.condition,
-                "seed": cell.seed,
-                "run_id": cell.run_id,
-                "run": as_fields(cell.run),
-            }
-            for cell in plan.cells
-        ],
+        "runs": [{key: getattr(cell, key) for key in keys} for cell in plan.cells],
     }
-
-
-def _joined_record(plan: Plan, earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the record of a plan, joined with those of earlier selections.
-
-    Earlier runs join it if they differ in seed or condition only. Other selections, and runs from before a
-    change of the study's file, of a user's code or of Pneuma's version, stay beside it.
-    """
-    record: dict[str, Any] = parse_json(to_json(selection_record(plan)))
-    conditions, separate = list(plan.study.conditions), []
-    runs = {(run["seed"], run["condition"]): run for run in record["runs"]}
-    for before in earlier:
-        if not (can_join(before, record) and _has_same_ids(before, plan)):
-            keys = ("world", "selection", "same", "runs", "saved")
-            separate.append({key: before[key] for key in keys if key in before})
-            continue
-        more = [run for run in before["runs"] if run["condition"] in conditions]
-        runs = {(run["seed"], run["condition"]): run for run in [*more, *runs.values()]}
-        record["same"] += [names for names in before["same"] if names not in record["same"]]
-    if len(runs) > len(record["runs"]):
-        order = sorted(runs, key=lambda key: (key[0], conditions.index(key[1])))
-        record["runs"] = [runs[key] for key in order]
-        present = {condition for _, condition in runs}
-        selected = [] if present == {*conditions} else [name for name in conditions if name in present]
-        record["selection"] |= {"seeds": sorted({seed for seed, _ in runs}), "conditions": selected}
-    return {**record, "earlier": separate}
-
-
-def _has_same_ids(before: Mapping[str, Any], plan: Plan) -> bool:
-    """Return whether the earlier runs of a study's conditions would have the same ids now."""
-    now = {cell.condition: cell.run for cell in plan.cells}
-    for run in {run["condition"]: run for run in before["runs"]}.values():
-        if (name := run["condition"]) in plan.study.conditions:
-            kept = {key: run["run"][key] for key in ("steps", *(plan.selection.settings or {}))}
-            try:
-                again = now.get(name) or make_run({**plan.study.fields(name), **kept})
-            except UserError:
-                return False
-            if run_id(replace(again, seed=run["seed"])) != run["run_id"]:
-                return False
-    return True
-
-
-def can_join(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two selections differ in seeds and conditions only."""
-    records = (one, other)
-    first, second = (
-        {run["condition"]: {**run["run"], "seed": 0} for run in record["runs"]} for record in records
-    )
-    keys = ("preset", "steps", "settings")
-    options = [[record["selection"].get(key) or None for key in keys] for record in records]
-    shared = first.keys() & second.keys()
-    same_options = options[0] == options[1]
-    return (bool(shared) or same_options) and all(first[name] == second[name] for name in shared)
-
-
-def _check_same_variant(recorded: Mapping[str, Any], plan: Plan) -> None:
-    """Refuse a variant's name that is already in use for other settings."""
-    stored = recorded["selection"].get("settings") or {}
-    if plan.selection.variant and stored != parse_json(to_json(plan.selection.settings or {})):
-        raise UserError(f"--as {plan.selection.variant}: names another variant, {shown_settings(stored)}")

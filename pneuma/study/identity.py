@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -30,8 +30,17 @@ def run_id(run: Run) -> str:
     their paths), and the versions of rules and engine, but not the study's name. Fields at their defaults are
     left out, so that a new field does not change old ids. Changing a default must therefore raise a version.
     """
+    return _digest(run)
+
+
+def config_id(run: Run) -> str:
+    """Return 16 hexadecimal digits, shared by the runs that differ in seed and steps alone."""
+    return _digest(run, ("seed", "steps"))
+
+
+def _digest(run: Run, without: Sequence[str] = ()) -> str:
     usual, fields = as_fields(Run()), as_fields(run)
-    hashed = {key: value for key, value in fields.items() if value != usual[key]}
+    hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
     hashed |= dict.fromkeys(own_names(fields).keys() - {"reward", "wrappers"}, "of the user's own")
     if fields["wrappers"]:
         hashed["wrappers"] = [Path(name).name for name in fields["wrappers"]]

@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +21,10 @@ import pandas as pd
 
 from pneuma.errors import UserError, install_extra
 from pneuma.files import checksum, read_whole, to_json
-from pneuma.study.plan import Selection
+from pneuma.study.measure import cells_of_files
+from pneuma.study.rows import encode_row
 from pneuma.study.spec import list_studies
-from pneuma.study.store import SCALARS_FILE, Status, Store
-from pneuma.worlds import split_world
+from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
 
 SOURCE = "tensorboard"
 """The source named in the record of an imported study."""
@@ -98,23 +98,24 @@ def import_tensorboard(
             found[run.run_id] = run
     if not found:
         raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
-    known = {(run["condition"], run["seed"]) for run in (store.selection(study) or {"runs": []})["runs"]}
+    known = {(run["condition"], run["seed"]) for run in (store.listing(study) or {"runs": []})["runs"]}
     if known - {(run.log.condition, run.log.seed) for run in found.values()}:
         raise UserError(f"--name {study}: a study of that name has runs of other logs; give another")
     store.check_writable()
     rows = []
     for name, run in found.items():
         fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}
-        rows.append({"condition": run.log.condition, "seed": run.log.seed, "run_id": name, "run": fields})
+        rows.append({"run_id": name, "condition": run.log.condition, "seed": run.log.seed})
         if run.new:
             about = {"schema": 1, "run_id": name, "source": SOURCE, "run": fields}
             files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
             scalars = run.points[["tag", "step", "value", "superseded"]]
             files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
-            store.save_run(name, Status("done", run.steps), files)
-    named = dict.fromkeys(("study", "title", "figure"), study)
-    about = {"source": SOURCE, "path": None, "baseline": rows[0]["condition"], "same": []}
-    store.save_selection(study, {**named, **about, "selection": asdict(Selection()), "runs": rows})
+            status = Status("done", run.steps)
+            files[ROW_FILE] = encode_row(cells_of_files(name, name, status, files))
+            store.save_run(name, status, files, Identity(name, run.log.seed, run.steps))
+    about = {"title": study, "baseline": rows[0]["condition"], "source": SOURCE, "runs": rows}
+    store.save_listing(study, about)
     return study, [*found.values()], notes
 
 
@@ -176,10 +177,10 @@ def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", Path(shared).name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
         raise UserError(f"--name {name}: a study's name is letters, digits, dots, - and _, and no file's")
-    if split_world(name)[0] in list_studies():
+    if name in list_studies():
         raise UserError(f"--name {name}: a shipped study is called that; give another")
-    record = store.selection(name)
-    if record and record.get("source") != SOURCE:
+    listing = store.listing(name)
+    if listing and listing.get("source") != SOURCE:
         raise UserError(f"--name {name}: a study of that name was run in {store.root}; give another")
     return name
 

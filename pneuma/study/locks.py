@@ -14,7 +14,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
@@ -36,19 +36,6 @@ def run_lock(folder: Path) -> Iterator[bool]:
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / ".lock", "a+b", opener=_open) as file:
         yield _take(file.fileno())
-
-
-@contextmanager
-def short_lock(path: Path) -> Iterator[None]:
-    """Hold a lock that every process gives back at once; wait for it, or do without where there are none.
-
-    Raises:
-        OSError: when it cannot be created, or its path is not a file.
-    """
-    with open(path, "a+b", opener=_open) as file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def is_held(folder: Path) -> bool:

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, Run, beyond_engine, make_run
+from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
 from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
-from pneuma.values import read_value, settings_name
+from pneuma.values import read_value
 
 Swept = Mapping[str, Sequence[tuple[Any, Any]]]
 """The values of fields to sweep, each as the user wrote it and as it was read."""
@@ -33,7 +33,6 @@ class Selection:
         conditions: names of conditions; all if empty.
         settings: run fields that override those of every condition. A field with several values makes a
             condition for each value.
-        variant: name of the variant that `settings` make of the study; derived from them if empty.
     """
 
     preset: str | None = None
@@ -41,7 +40,6 @@ class Selection:
     steps: int | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] | None = None
-    variant: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,19 +81,58 @@ class Plan:
 
 
 def make_plan(study: Study, selection: Selection) -> Plan:
-    """Plan a selection of a study. If it has `settings`, the plan is for a variant of the study.
+    """Plan a selection of a study; with `settings` they are changed in every condition.
 
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
     """
     amounts = _amounts(study, selection)
     for name in selection.conditions:
-        if name not in study.conditions:
-            raise unknown_name(f"condition of study {study.name}", name, study.conditions)
-        if name not in amounts:
+        if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
-    wanted = selection.conditions or amounts
-    settings = selection.settings or {}
+    asked = configure(study, selection.settings or {}, selection.conditions or tuple(amounts))
+    steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
+    seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
+    runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
+    cells = tuple(
+        Cell(name, seed, run, run_id(run))
+        for seed in dict.fromkeys(seed for seeds_of_one in seeds.values() for seed in seeds_of_one)
+        for name in runs
+        if seed in seeds[name]
+        for run in [replace(runs[name], seed=seed)]
+    )
+    notes = tuple(_notes(runs, steps, asked.same, asked.engine_left_open))
+    return Plan(asked.study, selection, cells, asked.same, notes)
+
+
+@dataclass(frozen=True)
+class Configurations:
+    """A study's conditions as configurations, in one world and with changed fields.
+
+    Attributes:
+        study: the study, whose conditions are crossed with the values of swept fields.
+        runs: by condition; their seed and steps mean nothing.
+        origins: the condition of the study's file that each one comes from.
+        same: groups of conditions that resolve to the same configuration; comparing them is A/A.
+        engine_left_open: conditions that do not say which engine trains them.
+    """
+
+    study: Study
+    runs: Mapping[str, Run]
+    origins: Mapping[str, str]
+    same: tuple[tuple[str, ...], ...]
+    engine_left_open: tuple[str, ...]
+
+
+def configure(study: Study, settings: Mapping[str, Any], wanted: Sequence[str] = ()) -> Configurations:
+    """Return the configurations of a study's conditions (default: all) with changed fields.
+
+    A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. So are those of
+    swept fields called.
+
+    Raises:
+        UserError: for unknown conditions or fields, or fields that do not go together.
+    """
     for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
@@ -105,28 +142,33 @@ def make_plan(study: Study, selection: Selection) -> Plan:
                 f"--set {key}: conditions of study {study.name} set it; choose them by --condition"
             )
     over, swept = _read_settings(study, settings)
-    if settings:
-        study = study.variant(selection.variant or settings_name(settings))
-    study, origins = _sweep(study, swept)
-    names = [name for name, origin in origins.items() if origin in wanted]
-    steps = {name: selection.steps or amounts[origins[name]].steps for name in names}
-    seeds = {name: selection.seeds or amounts[origins[name]].seeds for name in names}
-    runs = {name: make_run(study.fields(name, {"steps": steps[name], **over})) for name in names}
+    crossed, every = _sweep(study, swept)
+    for name in wanted:
+        if name not in crossed.conditions and name not in study.conditions:
+            origin, fields = _with_changes(study, name)
+            if origin is None:
+                raise unknown_name(f"condition of study {study.name}", name, crossed.conditions)
+            crossed = replace(crossed, conditions={**crossed.conditions, name: fields})
+            every = {**every, name: origin}
+    origins = {
+        name: origin
+        for name, origin in every.items()
+        if not wanted or name in wanted or (swept and origin in wanted)
+    }
+    runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
-    cells = tuple(
-        Cell(name, seed, run, run_id(run))
-        for seed in dict.fromkeys(seed for seeds_of_one in seeds.values() for seed in seeds_of_one)
-        for name in names
-        if seed in seeds[name]
-        for run in [replace(runs[name], seed=seed)]
-    )
     by_configuration: dict[Run, list[str]] = {}
     for name, run in runs.items():
-        by_configuration.setdefault(replace(run, steps=1), []).append(name)  # budgets may differ
+        by_configuration.setdefault(replace(run, steps=1), []).append(name)  # of unlike updates
     same = tuple(tuple(group) for group in by_configuration.values() if len(group) > 1)
-    left_open = [name for name in names if "engine" not in study.fields(name, over)]
-    return Plan(study, selection, cells, same, tuple(_notes(runs, steps, same, left_open)))
+    left_open = tuple(name for name in runs if "engine" not in crossed.fields(name, over))
+    return Configurations(replace(crossed, settings=dict(settings)), runs, origins, same, left_open)
+
+
+def round_up(run: Run, steps: int) -> int:
+    """Return a number of steps rounded up to a run's whole updates."""
+    return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 
 def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
@@ -167,11 +209,21 @@ def _sweep(study: Study, swept: Swept) -> tuple[Study, dict[str, str]]:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     for pairs, origin in product(product(*swept.values()), study.conditions):
         said = [f"{key}={short(written)}" for key, (written, _) in zip(swept, pairs, strict=True)]
-        name = ", ".join([*said, origin])
+        name = ", ".join([origin, *said])
         fields = {key: value for key, (_, value) in zip(swept, pairs, strict=True)}
         crossed[name], origins[name] = {**study.conditions[origin], **fields}, origin
     baseline = next(name for name, origin in origins.items() if origin == study.baseline)
     return replace(study, conditions=crossed, baseline=baseline), origins
+
+
+def _with_changes(study: Study, name: str) -> tuple[str | None, dict[str, Any]]:
+    """Read the name of a condition with changed fields; None if it is not one."""
+    for origin in sorted(study.conditions, key=len, reverse=True):
+        pairs = [part.partition("=") for part in name.removeprefix(origin).split(", ")[1:]]
+        if name.startswith(f"{origin}, ") and all(key and value for key, _, value in pairs):
+            single, _ = _read_settings(study, {key: read_value(value) for key, _, value in pairs})
+            return origin, {**study.conditions[origin], **single}
+    return None, {}
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -19,16 +19,13 @@ from typing import Any
 from pneuma.config import BASES, Run, fields_read
 from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
-from pneuma.worlds import TEXT, WORLDS, chosen_world, in_world, split_world, world_fields, world_option
+from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
 """The preset that comes from claims (`claimed.py`) and not from a study's file."""
 CLAIMS_FILE = "claims.toml"
 """The file of claims, in the folder of studies."""
-
-VARIANT = "+"
-"""Separates a study's name from that of a variant, in which `--set` changed fields."""
 
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
@@ -53,7 +50,7 @@ class Study:
     """A comparison: named conditions that differ in what they set.
 
     Attributes:
-        name: the file's name; in other worlds than the usual one it ends with the world.
+        name: the file's name.
         path: the file; None for a study without a file, such as a fork.
         title, section, about: shown to users.
         figure: file stem of its figure.
@@ -66,7 +63,8 @@ class Study:
             first update.
         levels: for each condition of a crossed study, its value of each factor.
         world: one of `WORLDS`.
-        worlds: those of `WORLDS` in which it can be run, the default first.
+        worlds: those of `WORLDS` in which it can be run.
+        settings: fields that `--set` changed in every condition.
     """
 
     name: str
@@ -84,13 +82,14 @@ class Study:
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     world: str = TEXT
     worlds: tuple[str, ...] = tuple(WORLDS)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""
         return join_fields(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
 
     def in_world(self, world: str) -> Study:
-        """Return the study as it runs in one of its worlds, with a name and figure for that world.
+        """Return the study as it runs in one of its worlds.
 
         All conditions get the world's environment, and its other fields unless the study sets them itself.
 
@@ -103,16 +102,7 @@ class Study:
         if world == self.world:
             return self
         set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
-        changed = replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
-        if world == self.worlds[0]:
-            return changed
-        name, figure = in_world(self.name, world), in_world(self.figure, world)
-        return replace(changed, name=name, figure=figure, title=f"{self.title} ({world})")
-
-    def variant(self, name: str) -> Study:
-        """Return the study under the name of a variant: STUDY+NAME."""
-        study, world = split_world(self.name)
-        return replace(self, name=in_world(f"{study}{VARIANT}{name}", world))
+        return replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
 
     @property
     def own_path(self) -> str | None:
@@ -200,71 +190,50 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def first_world(name: str) -> str:
-    """Return the world of a study whose name ends with none; text if it is not a shipped one."""
-    study = name.partition(VARIANT)[0]
-    worlds = read_head(study).get("worlds", ()) if study in list_studies() else ()
-    return worlds[0] if worlds and TEXT not in worlds else TEXT
-
-
-def name_in_world(name: str, world: str | None) -> str:
-    """Return the name under which a study's runs in a world are recorded; None is its first world."""
-    return name if world in (None, first_world(name)) else in_world(name, world)
-
-
-def world_of(record: Mapping[str, Any]) -> str:
-    """Return the world of a study's record."""
-    world = split_world(record["study"])[1]
-    return world if world != TEXT else record.get("world") or first_world(record["study"])
-
-
-def files_called(name: str) -> list[str]:
-    """Return NAME.toml if it is in this folder, as the user may have meant it."""
-    return [f"{name}.toml"] if os.path.isfile(f"{name}.toml") else []  # a Path would refuse a long name
-
-
 def load_study(name: str, world: str | None = None) -> Study:
     """Load a shipped study by its name, or any study by the path of its file.
 
     Args:
-        name: of the study; one that ends in -WORLD stands for the study in that world.
-        world: one of `WORLDS`; the study's first when neither this nor the name says so.
+        name: of the study, or of NAME.toml in this folder.
+        world: one of `WORLDS`; default: the arena where the study is run in it.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    path, world = find_file("study", name, world, studies_folder())
+    path = find_file("study", name, studies_folder())
     study: Study = import_module("pneuma.study.study_file").read_study(path)
-    return study.in_world(world or study.worlds[0])
+    return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
-def find_file(what: str, name: str, world: str | None, folder: Path) -> tuple[Path, str | None]:
-    """Return the path of a study or search, and the world that its name or `world` gives, if any.
+def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
+    """Return the path of a study's or search's file, by its path, a shipped name, or NAME.toml in this folder.
 
     Raises:
-        UserError: for an unknown name, or two different worlds.
+        UserError: for an unknown name; `others` are names that exist otherwise.
     """
-    study, world = chosen_world(name, world)
-    if name.endswith(".toml"):
-        refuse_taken_name(Path(name), folder / Path(name).name, what)
-        return Path(name), world
-    if study not in (known := shipped_names(folder)):
-        raise unknown_name(what, name, [*known, *files_called(name)])
-    return folder / f"{study}.toml", world
+    known = shipped_names(folder)
+    if name in known:
+        return folder / f"{name}.toml"
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
+        raise unknown_name(what, name, [*known, *others])
+    refuse_taken_name(path, folder / path.name, what)
+    return path
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
-    """Refuse a user's file whose name is that of a shipped one, a variant or a world."""
+    """Refuse a user's file whose name is that of a shipped one."""
     if shipped.is_file() and path.resolve() != shipped.resolve():
         raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
-    if VARIANT in path.stem:
-        raise UserError(f"{path}: a name with {VARIANT} stands for a variant; give yours another file name")
-    if (world := split_world(path.stem)[1]) != TEXT:
-        raise UserError(f"{path}: a name with -{world} stands for the world; give yours another file name")
 
 
-def run_command(name: str, path: object = None) -> str:
-    """Return the command that trains a study, by name or by the path of its file."""
-    study, world = split_world(name)
-    asked = shlex.quote(path if isinstance(path, str) else study.partition(VARIANT)[0])
-    return " ".join(["pneuma study run", asked, *world_option(world)])
+def asked_words(study: Study) -> list[str]:
+    """Return the words of a command that ask for a study as it is: its name or file, world and changed fields."""
+    asked = study.name if study.own_path is None else study.own_path
+    changed = [f"--set={key}={value}" for key, value in study.settings.items()]
+    return [asked, *world_option(study.world, study.worlds), *changed]
+
+
+def run_command(study: Study) -> str:
+    """Return the command that trains a study in its world."""
+    return shlex.join(["pneuma", "study", "run", *asked_words(study)])

@@ -3,11 +3,13 @@
     results/runs/ID/        run.json         the resolved configuration
                             provenance.json  what produced it, and how long that took
                             episodes.parquet, metrics.parquet, evaluations.parquet
+                            row.arrow        what all that comes to (`rows.py`)
                             policy.safetensors
                             error.txt        why it failed, a crash's traceback
-                            status.json      status, step, and the checksum of every other file
+                            status.json      status, step, what it is a run of, and the checksum of every file
                             checkpoints/     where a run that has not ended goes on from
-    results/studies/NAME.json  what was selected of a study, and its run ids
+    results/published/      tables of rows, for version control
+    results/studies/NAME.json  the runs of a study without a file: imported logs, forks, trials of a search
 
 Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
 status.json are right. An untrusted folder is safe to read: names that would lead out of it are refused, and
@@ -22,7 +24,7 @@ import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,7 @@ from pneuma.errors import UserError
 from pneuma.files import (
     SCHEMA,
     checksum,
+    create_whole,
     names_in,
     parse_json,
     read_sealed,
@@ -40,7 +43,7 @@ from pneuma.files import (
     seal,
     to_json,
 )
-from pneuma.study.locks import is_held, run_lock, short_lock
+from pneuma.study.locks import is_held, run_lock
 
 STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
@@ -52,6 +55,8 @@ FAILED = ("crashed", "timeout")
 
 SCALARS_FILE = "scalars.parquet"
 """The file of an imported run: every value in its logs."""
+ROW_FILE = "row.arrow"
+"""A run's row, which is made anew from its other files if it is missing or damaged."""
 
 PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 """The folder of published tables in a results folder, and the ending of their names."""
@@ -88,6 +93,20 @@ class Status:
     def failed(self) -> bool:
         """Whether the run failed and is trained again only when asked for."""
         return self.name in FAILED
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a stored run is a run of.
+
+    Attributes:
+        config_id: of its configuration, without seed and steps.
+        steps: agent steps that it is to train.
+    """
+
+    config_id: str
+    seed: int
+    steps: int
 
 
 class Store:
@@ -153,7 +172,8 @@ class Store:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
-        for name, expected in manifest["files"].items() if manifest else ():
+        files = {name: sum_ for name, sum_ in (manifest or {"files": {}})["files"].items() if name != ROW_FILE}
+        for name, expected in files.items():
             sound = (folder / name).is_file() if quick else read_sound(folder, name, expected) is not None
             if not sound:
                 return Status("damaged", 0, name)
@@ -169,9 +189,51 @@ class Store:
             return Status("running", step)
         if manifest is None and os.path.lexists(folder / "status.json"):
             return Status("damaged", step, "status.json")
-        return Status("partial" if step and not manifest else recorded.name, step)
+        return Status("partial" if step and recorded.name == "planned" else recorded.name, step)
 
-    def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
+    def identity(self, run_id: str) -> Identity | None:
+        """Return what a run is a run of; None if its status does not say so, as those of older runs."""
+        manifest = self._manifest(run_id) or {}
+        known = {key: manifest[key] for key in ("config_id", "seed", "steps") if key in manifest}
+        return Identity(**known) if len(known) == 3 else None
+
+    def saved_at(self, run_id: str) -> float:
+        """Return when a run's status was written, in seconds since 1970; 0 if there is none."""
+        with suppress(OSError):
+            return (self.run_folder(run_id) / "status.json").stat().st_mtime
+        return 0.0
+
+    def plan_run(self, run_id: str, identity: Identity) -> None:
+        """Note that a run is to be trained, unless something of it is stored.
+
+        Raises:
+            UserError: when the folder cannot be written.
+        """
+        folder = self.run_folder(run_id)
+        manifest = {"status": "planned", "step": 0, "files": {}, **asdict(identity)}
+        self._check_within(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            create_whole(folder / "status.json", seal(manifest))
+        except OSError as error:
+            raise UserError(f"{folder}: cannot be written ({error.strerror or error})") from None
+
+    def save_row(self, run_id: str, data: bytes, identity: Identity) -> None:
+        """Write the row of a finished run that lacks it.
+
+        Raises:
+            UserError: when the folder cannot be written.
+        """
+        manifest = self._manifest(run_id)
+        if manifest and manifest["status"] in FINISHED:
+            files = {**manifest["files"], ROW_FILE: checksum(data)}
+            document = {"status": manifest["status"], "step": manifest["step"], "files": files}
+            contents = {ROW_FILE: data, "status.json": seal({**document, **asdict(identity)})}
+            self._write_all(self.run_folder(run_id), contents)
+
+    def save_run(
+        self, run_id: str, status: Status, files: Mapping[str, bytes], identity: Identity | None = None
+    ) -> None:
         """Write a run's files, then the status that lists their checksums; remove its other files.
 
         A finished run is never replaced by an unfinished one, because another process may have trained it.
@@ -184,6 +246,8 @@ class Store:
         folder = self.run_folder(run_id)
         checksums = {name: checksum(data) for name, data in files.items()}
         manifest = {"status": status.name, "step": status.step, "files": checksums}
+        identity = identity or self.identity(run_id)
+        manifest |= asdict(identity) if identity else {}
         self._write_all(folder, {**files, "status.json": seal(manifest)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
@@ -237,81 +301,42 @@ class Store:
 
         return manifest if manifest and fits(manifest, Manifest) else None
 
-    # --- Studies ------------------------------------------------------------------------------
+    # --- Studies without a file, and published tables ------------------------------------------
 
-    def selecting(self) -> AbstractContextManager[None]:
-        """Return the lock to hold from reading a study's record until its next one is saved."""
-        folder = self.root / "studies"
-        folder.mkdir(parents=True, exist_ok=True)
-        return short_lock(folder / ".lock")
-
-    def save_selection(self, study: str, record: Mapping[str, Any]) -> None:
-        """Record a study's latest selection and its run ids.
+    def save_listing(self, study: str, listing: Mapping[str, Any]) -> None:
+        """Record the runs of a study without a file.
 
         Raises:
             UserError: when the folder cannot be written.
         """
-        self.write(self.selection_path(study), seal(record))
+        self.write(self.listing_path(study), seal({"study": study, **listing}))
 
-    def selection(self, study: str) -> dict[str, Any] | None:
-        """Return a study's latest selection; None if it was never run here or its record is damaged."""
-        return next(iter(self.selections(study)), None)
+    def listing(self, study: str) -> dict[str, Any] | None:
+        """Return the runs of a study without a file; None if there is none, or its record is damaged."""
+        from pneuma.study.documents import Listing, fits
 
-    def selections(self, study: str) -> list[dict[str, Any]]:
-        """Return a study's selections with different budgets, engines or files, the latest first."""
-        from pneuma.study.documents import Record, fits
+        found = read_sealed(self.listing_path(study)) or {}
+        return found if fits(found, Listing) and found["study"] == study else None
 
-        latest = read_sealed(self.selection_path(study)) or {}
-        if not fits(latest, Record) or "selection" not in latest or latest["study"] != study:
-            return []
-        earlier = latest.pop("earlier", [])
-        others = ({**latest, **record} for record in earlier if isinstance(record, dict))
-        return [latest, *(record for record in others if fits(record, Record))]
-
-    def check_same_file(self, record: Mapping[str, Any], path: Path) -> None:
-        """Refuse a study's file if the record of its name was made from another file.
-
-        If the recorded file no longer exists, it may have moved, and the new one is accepted. So is Pneuma's
-        own file of a search's winners, whose folder may have been copied.
-
-        Raises:
-            UserError: for another file.
-        """
-        other = record.get("path")
-        if isinstance(other, str) and (Path(other) == path.resolve() or not os.path.isfile(other)):
-            return
-        copied = isinstance(other, str) and Path(other).parts[-2:] == ("searches", path.name)
-        if copied and path.resolve().parent == (self.root / "searches").resolve():
-            return
-        of = other or "no file (imported, published or forked)"
-        mend = "give the file another name, or --results another folder"
-        raise UserError(f"{path}: the runs of study {record['study']} in {self.root} are of {of}; {mend}")
-
-    def finished(self, record: Mapping[str, Any]) -> int:
-        """Return how many runs of a selection have finished."""
-        return sum(self.status(run["run_id"], quick=True).finished for run in record["runs"])
-
-    def selection_path(self, study: str) -> Path:
-        """Return the path of a study's record."""
+    def listing_path(self, study: str) -> Path:
+        """Return the path of such a record."""
         return self.root / "studies" / f"{study}.json"
 
-    def published_path(self, study: str, shipped: bool = True) -> Path:
-        """Return the path of a study's published table: here, or with `shipped` among Pneuma's own."""
-        own_path, of_pneuma = (
-            folder / f"{study}{TABLE_SUFFIX}" for folder in (self.root / PUBLISHED, shipped_tables())
-        )
-        return of_pneuma if shipped and of_pneuma.exists() and not os.path.lexists(own_path) else own_path
-
-    def published(self, shipped: bool = True) -> list[str]:
-        """Return the names of studies with a published table here; with `shipped`, also Pneuma's own."""
-        folders = [self.root / PUBLISHED, *([shipped_tables()] if shipped else [])]
-        paths = (Path(name) for folder in folders for name in names_in(folder))
-        return [*dict.fromkeys(path.stem for path in paths if path.suffix == TABLE_SUFFIX)]
-
-    def studies(self) -> list[str]:
-        """Return the names of the studies that were run here."""
+    def listings(self) -> list[str]:
+        """Return the names of the studies without a file."""
         names = names_in(self.root / "studies")
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
+
+    def published_path(self, name: str) -> Path:
+        """Return the path of a published table of this folder."""
+        return self.root / PUBLISHED / f"{name}{TABLE_SUFFIX}"
+
+    def published(self, shipped: bool = True) -> list[Path]:
+        """Return the published tables here; with `shipped`, also Pneuma's own of other names."""
+        found: dict[str, Path] = {}
+        for folder in (*([shipped_tables()] if shipped else []), self.root / PUBLISHED):
+            found |= {name: folder / name for name in names_in(folder) if name.endswith(TABLE_SUFFIX)}
+        return [found[name] for name in sorted(found)]
 
     # --- Writing ------------------------------------------------------------------------------
 
@@ -358,6 +383,13 @@ def shipped_tables() -> Path:
         return Path(next(iter(import_module("pneuma.published").__path__)))
     except ModuleNotFoundError:
         return Path(__file__).parents[2] / "results" / "published"
+
+
+def run_identity(run: Run) -> Identity:
+    """Return what a run is a run of."""
+    from pneuma.study.identity import config_id
+
+    return Identity(config_id(run), run.seed, run.steps)
 
 
 def run_document(run: Run, run_id: str) -> bytes:

@@ -7,7 +7,7 @@ missing, damaged or invalid.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -21,30 +21,16 @@ LONGEST_LISTED = 5
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A stored run.
-
-    Attributes:
-        studies: the studies that contain it, each with its condition and seed.
-        recorded: its configuration in the record of the last of these studies.
-    """
+    """A stored run."""
 
     store: Store
     run_id: str
     status: Status
-    studies: tuple[dict[str, Any], ...] = ()
-    recorded: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
-        """The resolved configuration; empty if it is damaged or, of an unfinished run, not recorded."""
-        ended = "run.json" in self.store.checksums(self.run_id)
-        return stored_settings(self.store, self.run_id) if ended else self.recorded
-
-    def row(self) -> dict[str, Any]:
-        """Return the run's row in a list of runs."""
-        seed = self.studies[0]["seed"] if self.studies else self.settings.get("seed")
-        about = {"run_id": self.run_id, "status": self.status.name, "step": self.status.step}
-        return {**about, "seed": seed if isinstance(seed, int) else None, "studies": self.studies}
+        """The resolved configuration; empty if it is damaged or the run has not ended."""
+        return stored_settings(self.store, self.run_id)
 
     def files(self) -> list[dict[str, Any]]:
         """Return the files of the run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
@@ -77,32 +63,10 @@ def find_run(store: Store, text: str) -> str:
     )
 
 
-def list_runs(store: Store) -> list[StoredRun]:
-    """Return all stored runs: first those of studies, in the studies' order, then the others by id.
-
-    Checksums of finished runs are not compared, as that takes seconds for a thousand runs.
-    """
-    stored = {*store.runs()}
-    recorded = {name: run for name, run in _held(store).items() if name in stored}
-    names = [*recorded, *sorted(stored - {*recorded})]
-    return [StoredRun(store, name, store.status(name, quick=True), *recorded.get(name, ())) for name in names]
-
-
 def stored_run(store: Store, text: str) -> StoredRun:
     """Return what is stored of the run that `find_run` finds, after comparing every checksum."""
     run_id = find_run(store, text)
-    return StoredRun(store, run_id, store.status(run_id), *_held(store).get(run_id, ()))
-
-
-def _held(store: Store) -> dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]]:
-    """Return the studies that contain each run, and its recorded configuration, by run id."""
-    found: dict[str, tuple[tuple[dict[str, Any], ...], Mapping[str, Any]]] = {}
-    for study in store.studies():
-        for row in (row for selection in store.selections(study) for row in selection["runs"]):
-            earlier, _ = found.get(row["run_id"], ((), {}))
-            holder = {"study": study, "condition": row["condition"], "seed": row["seed"]}
-            found[row["run_id"]] = earlier if holder in earlier else (*earlier, holder), row["run"]
-    return found
+    return StoredRun(store, run_id, store.status(run_id))
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

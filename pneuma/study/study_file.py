@@ -158,7 +158,7 @@ def read_study(path: Path) -> Study:
         presets={name: _preset(file, name, preset, conditions) for name, preset in said.presets.items()},
         keep_checkpoints=said.keep_checkpoints,
         levels=levels,
-        worlds=tuple(sorted(dict.fromkeys(said.worlds or usual), key=lambda world: world != TEXT)),
+        worlds=tuple(dict.fromkeys(said.worlds or usual)),
     )
     if study.own_path and any(read_head(name).get("figure") == study.figure for name in list_studies()):
         study = replace(study, figure=f"study-{path.stem}")  # so that the shipped study's figure stays

@@ -31,8 +31,8 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
     return sink.getvalue()
 
 
-def from_parquet(data: bytes) -> pa.Table:
-    """Read a Parquet file from memory, in this thread only.
+def from_parquet(data: bytes, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a Parquet file, or some of its columns, from memory, in this thread only.
 
     Arrow's `read_table`, and reading from a Python file, always start threads, because of which a command may
     abort when it ends. The footer gives the unpacked size, which is checked first.
@@ -46,7 +46,24 @@ def from_parquet(data: bytes) -> pa.Table:
         values = sum(group.column(place).num_values for group in groups for place in range(group.num_columns))
         if max(8 * values, sum(group.total_byte_size for group in groups)) > LARGEST_BYTES:
             raise ValueError(f"unpacks to more than {LARGEST_BYTES / 2**20:.0f} MB")
-        table = file.read(use_threads=False)
+        table = file.read(columns=columns and list(columns), use_threads=False)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        problem = [*str(error).splitlines(), "damaged"][0]
+        raise ValueError(f"is no table that can be read ({problem[:100]})") from None
+    if len({*table.column_names}) < table.num_columns:
+        raise ValueError("has two columns of one name")
+    return table
+
+
+def from_ipc(data: bytes) -> pa.Table:
+    """Read a file in Arrow's own format from memory; it is not compressed, so its size bounds the table's.
+
+    Raises:
+        ValueError: for an invalid file.
+    """
+    try:
+        table = pa.ipc.open_file(pa.BufferReader(data)).read_all()
+        table.validate(full=True)
     except (pa.ArrowException, OSError, MemoryError) as error:
         problem = [*str(error).splitlines(), "damaged"][0]
         raise ValueError(f"is no table that can be read ({problem[:100]})") from None

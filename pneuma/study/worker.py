@@ -33,8 +33,10 @@ from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import HERE, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
+from pneuma.study.measure import cells_of_files
 from pneuma.study.provenance import Attempt, finished_provenance
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.rows import encode_row
+from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
 
 REPORT_SECONDS = 0.25
 
@@ -190,7 +192,9 @@ def _train_once(
         files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
         if result.policy is not None:
             files[POLICY_FILE] = result.policy.to_bytes()
-        job.store.save_run(name, status, files)
+        identity = run_identity(run)
+        files[ROW_FILE] = encode_row(cells_of_files(name, identity.config_id, status, files))
+        job.store.save_run(name, status, files, identity)
         checkpoints.finish()
     reporter.end(name, status)
 

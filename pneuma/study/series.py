@@ -7,11 +7,14 @@ the stretches of updates in which it holds, which is short enough to be publishe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import math
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from pneuma.analysis import ACTION_QUANTITIES
+from pneuma.files import parse_json
+from pneuma.study.quantities import ACTION_QUANTITIES
 
 GRID_POINTS = 200
 WINDOW_POINTS = 10
@@ -21,6 +24,9 @@ HUGE = 1e6
 """Up to which a running total of a run's values still has all their digits that are ever drawn."""
 EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax}
 """Quantities of which an extreme is kept, as means would hide it, and which."""
+
+Series = tuple[np.ndarray, np.ndarray]
+"""Steps and values, (points,) each; steps do not decrease."""
 
 
 def make_grid(budget_steps: int) -> np.ndarray:
@@ -44,14 +50,15 @@ def episode_curve(
         values: (episodes,) the values to average.
         grid: (points,).
         trailing: whether the window is the last 100 episodes (in single precision, as loggers have it)
-            instead of the last twentieth of the grid.
+            instead of the last twentieth of the grid; blank until there are as many.
         from_step: the step at which every slot has finished an episode; the curve is blank before it.
         end: the agent steps that the run trained; the curve is blank after it.
     """
     first, last = _window(step, grid)
-    if trailing:
-        first = np.maximum(last - TRAILING_EPISODES, 0)
-    curve = _means(values, first, last, (last > first) & (grid >= from_step) & (grid <= end))
+    enough = last > first
+    if trailing:  # of fewer episodes it would be called what it is not
+        first, enough = np.maximum(last - TRAILING_EPISODES, 0), last >= TRAILING_EPISODES
+    curve = _means(values, first, last, enough & (grid >= from_step) & (grid <= end))
     return _single(curve) if trailing else curve
 
 
@@ -110,6 +117,37 @@ def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, valid: np.nd
     return np.divide(sums, last - first, out=np.full(sums.shape, np.nan), where=valid)
 
 
+# --- Statistics of a curve ---------------------------------------------------------------------------
+
+
+def mean_height(step: np.ndarray, values: np.ndarray, until: float) -> float:
+    """Return the mean height of a curve, by trapezoids over its steps.
+
+    If a run ended early, its last value extends to `until`. NaN without a value.
+    """
+    if not len(values):
+        return math.nan
+    step, values = np.append(step, max(until, step[-1])), np.append(values, values[-1])
+    span = step[-1] - step[0]
+    return float(np.trapezoid(values, step) / span) if span > 0 else float(values[0])
+
+
+def _early(step: np.ndarray, values: np.ndarray, until: float) -> float:
+    early = values[step <= 0.1 * until]
+    return float(early.mean()) if len(early) else math.nan
+
+
+STATISTICS: dict[str, Callable[[np.ndarray, np.ndarray, float], float]] = {
+    "last": lambda step, values, until: float(values[-1]),
+    "best": lambda step, values, until: float(values.max()),
+    "height": mean_height,
+    "median": lambda step, values, until: float(np.median(values)),
+    "average": lambda step, values, until: float(values.mean()),
+    "early": _early,
+}
+"""Numbers of a curve up to a step, from its points with a value, at least one; `early`: its first tenth."""
+
+
 # --- Signs of collapse -----------------------------------------------------------------------------
 
 NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL = "no entropy", "one action", "dead units", "fall"
@@ -155,3 +193,28 @@ def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
     edges = np.diff(np.concatenate([[False], holds, [False]]).astype(int))
     firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return [(float(step[first]), float(step[last])) for first, last in zip(firsts, lasts, strict=True)]
+
+
+def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
+    """Return where signs hold as JSON: a unit of steps, and for each sign gaps and lengths in turn."""
+    ends = {sign: [int(end) for stretch in parts for end in stretch] for sign, parts in signs.items()}
+    unit = math.gcd(*(end for sign_ends in ends.values() for end in sign_ends)) or 1
+    packed = {sign: np.diff(np.array([0, *sign_ends]) // unit).tolist() for sign, sign_ends in ends.items()}
+    return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
+
+
+def unpack_signs(text: str) -> dict[str, list[Stretch]]:
+    """Return what `pack_signs` was given.
+
+    Raises:
+        ValueError: for any other text.
+    """
+    packed = parse_json(text)
+    try:
+        found: dict[str, list[Stretch]] = {}
+        for sign, gaps in packed["signs"].items():
+            ends = (np.cumsum(gaps) * packed["unit"]).astype(float).tolist()
+            found[sign] = list(zip(ends[::2], ends[1::2], strict=True))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"signs of collapse that make no sense: {error}") from None
+    return found

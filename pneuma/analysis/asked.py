@@ -1,0 +1,436 @@
+"""What is asked of stored runs, and the runs that answer it.
+
+    a study's name, world, changed fields → Asked: conditions, each with its configuration's id
+    Asked, steps and seeds → Shown: the entries of `RunIndex` that have them, and what else is stored
+    Shown → StudyData: the finished ones with their rows
+
+A study is a question: its conditions in a world, with `--set`, give configuration ids, and the runs that have
+them are its runs, wherever they are. Only studies without a file (imported logs, forks, a search's trials)
+list theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.run_index import Entry, RunIndex
+from pneuma.config import Run, as_fields
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.study.identity import config_id
+from pneuma.study.plan import Configurations, Selection, configure, round_up
+from pneuma.study.spec import Study, list_studies, load_study, run_command
+from pneuma.values import shown_settings, shown_value
+from pneuma.worlds import WORLDS
+
+ALL = Selection()
+Tell = Callable[[str], object]
+"""Says something to the user."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A study as it is asked for, before any run is looked at.
+
+    Attributes:
+        name: of the study.
+        title: shown to users, without world and changed fields.
+        baseline: the condition that others are compared with.
+        fields: the fields of each condition, apart from seed and steps; of an import, what is known.
+        ids: the configuration's id of each condition; empty if the study lists its runs.
+        listed: of a study without a file, condition and seed of each run, by id.
+        same: groups of conditions that are one configuration.
+        every: the names of all conditions, also of those that are not shown.
+        study: the study's file as it stands; None if it has none.
+        runs: the configurations, by condition; empty if the study lists its runs.
+        narrowed: conditions and seeds that were asked for, which figures' names contain.
+    """
+
+    name: str
+    title: str
+    baseline: str
+    fields: Mapping[str, Mapping[str, Any]]
+    same: Sequence[Sequence[str]] = ()
+    every: Sequence[str] = ()
+    study: Study | None = None
+    runs: Mapping[str, Run] = field(default_factory=dict)
+    listed: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    narrowed: Sequence[str] = ()
+
+    @property
+    def ids(self) -> dict[str, str]:
+        """The configuration's id of each condition."""
+        return {name: config_id(run) for name, run in self.runs.items()}
+
+    @property
+    def where(self) -> str:
+        """The study with its world and changed fields, for messages."""
+        if self.study is None:
+            return self.name
+        world = f" in {WORLDS[self.study.world].title}" if len(self.study.worlds) > 1 else ""
+        changed = shown_settings(self.study.settings)
+        return f"{self.name}{world}" + (f" with {changed}" if changed else "")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The runs that answer a question, finished or not.
+
+    Attributes:
+        asked: the question.
+        runs: condition, seed and entry of each run, seed by seed.
+        budget: agent steps, as `--steps` takes them; None for a study that lists its runs.
+        others: what else is stored of the study, each with the option that shows it.
+    """
+
+    asked: Asked
+    runs: Sequence[tuple[str, int, Entry]]
+    budget: int | None = None
+    others: Sequence[str] = ()
+
+    def told(self) -> str:
+        """Say in one sentence what is shown and what else is stored."""
+        entries = [entry for *_, entry in self.runs]
+        published = sum(entry.table is not None for entry in entries)
+        origin = "published" if published == len(entries) else f"{published} of them published"
+        parts = [f"{self.asked.where}: {counted(len(entries), 'run')}"]
+        parts += [f"of {self.budget:,} steps"] if self.budget else []
+        parts += [f"({origin})" if published else "(trained here)" * bool(self.budget)]
+        else_ = f" Stored too: {'; '.join(self.others)}." if self.others else ""
+        return " ".join(filter(None, parts)) + "." + else_
+
+
+def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None = None) -> Asked:
+    """Return a study as a question.
+
+    Raises:
+        UserError: for an unknown study, world or condition, or fields that do not go together.
+    """
+    listing = None if name in list_studies() or name.endswith(".toml") else index.listing(name)
+    if listing is not None:
+        return _ask_listed(index, listing, picked)
+    try:
+        study = load_study(name, world)
+    except UserError:
+        if name.endswith(".toml") or name in list_studies() or not index.listings():
+            raise
+        raise unknown_name("study", name, [*list_studies(), *index.listings()]) from None
+    asked = configure(study, picked.settings or {}, picked.conditions)
+    fields = {name: _without_amount(as_fields(run)) for name, run in asked.runs.items()}
+    narrowed = picked.conditions if {*asked.origins} < {*asked.study.conditions} else ()
+    return Asked(
+        study.name,
+        study.title,
+        asked.study.baseline,
+        fields,
+        asked.same,
+        tuple(asked.study.conditions),
+        asked.study,
+        asked.runs,
+        narrowed=narrowed,
+    )
+
+
+def _ask_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) -> Asked:
+    every = list(dict.fromkeys(run["condition"] for run in listing["runs"]))
+    for name in picked.conditions:
+        if name not in every:
+            raise unknown_name(f"condition of study {listing['study']}", name, every)
+    if picked.settings:
+        raise UserError(f"--set: study {listing['study']} has no file whose fields could be changed")
+    wanted = [name for name in every if name in (picked.conditions or every)]
+    listed = {
+        run["run_id"]: (run["condition"], run["seed"])
+        for run in listing["runs"]
+        if run["condition"] in wanted and run["run_id"] in index.entries
+    }
+    rows = index.rows(index.entries[run_id] for run_id in listed)
+    fields: dict[str, Mapping[str, Any]] = dict.fromkeys(wanted, {})
+    for run_id, row in rows.items():
+        fields[listed[run_id][0]] = _without_amount(row.fields)
+    narrowed = picked.conditions if len(wanted) < len(every) else ()
+    return Asked(
+        listing["study"], listing["title"], listing["baseline"], fields,
+        every=every, listed=listed, narrowed=narrowed,
+    )  # fmt: skip
+
+
+def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in fields.items() if key not in ("seed", "steps")}
+
+
+# --- The runs ---------------------------------------------------------------------------------------
+
+
+def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
+    """Return the runs of a study that have the steps and seeds that were asked for.
+
+    Without steps these are the runs of the budget that was last trained here; if none was, of the budget of
+    most runs.
+
+    Raises:
+        UserError: when nothing is stored that is asked for.
+    """
+    if asked.listed:
+        found = [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
+        if picked.steps:
+            found = [each for each in found if each[2].steps == picked.steps]
+        return _narrowed(Shown(asked, found), picked)
+    stored = [
+        (name, entry.seed, entry)
+        for name, id_ in asked.ids.items()
+        for entry in index.by_configuration.get(id_, ())
+    ]
+    if not stored:
+        raise UserError(_nothing(index, asked))
+    budgets = _by_budget(asked, stored)
+    if picked.steps is None:
+        budget = _usual_budget(index, budgets)
+    elif chosen := _of_budget(asked, stored, picked.steps):
+        budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
+    else:
+        known = ", ".join(f"{steps:,}" for steps in budgets)
+        raise UserError(f"--steps {picked.steps}: {asked.where} has runs of {known} steps")
+    shown = budgets[budget]
+    others = [
+        f"{counted(len(runs), 'run')} of {steps:,} steps{_published_words(runs)} (--steps {steps})"
+        for steps, runs in budgets.items()
+        if runs != shown
+    ]
+    return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked)]), picked)
+
+
+def _narrowed(shown: Shown, picked: Selection) -> Shown:
+    """Return the runs of the seeds that were asked for, in the order of seeds and conditions."""
+    seeds = {seed for _, seed, _ in shown.runs}
+    kept = seeds if picked.seeds is None else seeds & {*picked.seeds}
+    if not kept:
+        few = ", ".join(map(str, sorted(seeds)[:10])) + (", …" if len(seeds) > 10 else "")
+        raise UserError(f"--seeds: {shown.asked.where} has none of these; it has {few or 'no runs'}")
+    asked, order = shown.asked, list(shown.asked.fields)
+    if kept < seeds:
+        asked = replace(asked, narrowed=[*asked.narrowed, "seeds", *map(str, sorted(kept))])
+    runs = [run for run in shown.runs if run[1] in kept]
+    return replace(shown, asked=asked, runs=sorted(runs, key=lambda run: (run[1], order.index(run[0]))))
+
+
+Stored = tuple[str, int, Entry]
+
+
+def _by_budget(asked: Asked, stored: Sequence[Stored]) -> dict[int, list[Stored]]:
+    """Return the stored runs of each budget, in the words of the study's presets where they have it."""
+    presets = asked.study.presets.values() if asked.study else ()
+    known = [preset.steps for preset in presets]
+    found: dict[int, list[Stored]] = {}
+    for steps in dict.fromkeys([*known, *sorted({entry.steps for *_, entry in stored})]):
+        runs = _of_budget(asked, stored, steps)
+        if runs and not any({*map(id, runs)} <= {*map(id, others)} for others in found.values()):
+            found[steps] = runs
+    return found
+
+
+def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Stored]:
+    """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
+    amounts = {name: {round_up(run, steps)} for name, run in asked.runs.items()}
+    for preset in asked.study.presets.values() if asked.study else ():
+        if preset.steps == steps:
+            for name, amount in preset.conditions.items():
+                if name in amounts:
+                    amounts[name] = {round_up(asked.runs[name], amount.steps)}
+    return [each for each in stored if each[2].steps in amounts[each[0]]]
+
+
+def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
+    """Return the budget that was last trained here; if none was, the one with the most runs."""
+    here = {entry.run_id: entry for runs in budgets.values() for *_, entry in runs if entry.table is None}
+    possible = [*budgets]
+    if here:
+        latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
+        possible = [steps for steps in budgets if any(e.run_id == latest for *_, e in budgets[steps])]
+    return max(possible, key=lambda steps: len(budgets[steps]))
+
+
+def _published_words(runs: Iterable[Stored]) -> str:
+    return ", published" if all(entry.table for *_, entry in runs) else ""
+
+
+# --- What else there is -----------------------------------------------------------------------------
+
+
+def _elsewhere(index: RunIndex, asked: Asked) -> list[str]:
+    """Return in which other worlds, and with which changed field, runs of a study are stored."""
+    if asked.study is None:
+        return []
+    found = []
+    for world in asked.study.worlds:
+        if world != asked.study.world:
+            other = configure(load_study(_file(asked.study), world), asked.study.settings)
+            count = sum(len(index.by_configuration.get(config_id(run), ())) for run in other.runs.values())
+            found += [f"{counted(count, 'run')} in {WORLDS[world].title} (--world {world})"] if count else []
+    return found
+
+
+def _file(study: Study) -> str:
+    return study.own_path or study.name
+
+
+def _nothing(index: RunIndex, asked: Asked) -> str:
+    """Return that no runs are stored, what to run, and what is stored that differs in one field."""
+    assert asked.study is not None
+    others = [*_elsewhere(index, asked), *_changed(index, asked)]
+    stored = f" Stored are: {'; '.join(others)}." if others else ""
+    train = f"run `{run_command(asked.study)}` first, or give --results"
+    return f"study {asked.where} has no runs in {index.store.root}: {train}.{stored}"
+
+
+def _changed(index: RunIndex, asked: Asked) -> list[str]:
+    """Return the single fields by whose change stored runs are those of the study."""
+    counts: dict[str, int] = {}
+    for entries in index.by_configuration.values():
+        finished = next((entry for entry in entries if entry.finished), None)
+        row = index.row(finished.run_id) if finished else None
+        for fields in asked.fields.values() if row else ():
+            kept = _without_amount(row.fields)
+            unlike = [key for key in {**fields, **kept} if _plain(fields.get(key)) != kept.get(key)]
+            if len(unlike) == 1:
+                option = f"--set {unlike[0]}={shown_value(kept.get(unlike[0]))}"
+                counts[option] = counts.get(option, 0) + len(entries)
+    return [f"{counted(count, 'run')} ({option})" for option, count in counts.items()]
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+# --- The answer -------------------------------------------------------------------------------------
+
+
+def open_study(
+    index: RunIndex,
+    name: str,
+    picked: Selection = ALL,
+    world: str | None = None,
+    tell: Tell = lambda message: None,
+) -> StudyData:
+    """Return the finished runs of a study that are asked for, wherever they are.
+
+    Args:
+        index: the runs that there are.
+        name: of a study, the path of its file, or a study without a file.
+        picked: conditions, steps, seeds and changed fields.
+        world: a key of `WORLDS`; default: the arena where the study is run in it.
+        tell: told what is shown and what else is stored, in one sentence each.
+
+    Raises:
+        UserError: when nothing is stored that is asked for, or no run of it has finished.
+    """
+    shown = answer(index, ask(index, name, picked, world), picked)
+    tell(shown.told())
+    return read_answer(index, shown, tell)
+
+
+def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None) -> StudyData:
+    """Return the finished runs of an answer, with their rows."""
+    rows = index.rows(entry for *_, entry in shown.runs)
+    runs = [
+        FinishedRun(condition, seed, rows[entry.run_id])
+        for condition, seed, entry in shown.runs
+        if entry.run_id in rows
+    ]
+    for problem in index.problems:
+        tell(f"Note: {problem}.")
+    if left_out := len(shown.runs) - len(runs):
+        tell(f"Note: {left_out} of {len(shown.runs)} runs are not finished or damaged, and left out.")
+    if not runs:
+        raise UserError(
+            f"no finished run of study {shown.asked.where} is in {index.store.root}"
+            + (f": run `{run_command(shown.asked.study)}` first" if shown.asked.study else "")
+        )
+    asked, study = shown.asked, shown.asked.study
+    return StudyData(
+        study=asked.name,
+        title=asked.title,
+        figure=study.figure if study else asked.name,
+        baseline=asked.baseline,
+        fields=asked.fields,
+        runs=runs,
+        same=[list(names) for names in asked.same],
+        every=list(asked.every),
+        narrowed=list(asked.narrowed),
+        world=study.world if study and len(study.worlds) > 1 else "",
+        changed=dict(study.settings) if study else {},
+    )
+
+
+# --- From runs to studies -----------------------------------------------------------------------------
+
+
+def known_studies(world: str | None = None) -> Iterator[Configurations]:
+    """Yield the shipped studies, and those whose files are in this folder, in each of their worlds.
+
+    Files that cannot be read are left out.
+    """
+    own = sorted(path.name for path in Path().glob("*.toml"))
+    for name in [*list_studies(), *own]:
+        try:
+            usual = load_study(name)
+            for each in usual.worlds:
+                if world in (None, each):
+                    yield configure(load_study(name, each), {})
+        except (UserError, OSError):
+            continue
+
+
+def holders(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
+    """Return the studies, worlds and conditions of each run in the results folder, by its id."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for known in known_studies():
+        study = known.study
+        for condition, run in known.runs.items():
+            for entry in index.by_configuration.get(config_id(run), ()):
+                held = {"study": study.name, "world": study.world, "condition": condition, "seed": entry.seed}
+                found.setdefault(entry.run_id, []).append(held)
+    for name in index.listings():
+        for run in (index.listing(name) or {"runs": ()})["runs"]:
+            held = {"study": name, "condition": run["condition"], "seed": run["seed"]}
+            found.setdefault(run["run_id"], []).append(held)
+    return found
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a results folder has of a study in a world.
+
+    Attributes:
+        name: the study's name, or its file.
+        world: empty for a study without a file.
+        entries: its runs in the folder.
+        whole: whether every condition has a finished run there.
+    """
+
+    name: str
+    world: str
+    entries: Sequence[Entry]
+    whole: bool
+
+
+def studies_here(index: RunIndex, world: str | None = None) -> list[Held]:
+    """Return the studies of which the results folder itself has runs, in one world or in all."""
+    found = []
+    for known in known_studies(world):
+        of_each = {
+            condition: [e for e in index.by_configuration.get(config_id(run), ()) if e.table is None]
+            for condition, run in known.runs.items()
+        }
+        entries = {entry.run_id: entry for each in of_each.values() for entry in each}
+        if entries:
+            whole = all(any(entry.finished for entry in each) for each in of_each.values())
+            found.append(Held(_file(known.study), known.study.world, [*entries.values()], whole))
+    for name in index.store.listings() if world is None else ():
+        listed = (run["run_id"] for run in (index.listing(name) or {"runs": ()})["runs"])
+        entries = {run_id: index.entries[run_id] for run_id in listed if run_id in index.entries}
+        found.append(Held(name, "", [*entries.values()], any(e.finished for e in entries.values())))
+    return found

@@ -1,0 +1,30 @@
+"""The names of what runs record. Loads nothing, so that commands can offer them."""
+
+WINDOWS = ("budget-5%", "trailing-100")
+"""What a point of a curve of returns averages: the last twentieth of the budget, or the last 100 episodes."""
+RECORD_TABLES = ("episodes", "metrics", "evaluations")
+
+EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
+"""Quantities of a training curve that average over episodes."""
+
+ACTION_QUANTITIES = tuple(f"action_{i}" for i in range(5))
+
+UPDATE_QUANTITIES = (
+    "entropy",
+    "grad_norm",
+    "grad_norm_actor",
+    "grad_norm_critic",
+    "approx_kl",
+    "explained_variance",
+    "dead_units",
+    *ACTION_QUANTITIES,
+)
+"""Quantities that average over updates: columns of the metrics table."""
+
+TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
+
+EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
+"""Quantities of a curve over evaluations: columns of the evaluations table."""
+
+CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
+"""All quantities of curves."""

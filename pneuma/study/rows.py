@@ -1,0 +1,371 @@
+"""A row: what one finished run comes to. It is all that figures, tables and tests read of a run.
+
+    a run's files → `measure.py` → cells → `encode_row` → row.arrow in its folder
+    rows → `encode_published` → results/published/NAME.parquet
+    `decode_row`, `Published` → Row
+
+Curves are on 200 points of the run's *own* budget and are rounded when the row is written, so that a run and
+its published row cannot differ. Numbers that need more digits are kept exact. Updates and episodes themselves
+are only exported.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from pneuma.files import checksum, parse_json
+from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.study.series import EXTREMES, GRID_POINTS, Stretch, make_grid, unpack_signs
+from pneuma.study.tables import from_ipc, from_parquet
+
+NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
+NUMBERS = ("seed", "steps", "end")
+EVALUATIONS, PEAKS = "evaluations", "extreme"
+AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
+
+EXACT: dict[str, tuple[str, ...]] = {
+    "return": ("last", "best", "height"),
+    "length": ("last",),
+    "hp": ("last",),
+    "entropy": ("last",),
+    "grad_norm": ("median",),
+    "approx_kl": ("average",),
+    "explained_variance": ("early",),
+    **{name: ("last",) for name in UPDATE_QUANTITIES if name == "dead_units" or name.startswith("action_")},
+}
+"""The statistics of curves at a run's end that are kept with all digits."""
+
+# --- The files --------------------------------------------------------------------------------------
+
+
+def curve_column(quantity: str, window: str) -> str:
+    """Return the name of a curve's column; quantities of updates have no window."""
+    return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
+
+
+def column_type(name: str) -> pa.DataType | None:
+    """Return the type of a column; None for those that are not read, and for the evaluations."""
+    first, _, second = name.partition(" ")
+    if name in NAMING:
+        return pa.string()
+    if name in (*NUMBERS, AVERAGED_OVER):
+        return pa.int64()
+    if first in TRAINING_QUANTITIES and second in ("", *WINDOWS, PEAKS):
+        return pa.list_(pa.float32())
+    known = name == LAST_EPISODES or first in EXACT or first in EXTREMES
+    return pa.float64() if known else None
+
+
+def rows_table(cells: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Return rows with these cells as one table; a cell that is not there is null."""
+    names = dict.fromkeys(name for row in cells for name in row if name != EVALUATIONS)
+    columns = {name: pa.array([row.get(name) for row in cells], column_type(name)) for name in names}
+    columns[EVALUATIONS] = pa.array([row[EVALUATIONS] for row in cells])
+    return pa.table(columns)
+
+
+def encode_row(cells: Mapping[str, Any]) -> bytes:
+    """Return one row as a file in Arrow's own format, which is read 25 times as fast as Parquet."""
+    table, sink = rows_table([cells]), io.BytesIO()
+    with pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table)
+    return sink.getvalue()
+
+
+def encode_published(rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None) -> bytes:
+    """Return rows as a published table; the same rows give the same bytes.
+
+    Args:
+        rows: one or more.
+        about: what `Published.about` gives back.
+        curves: quantities whose curves are kept; default: all.
+    """
+    parts = [row.table for row in rows]
+    table = pa.concat_tables(parts, promote_options="permissive").combine_chunks()
+    dropped = [
+        name
+        for name in table.column_names
+        if curves is not None
+        and column_type(name) == pa.list_(pa.float32())
+        and name.partition(" ")[0] not in curves
+    ]
+    head = {"pneuma": json.dumps({"schema": 3, **about}), "pneuma.checksum": _NO_SUM}
+    table = table.drop_columns(dropped).replace_schema_metadata(head)
+    lists = [name for name in table.column_names if column_type(name) == pa.list_(pa.float32())]
+    sink = io.BytesIO()
+    pq.write_table(  # a dictionary does not help if numbers hardly repeat
+        table,
+        sink,
+        compression="zstd",
+        compression_level=19,
+        use_dictionary=[name for name in table.column_names if name not in lists],
+        use_byte_stream_split=[f"{name}.list.element" for name in lists],
+    )
+    data = sink.getvalue()
+    return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())
+
+
+_NO_SUM = "sha256:" + "0" * 64
+"""Placeholder for the checksum over all other bytes of a published table."""
+_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
+
+
+def decode_row(data: bytes) -> Row:
+    """Return the row in a run's folder.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    table = from_ipc(data)
+    _check(table)
+    if table.num_rows != 1:
+        raise ValueError("has not one row")
+    return Row(table)
+
+
+class Published:
+    """A published table, which may be untrusted. Its rows are read when the first one is asked for.
+
+    Attributes:
+        path: its file.
+        about: what `encode_published` was told.
+        index: id, configuration's id, seed and steps of each run.
+        places: the place of each run, by id.
+
+    Raises:
+        ValueError: for a damaged file, or one that `encode_published` did not make.
+    """
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
+            raise ValueError("damaged")
+        self.path = path
+        self._data = data
+        index = from_parquet(data, ["run_id", "config_id", "seed", "steps"])
+        self.about = parse_json((index.schema.metadata or {}).get(b"pneuma", b""))
+        if self.about.get("schema") != 3:
+            raise ValueError("of another version of Pneuma")
+        if [column_type(name) for name in index.column_names] != index.schema.types or any(
+            column.null_count for column in index.columns
+        ):
+            raise ValueError("its runs make no sense")
+        self.index = list(zip(*(column.to_pylist() for column in index.columns), strict=True))
+        self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
+
+    @cached_property
+    def _rows(self) -> pa.Table:
+        table = from_parquet(self._data)
+        _check(table)
+        return table
+
+    def row(self, run_id: str) -> Row:
+        """Return the row of one of its runs."""
+        return Row(self._rows, self.places[run_id], published=True)
+
+
+def _check(table: pa.Table) -> None:
+    """Refuse a table, which may be untrusted, that could not have been written here.
+
+    Raises:
+        ValueError: naming what is wrong.
+    """
+    if missing := {*NAMING, *NUMBERS, EVALUATIONS} - {*table.column_names}:
+        raise ValueError(f"column {min(missing)} is missing")
+    for name, kind in zip(table.column_names, table.schema.types, strict=True):
+        expected = column_type(name)
+        sound = expected in (None, kind)
+        if name == EVALUATIONS:
+            sound = pa.types.is_list(kind) and (
+                pa.types.is_null(kind.value_type)
+                or (pa.types.is_struct(kind.value_type) and kind.value_type.get_field_index("step") >= 0)
+            )
+        if sound and (name in (*NAMING, *NUMBERS, EVALUATIONS)):
+            sound = not table[name].null_count
+        if sound and expected == pa.list_(pa.float32()):
+            sound = {*pc.list_value_length(table[name]).to_pylist()} <= {None, GRID_POINTS}
+        if not sound:
+            raise ValueError(f"column {name} makes no sense")
+    if not all(re.fullmatch("[0-9a-f]{16}", name) for name in table["run_id"].to_pylist()):
+        raise ValueError("column run_id makes no sense")
+    if not all(steps > 0 for steps in table["steps"].to_pylist()):
+        raise ValueError("column steps makes no sense")
+
+
+# --- Reading ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One finished run, done or diverged.
+
+    Attributes:
+        table: the table that contains it.
+        place: its place there.
+        published: whether that is a published table.
+    """
+
+    _table: pa.Table = field(repr=False)
+    _place: int = 0
+    published: bool = False
+
+    @property
+    def table(self) -> pa.Table:
+        """The row as a table of one row, without metadata."""
+        return self._table.slice(self._place, 1).replace_schema_metadata(None)
+
+    def cell(self, column: str) -> Any:
+        """Return a cell; None if there is no such column."""
+        at = self._table.schema.get_field_index(column)
+        return self._table.column(at)[self._place].as_py() if at >= 0 else None
+
+    @cached_property
+    def run_id(self) -> str:
+        """The run's id."""
+        return str(self.cell("run_id"))
+
+    @cached_property
+    def config_id(self) -> str:
+        """The id of its configuration, without seed and steps."""
+        return str(self.cell("config_id"))
+
+    @cached_property
+    def seed(self) -> int:
+        """Its seed."""
+        return int(self.cell("seed"))
+
+    @cached_property
+    def budget(self) -> int:
+        """Agent steps that it was to train."""
+        return int(self.cell("steps"))
+
+    @cached_property
+    def end(self) -> int:
+        """Agent steps trained; fewer than the budget if it diverged."""
+        return int(self.cell("end"))
+
+    @cached_property
+    def status(self) -> str:
+        """'done' or 'diverged'."""
+        return str(self.cell("status"))
+
+    @cached_property
+    def fields(self) -> dict[str, Any]:
+        """Its configuration, which may be untrusted."""
+        return parse_json(self.cell("fields"))
+
+    @cached_property
+    def provenance(self) -> dict[str, Any]:
+        """What produced it, and how long that took."""
+        return parse_json(self.cell("provenance"))
+
+    @property
+    def averaged_over(self) -> int | None:
+        """Episodes over which returns were averaged when they were logged; None if they were not."""
+        return self.cell(AVERAGED_OVER)
+
+    @cached_property
+    def grid(self) -> np.ndarray:
+        """The steps of the points of its curves, (points,)."""
+        return make_grid(self.budget)
+
+    @cached_property
+    def quantities(self) -> tuple[str, ...]:
+        """The quantities whose curves it has, of `TRAINING_QUANTITIES`."""
+        return tuple(name for name in TRAINING_QUANTITIES if self.windows_of(name))
+
+    def windows_of(self, quantity: str) -> tuple[str, ...]:
+        """Return the windows in which it has a curve, the usual one first; quantities of updates have any."""
+        columns = self._columns
+        return tuple(window for window in WINDOWS if curve_column(quantity, window) in columns)
+
+    @property
+    def windows(self) -> tuple[str, ...]:
+        """The windows of its returns."""
+        return self.windows_of("return") or WINDOWS[:1]
+
+    @cached_property
+    def _columns(self) -> frozenset[str]:
+        columns = zip(self._table.column_names, self._table.columns, strict=True)
+        return frozenset(name for name, column in columns if column[self._place].is_valid)
+
+    def curve(self, quantity: str, window: str = "") -> np.ndarray:
+        """Return a curve on the row's own grid, (points,); NaN where it has no value."""
+        windows = self.windows_of(quantity)
+        chosen = window or (windows[0] if windows else "")
+        return self._points(curve_column(quantity, chosen))
+
+    def peaks(self, quantity: str) -> np.ndarray:
+        """Return the extreme update of one of `EXTREMES` since each previous point, (points,)."""
+        return self._points(f"{quantity} {PEAKS}")
+
+    def _points(self, column: str) -> np.ndarray:
+        at = self._table.schema.get_field_index(column)
+        values = self._table.column(at)[self._place].values if at >= 0 else None
+        if values is None:
+            return np.full(GRID_POINTS, np.nan)
+        return values.to_numpy(zero_copy_only=False).astype(float)
+
+    def exact(self, quantity: str, statistic: str) -> float:
+        """Return a statistic of a curve at the run's end, with all digits; NaN if it is not kept."""
+        value = self.cell(f"{quantity} {statistic}")
+        return math.nan if value is None else float(value)
+
+    @cached_property
+    def _evaluations(self) -> dict[str, np.ndarray]:
+        values = self._table[EVALUATIONS][self._place].values
+        if values is None or pa.types.is_null(values.type):
+            return {}
+        fields = {values.type.field(i).name: values.field(i) for i in range(values.type.num_fields)}
+        known = {name: column for name, column in fields.items() if column.null_count < len(column)}
+        return {name: column.to_numpy(zero_copy_only=False) for name, column in known.items()}
+
+    @property
+    def evaluation_columns(self) -> tuple[str, ...]:
+        """The columns of its evaluations."""
+        return tuple(self._evaluations)
+
+    def evaluations(self, column: str) -> np.ndarray:
+        """Return a column of its evaluations, in their order; empty if it has no such column."""
+        return self._evaluations.get(column, np.empty(0)).astype(float)
+
+    def evaluations_table(self) -> pa.Table:
+        """Return its evaluations with the columns that it has."""
+        return pa.table(dict(self._evaluations))
+
+    def signs(self) -> dict[str, list[Stretch]]:
+        """Return where each recorded sign of collapse holds.
+
+        Raises:
+            ValueError: for invalid text.
+        """
+        return unpack_signs(self.cell("signs"))
+
+    @property
+    def wall_seconds(self) -> float | None:
+        """Seconds of training, without loading and compiling if these were timed; None if unknown."""
+        seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
+        return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
+
+    @property
+    def processor_share(self) -> float | None:
+        """Share of a core that the training had; 1 if nothing else ran, None if unknown."""
+        share = self.provenance.get("processor_share")
+        return float(share) if isinstance(share, int | float) else None
+
+    def same_numbers(self, other: Row) -> bool:
+        """Return whether two rows of one run agree in everything that both have, apart from provenance."""
+        shared = (self._columns & other._columns) - {"provenance", "fields"}
+        return self.table.select(sorted(shared)).equals(other.table.select(sorted(shared)))
