@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from dataclasses import asdict
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,7 +26,7 @@ from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_file,
-    draw_indexed,
+    draw_files,
     print_json,
     read_formats,
     say,
@@ -82,32 +82,27 @@ def plot(
         raise UserError(lacking)
     from pneuma.analysis.run_index import open_study
     from pneuma.figures.curves import draw_study, settle
-    from pneuma.figures.index import index_entries
-    from pneuma.figures.summary import draw_summary, shown_outcome
+    from pneuma.figures.summary import draw_summary
 
     other = open_study(store, study_record(store, beside)) if beside else None
 
-    def draw_one(folder: Path, name: str) -> list[dict[str, Any]]:
+    def draw_one(folder: Path, name: str) -> list[Path]:
         data = open_data(picked, name)
-        if figure == "curves":
-            settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
-            drawn: dict[str, Any] = asdict(settled)
-            paths = draw_study(data, folder, settled, formats, beside=other)
-        else:
-            drawn = {"outcome": shown_outcome(data)}
-            paths = draw_summary(data, folder, formats)
-        look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
-        look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
         words = ["plot", name, *(["--beside", beside] if beside else [])]
+        look: dict[str, Iterable[str]] = {"figure": [figure], "format": formats}
+        if figure == "summary":
+            return draw_summary(data, folder, formats, command=opt.drawing_command(words, picked, look))
+        settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
+        look |= {"quantity": settled.quantities, "band": [settled.band], "window": [settled.window]}
         again = opt.drawing_command(words, picked, look)
-        return index_entries(paths, again, data, {"figure": figure, **drawn})
+        return draw_study(data, folder, settled, formats, beside=other, command=again)
 
-    def draw(folder: Path) -> list[dict[str, Any]]:
+    def draw(folder: Path) -> list[Path]:
         one = partial(draw_one, folder)
         drawn = map(one, names) if names else each_study(studies_run_here(store, picked.world), one)
-        return [entry for entries in drawn for entry in entries]
+        return [path for paths in drawn for path in paths]
 
-    tell_written(draw_indexed(store, out, draw), json)
+    tell_written(draw_files(store, out, draw), json)
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:

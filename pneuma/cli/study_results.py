@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.analysis.stored_studies import known_studies
@@ -12,7 +11,6 @@ from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     draw_files,
-    draw_indexed,
     print_json,
     print_table,
     read_formats,
@@ -178,19 +176,15 @@ def compare(
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
-        from pneuma.figures.index import index_entries
         from pneuma.figures.panels import stem_of
         from pneuma.figures.summary import draw_comparison
 
         stem = stem_of(data, "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
         again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
-
-        def draw(folder: Path) -> list[dict[str, Any]]:
-            paths = draw_comparison(data, table, folder, stem, formats)
-            return index_entries(paths, again, data, {"figure": "comparison"})
-
-        files = draw_indexed(picked.store, out, draw)
+        files = draw_files(
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats, again)
+        )
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
     say(f"{data.title}: {heads[0]} against {heads[1]}")
@@ -259,7 +253,10 @@ def collapse(
         from pneuma.figures.panels import stem_of
 
         stem = stem_of(data, "collapse")
-        files = draw_files(store, out, lambda folder: draw_collapse(data, folder, stem, formats))
+        again = opt.drawing_command(["collapse", name, "--out", "figures"], picked, {"format": formats})
+        files = draw_files(
+            store, out, lambda folder: draw_collapse(data, folder, stem, formats, command=again)
+        )
     if json:
         print_json({"study": data.study, "runs": found, "incidence": shares, "figures": files})
         return 0
@@ -344,12 +341,16 @@ def robustness(
     found = robustness_map(data, setting, better, worse, outcome)
     files = []
     if out is not None:
-        from pneuma.figures.maps import draw_robustness
+        from pneuma.figures.maps import contrast_word, draw_robustness
         from pneuma.figures.panels import stem_of
 
         other = [found.outcome] if found.outcome != primary(data) else []
         stem = stem_of(data, found.setting, *map(shown_value, found.values), *other)
-        files = draw_files(store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats))
+        words = ["robustness", name, "--contrast", contrast_word(found), "--out", "figures"]
+        again = opt.drawing_command(words, picked, {"outcome": other, "format": formats})
+        files = draw_files(
+            store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats, command=again)
+        )
     turned = find_outcome(found.outcome).better == "lower"
     if json:
         values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}

@@ -31,6 +31,7 @@ from pneuma.analysis.outcomes import have_one_return, without_monsters
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, unknown_name
 from pneuma.figures import panels, style
+from pneuma.figures.origin import origin_of
 
 _, TRAILING_WINDOW = WINDOWS
 AS_IN_THESIS: dict[str, Any] = {"quantities": ("return",), "band": "minmax", "window": TRAILING_WINDOW}
@@ -72,10 +73,12 @@ def draw_study(
     *,
     shown: str = "",
     beside: StudyData | None = None,
+    command: str = "",
 ) -> list[Path]:
     """Draw the curves of a study's finished runs and return the files written.
 
-    `shown` is the end of the headline. Runs of `beside` are drawn as dashed lines.
+    `shown` is the end of the headline. Runs of `beside` are drawn as dashed lines. `command` draws the figure
+    again.
 
     Raises:
         UserError: for a quantity that the study's data does not have; and, if each condition has a panel, for
@@ -108,7 +111,8 @@ def draw_study(
             meaning,
         )
         stem = file_stem(data, drawing, beside.study if beside else None)
-        return style.save_figure(figure, folder, stem, formats)
+        origin = origin_of(command, *filter(None, (data, beside)))
+        return style.save_figure(figure, folder, stem, formats, origin)
 
 
 def settle(
