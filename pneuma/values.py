@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -105,6 +105,17 @@ def shown_settings(settings: Mapping[str, Any]) -> str:
 
 
 LONGEST_NAME = 100
+
+
+def shown_seeds(seeds: Iterable[int]) -> str:
+    """Return seeds as `--seeds` reads them, sorted, neighbours as a range: 0..49,60."""
+    spans: list[list[int]] = []
+    for seed in sorted(set(seeds)):
+        if spans and seed == spans[-1][-1] + 1:
+            spans[-1] = [spans[-1][0], seed]
+        else:
+            spans.append([seed])
+    return ",".join("..".join(map(str, span)) for span in spans)
 
 
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:

@@ -1,6 +1,6 @@
 """A study's data: its finished runs, each with its row, and a run as it stood at a step.
 
-    `open_study` (asked.py) → StudyData of FinishedRuns; StudyData, run and step → RunView
+`open_study` (asked.py) → StudyData of FinishedRuns; StudyData, run and step → RunView
 """
 
 from __future__ import annotations

@@ -72,7 +72,9 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[tuple[str, str]]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
     names = data.conditions if conditions is None else conditions
-    firsts = [runs[0].fields for name in names if (runs := data.of_condition(name)) and _tells_reward(runs[0])]
+    firsts = [
+        runs[0].fields for name in names if (runs := data.of_condition(name)) and _tells_reward(runs[0])
+    ]
     return {
         (
             fields["env"] if is_gymnasium_id(fields.get("env")) else "",

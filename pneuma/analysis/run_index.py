@@ -75,7 +75,9 @@ class RunIndex:
     @cached_property
     def tables(self) -> dict[str, Published]:
         """The published tables that can be read, by name."""
-        return {name: table for path in self.store.published(self._shipped) for name, table in self._open(path)}
+        return {
+            name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
+        }
 
     @cached_property
     def by_configuration(self) -> Mapping[str, list[Entry]]:

@@ -59,7 +59,9 @@ def _searches(typed: Mapping[str, Any]) -> list[str]:
     return [*shipped, *recorded, *_own_files("[space.")]
 
 
-studies = offering(lambda typed: [*spec.list_studies(), *_store(typed).listings(), *_own_files("[conditions")])
+studies = offering(
+    lambda typed: [*spec.list_studies(), *_store(typed).listings(), *_own_files("[conditions")]
+)
 searches = offering(_searches)
 conditions = offering(lambda typed: _study(typed).get("conditions", ()))
 presets = offering(lambda typed: [*_study(typed).get("presets", ()), spec.CLAIMS])

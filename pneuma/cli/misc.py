@@ -1,4 +1,4 @@
-"""The commands `pneuma report` and `pneuma doctor`, and the groups `import` and `bench`."""
+"""The commands `pneuma report`, `figure` and `doctor`, and the groups `import` and `bench`."""
 
 from __future__ import annotations
 
@@ -45,6 +45,24 @@ def report(
     if json:
         return print_json({"file": out, "bytes": len(page), "studies": studies, "claims": claims})
     return say(f"wrote {out}: {len(page) / 1e6:.1f} MB; studies: {studies}, claims: {claims}")
+
+
+def figure(
+    file: Annotated[Path, opt.argument("FILE", "A PNG, SVG or PDF that Pneuma drew.")], json: opt.Json = False
+) -> None:
+    """Say where a figure comes from: the command that draws it, and the runs that it shows."""
+    from pneuma.figures.origin import read_origin
+
+    origin = read_origin(file)
+    if json:
+        return print_json({"file": file, **origin.model_dump()})
+    say(origin.command or "drawn by a script")
+    say(f"Pneuma {origin.version}")
+    if origin.runs:
+        print()
+        rows = [(one.study, one.condition, one.seeds, ", ".join(one.ids)) for one in origin.runs]
+        print_table(("study", "condition", "seeds", "runs"), rows)
+    return None
 
 
 def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:

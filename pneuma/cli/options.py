@@ -19,7 +19,7 @@ from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supe
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
-from pneuma.values import read_value
+from pneuma.values import read_value, shown_seeds
 from pneuma.worlds import WORLDS
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -324,7 +324,7 @@ def selecting_words(selection: Selection) -> list[str]:
     words = []
     if selection.seeds is not None:
         counted_up = selection.seeds == tuple(range(len(selection.seeds)))
-        listed = ",".join(map(str, selection.seeds)) + ("," if len(selection.seeds) == 1 else "")
+        listed = shown_seeds(selection.seeds) + ("," if len(selection.seeds) == 1 else "")
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
     words += ["--steps", str(selection.steps)] if selection.steps is not None else []
     words += [word for name in selection.conditions for word in ("--condition", name)]

@@ -165,26 +165,6 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
     return [target / name for name in files]
 
 
-def draw_indexed(store: Store, out: Path | None, draw: Callable[[Path], list[dict[str, Any]]]) -> list[Path]:
-    """Write figures as `draw_files` does, with entries in the folder's index; return the figures.
-
-    Args:
-        store: the results folder.
-        out: where; None for the results.
-        draw: draws into a folder that is removed afterwards, and returns the results of `index_entries`.
-    """
-    from pneuma.figures.index import INDEX, encode_index, read_index
-
-    present = read_index(out or store.root / "figures")
-
-    def draw_all(folder: Path) -> list[Path]:
-        entries = draw(folder)
-        (folder / INDEX).write_bytes(encode_index([*present, *entries]))
-        return [*(folder / entry["file"] for entry in entries), folder / INDEX]
-
-    return [path for path in draw_files(store, out, draw_all) if path.name != INDEX]
-
-
 def tell_written(files: Iterable[Path], json: bool = False) -> None:
     """Say which figures were written."""
     if json:

@@ -88,7 +88,9 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
     except UserError:
         part.notes = ["No runs yet."]
         return part
-    part.notes = [f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in asked.same]
+    part.notes = [
+        f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in asked.same
+    ]
     runs, steps = counted(len(shown.runs), "run"), max(entry.steps for *_, entry in shown.runs)
     part.extent = f"{counted(len(asked.fields), 'condition')}, {runs} of up to {steps:,} agent steps"
     part.conditions = _conditions(label, asked.fields)
@@ -98,7 +100,9 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
     ]
     missing = sum(not entry.finished for *_, entry in shown.runs)
     if missing:
-        part.notes.append(f"{missing} of {len(shown.runs)} runs are not finished or damaged, and left out below.")
+        part.notes.append(
+            f"{missing} of {len(shown.runs)} runs are not finished or damaged, and left out below."
+        )
     else:
         part.mend = ""
     if diverged := sum(entry.status == "diverged" for *_, entry in shown.runs):

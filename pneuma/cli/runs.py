@@ -48,7 +48,9 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         studies = (
             ", ".join(f"{held['study']}/{held['condition']}" for held in run["studies"]) or "of no study"
         )
-        rows.append((run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies))
+        rows.append(
+            (run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies)
+        )
     return print_table([""] * 5, rows)
 
 

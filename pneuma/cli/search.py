@@ -146,7 +146,9 @@ def plot(
     from pneuma.search.storage import read_record
 
     searched = read_record(store, name, world)
-    paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats))
+    formats_asked = (word for each in formats for word in ("--format", each))
+    again = command("search", "plot", name, *world_option(world or TEXT), *formats_asked)
+    paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
     drawn = {path.stem.rpartition("-")[2] for path in paths}
     for what, needed in NEEDS.items():
         if what not in drawn:

@@ -154,7 +154,9 @@ def status(
     rows = []
     for condition, seed, entry in shown.runs:
         about = {"run_id": entry.run_id, "condition": condition, "seed": seed}
-        runs.append({**about, "status": entry.status, "step": entry.step, "published": entry.table is not None})
+        runs.append(
+            {**about, "status": entry.status, "step": entry.step, "published": entry.table is not None}
+        )
         label = f"{entry.status} as published" if entry.table else entry.status
         label += f" at step {entry.step:,}" if entry.step and not entry.finished else ""
         if job := jobs.get(entry.run_id):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     check_file,
-    draw_indexed,
+    draw_files,
     print_json,
     read_formats,
     say,
@@ -80,34 +81,29 @@ def plot(
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
     from pneuma.figures.curves import draw_study, settle
-    from pneuma.figures.index import index_entries
-    from pneuma.figures.summary import draw_summary, shown_outcome
+    from pneuma.figures.summary import draw_summary
 
     other = open_data(opt.Chosen(Selection(), None, store), beside) if beside else None
 
-    def draw_one(folder: Path, asked: tuple[str, str | None]) -> list[dict[str, Any]]:
+    def draw_one(folder: Path, asked: tuple[str, str | None]) -> list[Path]:
         name, world = asked
         data = open_data(replace(picked, world=world), name)
-        if figure == "curves":
-            settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
-            drawn: dict[str, Any] = asdict(settled)
-            paths = draw_study(data, folder, settled, formats, beside=other)
-        else:
-            drawn = {"outcome": shown_outcome(data)}
-            paths = draw_summary(data, folder, formats)
-        look = {"figure": [figure], "format": formats, "quantity": drawn.get("quantities", ())}
-        look |= {key: [drawn[key]] for key in ("band", "window") if key in drawn}
         words = ["plot", name, *(["--beside", beside] if beside else [])]
+        look: dict[str, Iterable[str]] = {"figure": [figure], "format": formats}
+        if figure == "summary":
+            return draw_summary(data, folder, formats, command=opt.drawing_command(words, picked, look))
+        settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
+        look |= {"quantity": settled.quantities, "band": [settled.band], "window": [settled.window]}
         again = opt.drawing_command(words, picked, look)
-        return index_entries(paths, again, data, {"figure": figure, **drawn})
+        return draw_study(data, folder, settled, formats, beside=other, command=again)
 
-    def draw(folder: Path) -> list[dict[str, Any]]:
+    def draw(folder: Path) -> list[Path]:
         one = partial(draw_one, folder)
         asked = [(name, picked.world) for name in names or ()]
         drawn = [*map(one, asked)] if names else each_study(_run_here(picked), one)
-        return [entry for entries in drawn for entry in entries]
+        return [path for paths in drawn for path in paths]
 
-    tell_written(draw_indexed(store, out, draw), json)
+    tell_written(draw_files(store, out, draw), json)
 
 
 def _run_here(picked: opt.Chosen) -> list[tuple[str, str | None]]:
@@ -224,7 +220,8 @@ def publish(
     before = index.tables.get(stem)
     rows = {run_id: before.row(run_id) for run_id in (before.places if before else ())} | new
     listing = store.listing(data.study)
-    about = {"study": data.study, **({"listing": listing} if listing else {})}
+    about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
+    about |= {"listing": listing} if listing else {}
     order = sorted(rows, key=lambda run_id: (rows[run_id].config_id, rows[run_id].budget, rows[run_id].seed))
     encoded = encode_published([rows[run_id] for run_id in order], about, curves or PUBLISHED_CURVES)
     path = store.published_path(stem)

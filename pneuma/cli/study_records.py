@@ -23,9 +23,7 @@ def open_data(picked: Chosen, name: str) -> StudyData:
     from pneuma.analysis.asked import open_study
     from pneuma.analysis.run_index import RunIndex
 
-    return open_study(
-        RunIndex(picked.store), name, picked.selection, picked.world, partial(say, aside=True)
-    )
+    return open_study(RunIndex(picked.store), name, picked.selection, picked.world, partial(say, aside=True))
 
 
 def nothing_yet(store: Store) -> str:

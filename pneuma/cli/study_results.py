@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     draw_files,
-    draw_indexed,
     print_json,
     print_table,
     read_formats,
@@ -165,6 +163,7 @@ def compare(
             raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
     import pandas as pd
 
+    from pneuma.analysis.frames import figure_basename
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
@@ -172,19 +171,14 @@ def compare(
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
-        from pneuma.figures.index import index_entries
-        from pneuma.figures.panels import stem_of
         from pneuma.figures.summary import draw_comparison
 
-        stem = stem_of(data, "compare", *(heads if b else heads[1:]))
+        stem = figure_basename(data, "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
         again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
-
-        def draw(folder: Path) -> list[dict[str, Any]]:
-            paths = draw_comparison(data, table, folder, stem, formats)
-            return index_entries(paths, again, data, {"figure": "comparison"})
-
-        files = draw_indexed(picked.store, out, draw)
+        files = draw_files(
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats, again)
+        )
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
     say(f"{data.full_title}: {heads[0]} against {heads[1]}")
@@ -251,6 +245,7 @@ def collapse(
     formats, store = read_formats(format, out, "" if out else "--out"), picked.store
     data = open_data(picked, name)
     from pneuma.analysis.collapse import diagnoses, incidence
+    from pneuma.analysis.frames import figure_basename
 
     found = diagnoses(data)
     shares = incidence(data, found)
@@ -261,17 +256,21 @@ def collapse(
         parents = dict(zip(collapsed["run_id"], map(int, collapsed["sound_step"]), strict=True))
         if not parents:
             runs = counted(len(here), "run")
-            raise UserError(f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork")
+            raise UserError(
+                f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork"
+            )
         plan = plan_cause_forks(store, data.study, parents, fork_seeds, trust=trust)
         how = Supervision(workers=opt.most_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
     files = []
     if out is not None:
         from pneuma.figures.collapse import draw_collapse
-        from pneuma.figures.panels import stem_of
 
-        stem = stem_of(data, "collapse")
-        files = draw_files(store, out, lambda folder: draw_collapse(data, folder, stem, formats))
+        stem = figure_basename(data, "collapse")
+        again = opt.drawing_command(["collapse", name, "--out", "figures"], picked, {"format": formats})
+        files = draw_files(
+            store, out, lambda folder: draw_collapse(data, folder, stem, formats, command=again)
+        )
     if json:
         print_json({"study": data.study, "runs": found, "incidence": shares, "figures": files})
         return 0
@@ -350,18 +349,21 @@ def robustness(
     setting, better, worse = contrast
     data = open_data(picked, name)
     from pneuma.analysis.crossed import robustness_map
-    from pneuma.analysis.frames import common_step
+    from pneuma.analysis.frames import common_step, figure_basename
     from pneuma.analysis.outcomes import find_outcome, primary
 
     found = robustness_map(data, setting, better, worse, outcome)
     files = []
     if out is not None:
-        from pneuma.figures.maps import draw_robustness
-        from pneuma.figures.panels import stem_of
+        from pneuma.figures.maps import contrast_word, draw_robustness
 
         other = [found.outcome] if found.outcome != primary(data) else []
-        stem = stem_of(data, found.setting, *map(shown_value, found.values), *other)
-        files = draw_files(store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats))
+        stem = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
+        words = ["robustness", name, "--contrast", contrast_word(found), "--out", "figures"]
+        again = opt.drawing_command(words, picked, {"outcome": other, "format": formats})
+        files = draw_files(
+            store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats, command=again)
+        )
     turned = find_outcome(found.outcome).better == "lower"
     if json:
         values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}

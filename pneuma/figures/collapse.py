@@ -16,6 +16,7 @@ from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import UserError
 from pneuma.figures import panels, style
+from pneuma.figures.origin import origin_of
 from pneuma.figures.style import GREY, INK
 from pneuma.study.quantities import ACTION_QUANTITIES
 from pneuma.study.series import LEAST_ENTROPY, LOSS, MOST_OF_ONE, NO_ENTROPY, Series
@@ -46,7 +47,12 @@ def collapsed_shares(data: StudyData) -> pd.DataFrame:
 
 
 def draw_collapse(
-    data: StudyData, folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
+    data: StudyData,
+    folder: Path,
+    stem: str,
+    formats: tuple[str, ...] = ("png", "svg"),
+    *,
+    command: str = "",
 ) -> list[Path]:
     """Draw a study's collapses and return the files written.
 
@@ -90,7 +96,7 @@ def draw_collapse(
         headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
         caption = [*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
         panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
-        return style.save_figure(figure, folder, stem, formats)
+        return style.save_figure(figure, folder, stem, formats, origin_of(command, data))
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:

@@ -32,6 +32,7 @@ from pneuma.analysis.outcomes import have_one_return, without_monsters
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import panels, style
+from pneuma.figures.origin import origin_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 
 _, TRAILING_WINDOW = WINDOWS
@@ -74,10 +75,12 @@ def draw_study(
     *,
     shown: str = "",
     beside: StudyData | None = None,
+    command: str = "",
 ) -> list[Path]:
     """Draw the curves of a study's finished runs and return the files written.
 
-    `shown` is the end of the headline. Runs of `beside` are drawn as dashed lines.
+    `shown` is the end of the headline. Runs of `beside` are drawn as dashed lines. `command` draws the figure
+    again.
 
     Raises:
         UserError: for a quantity that the study's data does not have; and, if each condition has a panel, for
@@ -110,7 +113,8 @@ def draw_study(
             meaning,
         )
         stem = file_stem(data, drawing, beside.study if beside else None)
-        return style.save_figure(figure, folder, stem, formats)
+        origin = origin_of(command, *filter(None, (data, beside)))
+        return style.save_figure(figure, folder, stem, formats, origin)
 
 
 def settle(
@@ -186,7 +190,9 @@ def _draw_quantities(
         _draw_means(axes, name, group, drawing.band, looks, labels)
         for curve in others.get(name, ()):
             look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
-            axes.plot(curve.step, curve.runs.T, label=beside.full_title if beside else "", alpha=faint, **look)
+            axes.plot(
+                curve.step, curve.runs.T, label=beside.full_title if beside else "", alpha=faint, **look
+            )
         _draw_around(axes, data, name, [*group, *others.get(name, ())])
         if beside:
             axes.set_xlim(0, max(data.budget, beside.budget))

@@ -10,6 +10,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from pneuma.env.render import Renderer
 from pneuma.env.watch import fight_worlds, level_worlds
+from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
@@ -21,7 +22,7 @@ MOVES = (
 RADIUS = 0.33
 
 
-def draw_mailman(folder: Path) -> list[Path]:
+def draw_mailman(folder: Path, command: str = "") -> list[Path]:
     """Draw Fig. 2.1: the decision process of `pneuma/Mailman-v0`, its best route in bold."""
     with house_style():
         figure = Figure(figsize=(4.2, 2.1))
@@ -43,10 +44,10 @@ def draw_mailman(folder: Path) -> list[Path]:
             )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
         axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
-        return save_figure(figure, folder, "fig-2-1", ("png", "svg"))
+        return save_figure(figure, folder, "fig-2-1", ("png", "svg"), Origin(command=command))
 
 
-def draw_level(folder: Path) -> list[Path]:
+def draw_level(folder: Path, command: str = "") -> list[Path]:
     """Draw Fig. 6.1: the whole level, with its start places and monsters."""
     worlds = level_worlds()
     level = worlds.level
@@ -63,10 +64,10 @@ def draw_level(folder: Path) -> list[Path]:
         axes.set(xlabel="x (pixels)", ylabel="y (pixels)", title=level.title)
         axes.grid(visible=False)
         axes.legend(loc="lower right", frameon=True, facecolor="white")
-        return save_figure(figure, folder, "fig-6-1", ("png",))
+        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=command))
 
 
-def draw_screens(folder: Path) -> list[Path]:
+def draw_screens(folder: Path, command: str = "") -> list[Path]:
     """Draw Figs. 5.1 and 5.2: the view that follows a player, at the start and in a fight."""
     paths = []
     for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds())):
@@ -76,5 +77,5 @@ def draw_screens(folder: Path) -> list[Path]:
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",))
+            paths += save_figure(figure, folder, stem, ("png",), Origin(command=command))
     return paths

@@ -15,6 +15,7 @@ from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError
+from pneuma.figures.origin import origin_of
 from pneuma.figures.panels import (
     headline_of,
     label_rows,
@@ -60,7 +61,13 @@ def study_maps(data: StudyData) -> list[Map]:
 
 
 def draw_robustness(
-    data: StudyData, maps: Sequence[Map], folder: Path, stem: str, formats: tuple[str, ...] = ("png", "svg")
+    data: StudyData,
+    maps: Sequence[Map],
+    folder: Path,
+    stem: str,
+    formats: tuple[str, ...] = ("png", "svg"),
+    *,
+    command: str = "",
 ) -> list[Path]:
     """Draw maps of one outcome, one panel each; return the files written."""
     columns = min(len(maps), 2)
@@ -81,7 +88,7 @@ def draw_robustness(
         }
         headline = headline_of(data, "does the contrast hold elsewhere?")
         put_texts(figure, rows * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
-        return save_figure(figure, folder, stem, formats)
+        return save_figure(figure, folder, stem, formats, origin_of(command, data))
 
 
 def _draw_map(axes: Axes, found: Map) -> None:
@@ -104,6 +111,11 @@ def _draw_map(axes: Axes, found: Map) -> None:
     if find_outcome(found.outcome).bounds == (0.0, 1.0):
         label += f" ({set_points(axes)})"
     axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=label)
+
+
+def contrast_word(found: Map) -> str:
+    """Return the contrast of a map as `--contrast` takes it."""
+    return f"{found.setting}={':'.join(map(shown_value, found.values))}".replace(", ", ",")
 
 
 def _read(field: str) -> str:

@@ -3,18 +3,17 @@
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
 It draws the environment's own figures; the thesis's tables of hyperparameters; the curves, summaries,
-collapses, maps and numbers of every study in RESULTS/published; and the verdicts on all claims. An index, as
-JSON and as a page, has the command and runs of each file.
+collapses, maps and numbers of every study in RESULTS/published; and the verdicts on all claims. Files of an
+earlier run that are no longer drawn are removed.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -22,10 +21,11 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import open_published
+from pneuma.analysis.frames import StudyData, figure_basename
+from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
@@ -39,13 +39,12 @@ from pneuma.figures.curves import (
     settle,
 )
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
-from pneuma.figures.index import CONTENTS, INDEX, encode_contents, encode_index, index_entries, read_index
 from pneuma.figures.maps import draw_robustness, study_maps
-from pneuma.figures.panels import stem_of
+from pneuma.figures.origin import read_origin
 from pneuma.figures.style import shrink
-from pneuma.figures.summary import draw_summary, shown_outcome
+from pneuma.figures.summary import draw_summary
 from pneuma.figures.verdicts import judged_claims, write_verdicts
-from pneuma.files import write_whole
+from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.values import shown_value
@@ -60,6 +59,8 @@ CONTRASTED = {
     "actor-size": ("smallest", "small"),
 }
 """Conditions in the thesis's own figure, for studies that have more."""
+MORE_BUDGETS = {"architecture": (40_000,)}
+"""Budgets that are drawn beside the one of most runs."""
 MORE_CURVES = {"gradient-limits": "grad_norm", "collapse": "entropy"}
 """More quantities that a study is about, beside the share killed and the return."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
@@ -71,40 +72,37 @@ SETTINGS = (
 )  # fmt: skip
 """Fields that the thesis's Tables 6.1 and 6.2 state or leave to the library."""
 
-Entries = list[dict[str, Any]]
-"""Entries of the index."""
-
 
 def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
-    """Draw all figures and write all tables, the index and its page; return the files written.
-
-    Files in the old index that are no longer drawn are removed.
+    """Draw all figures and write all tables; return the files written.
 
     `beside` gives for a study's name the imported logs to draw with it.
     """
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    known = {entry["file"] for entry in read_index(folder)}  # which refuses a damaged index
-    entries = [*_draw_environment(folder), *_write_settings(folder)]
-    studies = open_published(results)
-    stems = Counter(data.figure for data in studies)
-    names = [
-        (data.study, data.figure + (f"-{data.study}" if stems[data.figure] > 1 else "")) for data in studies
-    ]
-    logs = {study: log for study, log in (beside or {}).items() if log in dict(names)}
-    sizes = {data.study: len(data.runs) for data in studies}
-    largest_first = sorted(names, key=lambda name: -sizes[name[0]])
+    written = [*_draw_environment(folder), *_write_settings(folder)]
+    index = RunIndex(Store(results), stored=False, shipped=False)
+    largest_first = sorted(index.tables, key=lambda name: -len(index.tables[name].index))
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         verdicts = pool.submit(_draw_verdicts, folder, results)
-        entries_by_study = pool.map(partial(_draw_one, folder, results, logs), largest_first)
-        drawn = dict(zip(largest_first, entries_by_study, strict=True))
-    entries += [entry for name in names for entry in drawn[name]]
-    written = {entry["file"] for entry in entries}
-    write_whole(folder / INDEX, encode_index(entries))
-    write_whole(folder / CONTENTS, encode_contents(entries))
-    for name in known - written:
-        (folder / name).unlink()
-    paths = [*(folder / entry["file"] for entry in entries), *verdicts.result()]
-    return [*paths, folder / INDEX, folder / CONTENTS]
+        for paths in pool.map(partial(_draw_one, folder, results, beside or {}), largest_first):
+            written += paths
+    written += verdicts.result()
+    _remove_others(folder, written)
+    return written
+
+
+def _remove_others(folder: Path, written: Collection[Path]) -> None:
+    """Remove tables and figures of an earlier run, which a figure's origin tells."""
+    for path in {*folder.glob("*.*"), *(folder / TABLES).glob("*.md")} - {*written}:
+        if path.parent.name == TABLES or _is_of_earlier_run(path):
+            path.unlink()
+
+
+def _is_of_earlier_run(path: Path) -> bool:
+    try:
+        return read_origin(path).command == COMMAND
+    except UserError:
+        return False
 
 
 def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
@@ -112,22 +110,19 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     store = Store(results)
     if not store.published(shipped=False):
         return []
-    return write_verdicts(judged_claims(store, stored=False)[0], folder)
+    return write_verdicts(judged_claims(store, stored=False)[0], folder, COMMAND)
 
 
-def _draw_environment(folder: Path) -> Entries:
+def _draw_environment(folder: Path) -> list[Path]:
     """Draw the figures of the environment itself, which have more colours than a palette."""
-    level = sorted([*draw_screens(folder), *draw_level(folder)])
-    drawn = [("pneuma/Mailman-v0", path) for path in sorted(draw_mailman(folder))]
-    drawn += [("pneuma/Pneuma-v0, level thesis", path) for path in level]
-    return [{"file": path.name, "command": COMMAND, "from": source, "runs": {}} for source, path in drawn]
+    return [path for draw in (draw_mailman, draw_screens, draw_level) for path in draw(folder, COMMAND)]
 
 
-def _write_settings(folder: Path) -> Entries:
+def _write_settings(folder: Path) -> list[Path]:
     """Write the thesis's two tables of hyperparameters."""
-    name = f"{TABLES}/{SETTINGS_FILE}"
-    (folder / name).write_bytes(encode_frame(settings_table(), "markdown"))
-    return [{"file": name, "command": COMMAND, "from": "thesis Tables 6.1 and 6.2", "runs": {}}]
+    path = folder / TABLES / SETTINGS_FILE
+    path.write_bytes(encode_frame(settings_table(), "markdown"))
+    return [path]
 
 
 def settings_table() -> pd.DataFrame:
@@ -142,66 +137,57 @@ def settings_table() -> pd.DataFrame:
 # --- One study ---------------------------------------------------------------------------------------
 
 
-def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], names: tuple[str, str]) -> Entries:
-    """Draw all figures of a study and write its tables; return their index entries.
+def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], table: str) -> list[Path]:
+    """Draw all figures of what a published table answers, and write its numbers; return the files written.
 
-    The names of figures are unique among all that are drawn. Files are made small, because they are
-    committed.
+    Files are made small, because they are committed.
     """
-    study, figure = names
-    (data,) = open_published(results, [study])
-    data.figure = figure
-    logs = open_published(results, [beside[study]])[0] if study in beside else None
-    entries = []
-    for shown, paths, look in _figures(data, folder, logs):
-        for path in paths:
+    index = RunIndex(Store(results), stored=False, shipped=False)
+    about = index.tables[table].about
+    study, world, picked = about["study"], about.get("world"), Selection(settings=about.get("settings"))
+    logs = open_study(index, beside[study]) if study in beside else None
+    paths: list[Path] = []
+    for steps in (None, *MORE_BUDGETS.get(study, ())):
+        data = open_study(index, study, replace(picked, steps=steps), world)
+        data = replace(data, figure=f"{data.figure}-{steps}") if steps else data
+        drawn = [path for figure in _figures(data, folder, logs) for path in figure]
+        for path in drawn:
             shrink(path)
-        entries += index_entries(paths, COMMAND, shown, look)
-    path = folder / TABLES / f"{data.study}.md"
-    path.write_bytes(encode_frame(summary_table(data), "markdown"))
-    (entry,) = index_entries([path], COMMAND, data, {"table": "summary", "format": "markdown"})
-    return [*entries, {**entry, "file": f"{TABLES}/{path.name}"}]
+        numbers = folder / TABLES / f"{table}{f'-{steps}' if steps else ''}.md"
+        numbers.write_bytes(encode_frame(summary_table(data), "markdown"))
+        paths += [*drawn, numbers]
+    return paths
 
 
-Drawn = tuple[StudyData, list[Path], dict[str, Any]]
-"""What a figure shows, its files, and how it was drawn."""
-
-
-def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[Drawn]:
+def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[list[Path]]:
     """Draw curves and a summary, and if there are any, collapses and maps.
 
     There are curves of the conditions in the thesis's figure, also drawn as there; of all conditions, if the
     study has more; and with imported logs beside them.
     """
 
-    def drawn(shown_data: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> Drawn:
-        drawing = settle(shown_data, **how)
-        look = {"figure": "curves", "conditions": shown_data.conditions, **asdict(drawing)}
-        look |= {"beside": beside.study} if beside else {}
-        return shown_data, draw_study(shown_data, folder, drawing, shown=shown, beside=beside), look
+    def draw(data: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> list[Path]:
+        return draw_study(data, folder, settle(data, **how), shown=shown, beside=beside, command=COMMAND)
 
     if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
-        names = [name for name in CONTRASTED.get(data.own_name, ()) if name in data.conditions]
+        names = [name for name in CONTRASTED.get(data.study, ()) if name in data.conditions]
         contrasted = data.of_conditions(names) if names else data
-        yield drawn(contrasted)
+        yield draw(contrasted)
         if data.figure.startswith("fig-") and "return" in data.quantities:
-            yield drawn(contrasted, **AS_IN_THESIS)
+            yield draw(contrasted, **AS_IN_THESIS)
         if 0 < len(names) < len(data.conditions):
-            every = data.of_conditions(data.conditions)
-            every.figure = f"{data.figure}-all"
-            yield drawn(every, "every condition")
-    more = MORE_CURVES.get(data.own_name)
+            yield draw(replace(data, figure=f"{data.figure}-all"), "every condition")
+    more = MORE_CURVES.get(data.study)
     if more in data.quantities:
-        yield drawn(data, quantities=(more,))
+        yield draw(data, quantities=(more,))
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
-        yield drawn(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=held)
-    yield data, draw_summary(data, folder), {"figure": "summary", "outcome": shown_outcome(data)}
+        yield draw(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=held)
+    yield draw_summary(data, folder, command=COMMAND)
     if len(collapsed_shares(data)):
-        yield data, draw_collapse(data, folder, stem_of(data, "collapses")), {"figure": "collapses"}
+        yield draw_collapse(data, folder, figure_basename(data, "collapses"), command=COMMAND)
     if maps := study_maps(data):
-        look = {"figure": "map", "contrasts": [each.setting for each in maps]}
-        yield data, draw_robustness(data, maps, folder, stem_of(data, "map")), look
+        yield draw_robustness(data, maps, folder, figure_basename(data, "map"), command=COMMAND)
 
 
 def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:

@@ -29,10 +29,9 @@ from pneuma.errors import counted
 from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import MOST_CURVES, draw_study
-from pneuma.figures.maps import draw_robustness, study_maps
+from pneuma.figures.maps import contrast_word, draw_robustness, study_maps
 from pneuma.figures.style import clean, shrink
 from pneuma.figures.summary import draw_summary
-from pneuma.values import shown_value
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics in the first table of a study's numbers."""
@@ -153,29 +152,30 @@ def study_pictures(data: StudyData) -> list[dict[str, str]]:
     with TemporaryDirectory() as name:
         folder, drawn = Path(name), []
         if curve_names(data) and len(data.conditions) <= MOST_CURVES:
-            drawn.append((f"Curves over {data.budget:,} environment steps", "plot", draw_study(data, folder)))
+            again = f"pneuma study plot {study}"
+            curves = draw_study(data, folder, command=again)
+            drawn.append((f"Curves over {data.budget:,} environment steps", again, curves))
         else:
-            drawn.append(
-                ("What every run came to, and means", "plot --figure summary", draw_summary(data, folder))
-            )
+            again = f"pneuma study plot --figure summary {study}"
+            summary = draw_summary(data, folder, command=again)
+            drawn.append(("What every run came to, and means", again, summary))
         if len(collapsed_shares(data)):
+            again = f"pneuma study collapse --out figures {study}"
             drawn.append(
-                ("Runs that collapsed", "collapse --out figures", draw_collapse(data, folder, "collapse"))
+                ("Runs that collapsed", again, draw_collapse(data, folder, "collapse", command=again))
             )
         if maps := study_maps(data):
-            values = ":".join(map(shown_value, maps[0].values)).replace(", ", ",")
-            contrast = quote(f"{maps[0].setting}={values}")
-            paths = draw_robustness(data, maps, folder, "maps")
-            drawn.append(
-                ("In which cells contrasts hold", f"robustness --contrast {contrast} --out figures", paths)
-            )
+            contrast = quote(contrast_word(maps[0]))
+            again = f"pneuma study robustness --contrast {contrast} --out figures {study}"
+            paths = draw_robustness(data, maps, folder, "maps", command=again)
+            drawn.append(("In which cells contrasts hold", again, paths))
         return [
             {
                 "source": _source(paths),
                 "alt": f"{data.title}: {what}, for {'; '.join(data.conditions)}.",
-                "caption": f"{what}: pneuma study {command} {study}.",
+                "caption": f"{what}: {again}.",
             }
-            for what, command, paths in drawn
+            for what, again, paths in drawn
         ]
 
 

@@ -19,6 +19,7 @@ from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.visualization import matplotlib as plots
 
 from pneuma.errors import counted
+from pneuma.figures.origin import Origin, sample
 from pneuma.figures.style import CAPTION, TYPE_POINTS, house_style, save_figure
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.storage import RecordedSearch
@@ -36,11 +37,15 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
 
 
-def draw_search(searched: RecordedSearch, folder: Path, formats: tuple[str, ...]) -> list[Path]:
+def draw_search(
+    searched: RecordedSearch, folder: Path, formats: tuple[str, ...], command: str = ""
+) -> list[Path]:
     """Draw all figures for which a search has enough trials; return the files written."""
     if not any(trial.state == "complete" for trial in searched.trials):
         return []
-    paths = []
+    ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
+    trained = sample(searched.task.search.name, "", ids, searched.task.budget.seeds)
+    origin, paths = Origin(command=command, runs=(trained,)), []
     for name in NEEDS:
         with _plotting():
             axes = _plot(name, searched)
@@ -50,7 +55,7 @@ def draw_search(searched: RecordedSearch, folder: Path, formats: tuple[str, ...]
                 text = {"x": 0.01, "ha": "left", "fontsize": CAPTION * TYPE_POINTS, "color": "#444444"}
                 figure.supxlabel(_caption(searched), **text)
                 stem = f"search-{searched.task.search.name}-{name}"
-                paths += save_figure(figure, folder, stem, formats)
+                paths += save_figure(figure, folder, stem, formats, origin)
             plt.close("all")
     return paths
 

@@ -13,8 +13,10 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from pneuma.errors import plain, unknown_name
+from pneuma.figures.origin import KEYS, Origin
 
 WIDTH = 7.0
 """Width in inches of a figure that spans a page."""
@@ -162,8 +164,10 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 # --- Files -------------------------------------------------------------------------------------------
 
 
-def save_figure(figure: Figure, folder: Path | str, stem: str, formats: Sequence[str]) -> list[Path]:
-    """Write a figure in each format; the same figure gives the same bytes."""
+def save_figure(
+    figure: Figure, folder: Path | str, stem: str, formats: Sequence[str], origin: Origin
+) -> list[Path]:
+    """Write a figure in each format, with its origin as metadata; the same figure gives the same bytes."""
     for name in formats:
         if name not in _NO_DATES:
             raise unknown_name("format", name, _NO_DATES)
@@ -176,7 +180,7 @@ def save_figure(figure: Figure, folder: Path | str, stem: str, formats: Sequence
         warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
         _fix_places(figure)
         for path, name in zip(paths, formats, strict=True):
-            figure.savefig(path, format=name, metadata=_NO_DATES[name])
+            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
     return paths
 
 
@@ -211,11 +215,12 @@ def shrink(path: Path) -> None:
     """
     if path.suffix == ".png":
         with Image.open(path) as image:
-            dots = image.info["dpi"]
+            dots, texts = image.info["dpi"], PngInfo()
+            texts.add_text(KEYS["png"], image.info[KEYS["png"]])
             small = image.convert("RGB").quantize(
                 256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
             )
-        small.save(path, "PNG", optimize=True, dpi=dots)
+        small.save(path, "PNG", optimize=True, dpi=dots, pnginfo=texts)
     elif path.suffix == ".svg":
         drawing = path.read_bytes()
         path.write_bytes(_PATH.sub(lambda found: _LONG_NUMBER.sub(_rounded, found[0]), drawing))

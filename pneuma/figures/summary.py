@@ -28,6 +28,7 @@ from pneuma.analysis.outcomes import (
 )
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import panels, style
+from pneuma.figures.origin import origin_of
 from pneuma.figures.style import GREY, INK
 
 WITHOUT_EVALUATIONS = "final-return"
@@ -50,7 +51,9 @@ def shown_outcome(data: StudyData) -> str:
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
 
-def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg")) -> list[Path]:
+def draw_summary(
+    data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg"), *, command: str = ""
+) -> list[Path]:
     """Draw the outcomes of each condition's runs; return the files written."""
     outcome = shown_outcome(data)
     table = summary_table(data, [outcome])
@@ -91,11 +94,12 @@ def draw_summary(data: StudyData, folder: Path, formats: tuple[str, ...] = ("png
         step = common_step(data)
         when = f"at {step:,} steps" if step else "at the end of training"
         panels.put_texts(figure, inches, panels.headline_of(data, when), entries, caption)
-        return style.save_figure(figure, folder, figure_basename(data, "summary"), formats)
+        stem = figure_basename(data, "summary")
+        return style.save_figure(figure, folder, stem, formats, origin_of(command, data))
 
 
 def draw_comparison(
-    data: StudyData, table: pd.DataFrame, folder: Path, stem: str, formats: tuple[str, ...]
+    data: StudyData, table: pd.DataFrame, folder: Path, stem: str, formats: tuple[str, ...], command: str = ""
 ) -> list[Path]:
     """Draw differences of means with intervals: a panel per outcome, a row per comparison.
 
@@ -130,7 +134,7 @@ def draw_comparison(
             caption.append(f"All as they stood at {step:,} steps, {step_words(data)}.")
         inches = panel_rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
         panels.put_texts(figure, inches, panels.headline_of(data, "differences"), caption=caption)
-        return style.save_figure(figure, folder, stem, formats)
+        return style.save_figure(figure, folder, stem, formats, origin_of(command, data))
 
 
 def _counts(table: pd.DataFrame, row: Mapping[Any, Any]) -> str:

@@ -38,10 +38,11 @@ from pneuma.analysis.judgement import (
     judge,
 )
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.figures.origin import Origin, sample
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 from pneuma.files import write_whole
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
+from pneuma.worlds import WORLDS, in_world
 
 MEANINGS = {
     "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
@@ -111,11 +112,11 @@ def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
     return next(iter(verdicts.values())).claim
 
 
-def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
+def write_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
     """Write all verdicts as a picture and as a page of tables; return both files."""
     page = folder / f"{STEM}.md"
     write_whole(page, _tables(claims).encode())
-    return [*draw_verdicts(claims, folder), page]
+    return [*draw_verdicts(claims, folder, command), page]
 
 
 def places_of(claims: Verdicts) -> dict[str, str]:
@@ -217,7 +218,7 @@ def _told(verdict: Verdict | None) -> str:
 # --- The picture ----------------------------------------------------------------------------------
 
 
-def draw_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
+def draw_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
     """Draw all verdicts; return the files written."""
     rows: list[tuple[str, Mapping[str, Verdict]]] = []
     by_section = sorted(claims.values(), key=lambda verdicts: claim_of(verdicts).section)
@@ -260,9 +261,18 @@ def draw_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
         ]
         figure.legend(handles=handles, loc="outside upper center", ncols=5, handletextpad=0.4)
         figure.supxlabel(NOTE, fontsize="medium")
-        paths = save_figure(figure, folder, STEM, ("png",))
+        paths = save_figure(figure, folder, STEM, ("png",), _origin(claims, command))
         plt.close(figure)
     return paths
+
+
+def _origin(claims: Verdicts, command: str) -> Origin:
+    """Return the picture's origin: the runs read of each study in each world, without their seeds."""
+    ids: dict[str, list[str]] = {}
+    for one in (one for verdicts in claims.values() for one in verdicts.values()):
+        ids.setdefault(in_world(one.claim.study, one.place), []).extend(one.run_ids)
+    runs = tuple(sample(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids)
+    return Origin(command=command, runs=runs)
 
 
 def _draw_cell(axes: Axes, row: int, verdict: Verdict) -> None:

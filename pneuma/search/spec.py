@@ -37,7 +37,7 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
-from pneuma.worlds import TEXT, in_world, world_fields
+from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
     "mean": np.mean,
@@ -153,11 +153,12 @@ class Search:
     """A search.
 
     Attributes:
-        name: the file's name; in another world than the text's it ends with the world.
+        name: the file's name.
         spec: what its file says.
         space: the searched parameters and the fixed fields.
         world: of `pneuma.worlds.WORLDS`.
         file: its path; empty for a shipped search.
+        fixed_env: whether its file sets the environment.
     """
 
     name: str
@@ -165,11 +166,22 @@ class Search:
     space: Space
     world: str = TEXT
     file: str = ""
+    fixed_env: bool = False
+
+    @property
+    def label(self) -> str:
+        """Return its name and world, which name its record."""
+        return f"{self.name}-{self.world}" if self.has_worlds else self.name
+
+    @property
+    def has_worlds(self) -> bool:
+        """Return whether it can be run in several worlds, as its file sets no environment."""
+        return not self.fixed_env
 
     @property
     def title(self) -> str:
-        """Return its title, with the world if that is not the text's."""
-        return self.spec.title + (f" ({self.world})" if self.world != TEXT else "")
+        """Return its title with its world."""
+        return self.spec.title + (f" ({self.world})" if self.has_worlds else "")
 
     @property
     def objectives(self) -> tuple[Objective, ...]:
@@ -200,7 +212,7 @@ class Search:
         return replace(self, space=space)
 
     def in_world(self, world: str) -> Search:
-        """Return the search in one of `WORLDS`, with a name of its own there.
+        """Return the search in one of `WORLDS`.
 
         All trials get the world's environment, and its other fields unless the search sets them itself.
 
@@ -209,11 +221,10 @@ class Search:
         """
         if world == self.world:
             return self
-        env = self.space.fixed.get("env", ENVIRONMENTS[0])
-        if env != ENVIRONMENTS[0]:
-            raise UserError(f"--world {world}: search {self.name} is in {env} alone; leave --world out")
+        if self.fixed_env:
+            raise UserError(f"--world {world}: search {self.name} is in one environment alone; leave --world out")
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
-        return replace(changed, name=in_world(self.name, world), world=world)
+        return replace(changed, world=world)
 
 
 def list_searches() -> list[str]:
@@ -225,14 +236,16 @@ def load_search(name: str, world: str | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
     Args:
-        name: of the search; one that ends in -WORLD stands for the search in that world.
-        world: of `pneuma.worlds.WORLDS`; the text's when neither this nor the name says so.
+        name: of the search.
+        world: of `pneuma.worlds.WORLDS`; default: the arena.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    path, world = find_file("search", name, world, studies_folder() / "search")
-    search = read_search(path).in_world(world or TEXT)
+    path = find_file("search", name, studies_folder() / "search")
+    search = read_search(path)
+    world = checked_world(world) or (ARENA if search.has_worlds else TEXT)
+    search = search.in_world(world)
     return replace(search, file=str(path.resolve()) if name.endswith(".toml") else "")
 
 
@@ -265,4 +278,5 @@ def read_search(path: Path) -> Search:
         raise UserError(f"{path}: {error}") from None
     if len(said.objectives) > 1 and said.pruner.name:
         raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
-    return Search(path.stem, said, space)
+    fixed_env = said.run.get("env", ENVIRONMENTS[0]) != ENVIRONMENTS[0]
+    return Search(path.stem, said, space, fixed_env=fixed_env)

@@ -61,7 +61,7 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTri
     check_budget(search, task.budget)
     check_environments(run for _, run in search.space.corners())
     store.check_writable()
-    with run_lock(store.root / "searches" / f".{search.name}") as mine:
+    with run_lock(store.root / "searches" / f".{search.label}") as mine:
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
         trials: list[EndedTrial] = []
@@ -82,7 +82,7 @@ def record_path(store: Store, name: str) -> Path:
 
 def save_record(store: Store, task: Task, trials: Sequence[EndedTrial]) -> None:
     """Write a search's record. While a stopped search is replayed, later trials of the record are kept."""
-    path = record_path(store, task.search.name)
+    path = record_path(store, task.search.label)
     documents, asked = [trial_document(trial, task.search) for trial in trials], task.budget.trials
     recorded = read_sealed(path)
     if recorded and recorded.get("digest") == task.digest:
@@ -162,7 +162,7 @@ def _recorded_file(store: Store, name: str) -> str:
 
 def replaced_note(store: Store, task: Task) -> str:
     """Return a note on the record that a search is about to replace; empty if there is none."""
-    recorded = read_sealed(record_path(store, task.search.name)) or {}
+    recorded = read_sealed(record_path(store, task.search.label)) or {}
     if recorded.get("digest") == task.digest or not recorded.get("trials"):
         return ""
     changed = ", ".join(_changed(recorded.get("identity"), task)) or "files"

@@ -177,9 +177,7 @@ def stored_row(store: Store, name: str) -> Row:
     return decode_row(data)
 
 
-def cells_of_files(
-    name: str, config_id: str, status: Status, files: Mapping[str, bytes]
-) -> dict[str, Any]:
+def cells_of_files(name: str, config_id: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
     """Return the cells of a finished run's row, from the files that it leaves.
 
     Raises:

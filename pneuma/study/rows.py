@@ -85,7 +85,9 @@ def encode_row(cells: Mapping[str, Any]) -> bytes:
     return sink.getvalue()
 
 
-def encode_published(rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None) -> bytes:
+def encode_published(
+    rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
+) -> bytes:
     """Return rows as a published table; the same rows give the same bytes.
 
     Args:

@@ -172,7 +172,9 @@ class Store:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
-        files = {name: sum_ for name, sum_ in (manifest or {"files": {}})["files"].items() if name != ROW_FILE}
+        files = {
+            name: sum_ for name, sum_ in (manifest or {"files": {}})["files"].items() if name != ROW_FILE
+        }
         for name, expected in files.items():
             sound = (folder / name).is_file() if quick else read_sound(folder, name, expected) is not None
             if not sound:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
 from pneuma.analysis.publishing import encode_study
 from pneuma.figures import paper
+from pneuma.figures.origin import read_origin
 
 from .hand_made import HandMade
 
@@ -35,30 +35,28 @@ def published(study: HandMade, tmp_path: Path) -> Path:
 
 def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
     beside = {"mine": "mine-godot", "mine-godot": "nothing published"}
-    written = paper.draw_all(tmp_path / "paper", published, beside)
-    index = json.loads((tmp_path / "paper" / "index.json").read_bytes())["figures"]
-    assert {entry["file"] for entry in index} == {
-        str(path.relative_to(tmp_path / "paper"))
-        for path in written
-        if path.name not in ("index.json", "README.md") and path.stem != "verdicts"
-    }
-    drawn = {Path(entry["file"]).stem: entry for entry in index}
-    for stem in ("fig-mine", "fig-mine-return-minmax-trailing-100", "fig-mine-godot-summary", "mine-godot"):
-        assert drawn[stem]["command"] == "make figures"
-    assert drawn["fig-mine"]["n"] == {"tanh": 2, "relu": 2}
-    assert [entry["beside"] for entry in drawn.values() if "beside" in entry] == ["mine-godot"]
-    assert "| Judged in |" in (tmp_path / "paper" / "verdicts.md").read_text()
-    listed = (tmp_path / "paper/README.md").read_text()
-    assert "- [fig-mine.png](fig-mine.png): curves: share killed" in listed
+    folder = tmp_path / "paper"
+    written = paper.draw_all(folder, published, beside)
+    assert {*written} == {path for path in folder.rglob("*") if path.is_file()}
+    origins = {path.stem: read_origin(path) for path in written if path.suffix != ".md"}
+    assert {origin.command for origin in origins.values()} == {"make figures"}
+    assert {"fig-mine-return-minmax-trailing-100", "fig-mine-godot-summary"} <= {*origins}
+    small = [(one.study, one.condition, one.seeds) for one in origins["fig-mine"].runs]
+    assert small == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
+    beside_another = [origin for origin in origins.values() if len({one.study for one in origin.runs}) > 1]
+    assert len(beside_another) == 1  # in both formats, of one stem
+    assert {path.name for path in (folder / "tables").iterdir()} == {"mine.md", "mine-godot.md"}
+    assert "| Judged in |" in (folder / "verdicts.md").read_text()
 
 
-def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
-    mine, other = tmp_path / "mine.txt", tmp_path.parent / "other.png"
-    drawn = tmp_path / "paper" / "fig-old.png"
-    drawn.parent.mkdir()
-    for path in (mine, other, drawn):
+def test_what_is_drawn_no_more_is_removed_and_nothing_else(published: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "paper"
+    drawn = paper.draw_all(folder, published)
+    mine = [folder / "mine.txt", folder / "mine.png"]
+    for path in mine:
         path.write_bytes(b"")
-    entries = [{"file": "fig-old.png"}, {"file": "../mine.txt"}, {"file": str(other)}]
-    (tmp_path / "paper" / "index.json").write_text(json.dumps({"figures": entries}))
-    paper.draw_all(tmp_path / "paper", tmp_path / "results")
-    assert (drawn.exists(), mine.exists(), other.exists()) == (False, True, True)
+    for path in (published / "published").glob("mine-godot.*"):
+        path.unlink()
+    left = paper.draw_all(folder, published)
+    assert {*left} < {*drawn} and not any("godot" in path.name for path in left)
+    assert {*left, *mine} == {path for path in folder.rglob("*") if path.is_file()}

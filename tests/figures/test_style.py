@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import plain
+from pneuma.figures.origin import Origin
 from pneuma.figures.panels import label_rows, looks_of
 from pneuma.figures.style import (
     COLOURS,
@@ -42,7 +43,7 @@ def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_pa
         axes = figure.subplots()
         axes.set_title(wild)
         label_rows(axes, [wild], 1.0)
-        (path,) = save_figure(figure, tmp_path, "wild", ("svg",))
+        (path,) = save_figure(figure, tmp_path, "wild", ("svg",), Origin(command=""))
     document = path.read_text(encoding="utf-8")
     xml.dom.minidom.parseString(document)
     assert document.count(r"a\u001b\u202eb\ud800") == 2

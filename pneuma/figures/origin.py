@@ -1,0 +1,113 @@
+"""Where a figure comes from, which its file says in its own metadata.
+
+    Origin → save_figure → a PNG, SVG or PDF → read_origin → Origin
+
+It is one JSON document in ASCII, under the key that each format has for a description. Files that are read
+may be untrusted: nothing is unpacked, and no XML is parsed.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, FailFast
+
+from pneuma import __version__
+from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.errors import UserError, plain
+from pneuma.files import checksum, read_whole
+from pneuma.values import shown_seeds
+
+KEYS = {"png": "Description", "svg": "Description", "pdf": "Subject"}
+"""Where each format has the document; XMP maps all three to `dc:description`."""
+LARGEST_FIGURE, LARGEST_DOCUMENT = 64 * 2**20, 2**20
+"""Most bytes of a file, and of the document in it, that are read."""
+MOST_IDS = 8
+"""With more ids of a condition than this, their number and checksum are written."""
+
+
+class Sample(BaseModel):
+    """The runs of a condition that a figure shows; `seeds` are as `--seeds` takes them."""
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    study: str
+    condition: str
+    ids: tuple[str, ...]
+    seeds: str
+
+
+class Origin(BaseModel):
+    """The command that draws a figure, empty for a script; the version of Pneuma; and the runs shown."""
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    command: str
+    version: str = __version__
+    runs: Annotated[tuple[Sample, ...], FailFast()] = ()
+
+    def encode(self) -> str:
+        """Return the document; invisible characters in it are codes."""
+        return json.dumps(self.model_dump(), separators=(",", ":"))
+
+
+def origin_of(command: str, *studies: StudyData) -> Origin:
+    """Return the origin of a figure that shows some studies."""
+    samples = (
+        sample(data.study, name, ids_of(runs), [run.seed for run in runs])
+        for data in studies
+        for name in data.conditions
+        if (runs := data.of_condition(name))
+    )
+    return Origin(command=plain(command), runs=tuple(samples))
+
+
+def sample(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int]) -> Sample:
+    """Return a condition's runs, with many ids as one checksum and seeds as ranges."""
+    names = sorted(set(ids))
+    if len(names) > MOST_IDS:
+        names = [f"{len(names)} ids, SHA-256 {checksum(' '.join(names).encode())[:16]}"]
+    return Sample(
+        study=plain(study), condition=plain(condition), ids=tuple(map(plain, names)), seeds=shown_seeds(seeds)
+    )
+
+
+def ids_of(runs: Sequence[FinishedRun]) -> list[str]:
+    """Return the ids of the configurations of a condition's runs, usually one."""
+    return [run.row.config_id for run in runs]
+
+
+def read_origin(path: Path) -> Origin:
+    """Return the origin in a figure's metadata.
+
+    Raises:
+        UserError: when the file cannot be read, or has none.
+    """
+    try:
+        return Origin.model_validate_json(_document(read_whole(path, LARGEST_FIGURE)))
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:  # of the text, or pydantic's
+        raise UserError(f"{path}: tells no origin; only a PNG, SVG or PDF that Pneuma drew does") from None
+
+
+_BEGINNING = re.compile(rb"tEXtDescription\0|/Subject \(|<dc:description>")
+
+
+def _document(data: bytes) -> bytes:
+    """Return the document in a figure's metadata, without the format's escapes; empty if there is none."""
+    begun = _BEGINNING.search(data)
+    if begun is None:
+        return b""
+    rest = data[begun.end() :][:LARGEST_DOCUMENT]
+    if begun[0].startswith(b"tEXt"):
+        length = int.from_bytes(data[: begun.start()][-4:])
+        return rest[: length - len("Description\0")]
+    if begun[0].startswith(b"/"):  # in the text, each parenthesis follows a backslash
+        return re.sub(rb"\\(.)", rb"\1", re.split(rb"(?<!\\)\)", rest, maxsplit=1)[0])
+    return html.unescape(rest.partition(b"<")[0].decode()).encode()
