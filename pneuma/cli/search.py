@@ -213,7 +213,7 @@ def run(
     if json:
         print_json(_document(task, ended_trials))
     elif not code:
-        at = (task.search.name, "--results", store.root)
+        at = (name, *world_option(world or TEXT), "--results", store.root)
         say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
         say(f"Draw it with: {command('search', 'plot', *at)}", quiet=quiet)
     return code
@@ -312,16 +312,13 @@ def promote(
 ) -> int:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search.promote import find_winners, gains, winners_study
-    from pneuma.search.storage import read_record, refuse_own_code
+    from pneuma.search.storage import read_record
 
     if trial is not None and len(names) > 1:
         raise UserError(f"--trial {trial}: is of one search; name one")
     store = Store(results)
     searches = [read_record(store, name, world) for name in names]
     winners = find_winners(searches, trial, seeds)
-    for name, task in zip(names, (searched.task for searched in searches), strict=True):
-        of_record = {key: [value] for key, value in task.over.items()}
-        refuse_own_code(name, of_record if name.endswith(".toml") else task.search.space.all_values())
     steps = steps or searches[0].task.budget.steps
     text = winners_study(winners, seeds, steps).encode()
     searched_names = [searched.task.search.name for searched in searches]

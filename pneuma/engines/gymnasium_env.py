@@ -16,10 +16,9 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from importlib import import_module
 from importlib.metadata import entry_points
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
-from pneuma.env.reward import importing_from
-from pneuma.env.reward import module_files as source_files
+from pneuma.env.own_modules import importing_from, in_package
 from pneuma.errors import UserError
 
 BEST_EPISODES = 5
@@ -270,40 +268,12 @@ def _load(name: str) -> Any:
     module of a name.
     """
     path = Path(name).resolve() if name.endswith(".py") else None
-    folder, full_name = _in_package(path) if path else (Path.cwd(), name)
+    folder, full_name = in_package(path) if path else (Path.cwd(), name)
     with blamed(f"module {name} cannot be imported"), importing_from(folder):
         module = import_module(full_name)
         if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
             raise ImportError(f"there is another module {full_name}: give the file another name")
         return module
-
-
-def _in_package(path: Path) -> tuple[Path, str]:
-    """Return the folder from which a file is imported, and its full name in the packages that it is in."""
-    folder, name = path.parent, path.stem
-    while (folder / "__init__.py").is_file():
-        folder, name = folder.parent, f"{folder.name}.{name}"
-    return folder, name
-
-
-def module_files(name: str) -> list[Path]:
-    """Return the source files of a user's module, and of the modules that it imports beside it.
-
-    The module is not run. If it is not found there are none, so that its runs still have an id under which
-    they can fail.
-    """
-    if name.endswith(".py"):
-        path = Path(name).resolve()
-        return source_files(_in_package(path)[1], path) if path.is_file() else []
-    spec = None
-    with suppress(Exception, SystemExit), importing_from(Path.cwd()):  # of a package that it is in
-        spec = find_spec(name)
-    return source_files(spec.name, Path(spec.origin)) if spec and spec.has_location and spec.origin else []
-
-
-def wrapper_files(names: Sequence[str]) -> list[Path]:
-    """Return the source files of the wrappers' modules."""
-    return [path for name in names for path in module_files(name.rpartition(":")[0])]
 
 
 # --- Evaluation ------------------------------------------------------------------------------------

@@ -24,20 +24,15 @@ the events of a step in which nothing happened. `events["distance"]` is infinite
 from __future__ import annotations
 
 import importlib
-import io
-import sys
-import sysconfig
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
-from importlib.machinery import PathFinder
-from modulefinder import ModuleFinder
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pneuma.env import rules
+from pneuma.env.own_modules import importing_from
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -70,21 +65,6 @@ def load_reward(name: str) -> RewardFunction:
     if not callable(function):
         raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
     return function
-
-
-def reward_files(names: Sequence[str]) -> list[Path]:
-    """Return the source files of users' rewards: the module, and what it imports beside it.
-
-    Raises:
-        UserError: when a module or function does not exist; the module is imported to tell.
-    """
-    files = []
-    for name in names:
-        load_reward(name)
-        module = name.partition(":")[0]
-        source = getattr(sys.modules[module], "__file__", None)
-        files += module_files(module, Path(source)) if source else []
-    return files
 
 
 def present(events: np.ndarray) -> np.ndarray:
@@ -141,85 +121,3 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
         axis=-1,
     )
     return np.where(present(events)[..., None], parts, 0.0).astype(np.float32)
-
-
-# --- A user's own modules ------------------------------------------------------------------------------
-
-
-@contextmanager
-def importing_from(folder: Path) -> Iterator[None]:
-    """Import a user's modules from a folder first; later, when their functions run, from it last."""
-    path = str(folder)
-    added = path not in sys.path
-    if added:
-        sys.path.insert(0, path)
-    # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
-    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    try:
-        with redirect_stdout(sys.stderr):  # standard output is for a command's document
-            yield
-    finally:
-        sys.dont_write_bytecode = writes
-        if added:
-            sys.path.remove(path)
-            sys.path.append(path)
-
-
-def module_files(name: str, path: Path) -> list[Path]:
-    """Return the source files of a module: its own first, then those that it imports, sorted.
-
-    Import statements are read, wherever they stand in a file, and nothing is run. They are followed if they
-    lead to modules in the folder of the module or, for an installed package, in the package: what else is
-    installed is not a user's own, and neither is Pneuma.
-
-    Args:
-        name: of the module, in full.
-        path: of its file.
-    """
-    packages = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    if len(path.parents) <= len(packages):
-        return [path]
-    root = path.parents[len(packages)]
-    top = root / packages[0] if packages and _is_installed(root) else root
-    if _is_installed(top):
-        return [path]
-    finder = _Imports(root, packages[0] if top != root else "")
-    with suppress(ImportError, SyntaxError, ValueError, RecursionError):
-        finder.import_hook(name)
-    sources = (getattr(module, "__file__", None) for module in finder.modules.values())
-    found = {Path(source) for source in sources if source}
-    return [path, *sorted(file for file in found - {path} if file.is_relative_to(top))]
-
-
-PY_SOURCE, PKG_DIRECTORY = 1, 5
-"""What `ModuleFinder` calls a source file, and a package."""
-
-
-class _Imports(ModuleFinder):
-    """Finds import statements without running anything; of an installed package only those within it."""
-
-    def __init__(self, root: Path, package: str = "") -> None:
-        super().__init__([str(root)], excludes=["pneuma"])
-        self.package = package
-
-    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
-        if self.package and path is None and name != self.package:
-            raise ImportError(name)
-        try:
-            return super().find_module(name, path, parent)
-        except (AttributeError, TypeError):  # a folder without __init__.py, which it does not know
-            found = PathFinder.find_spec(name, path or self.path)
-            places = [*(found.submodule_search_locations or ())] if found else []
-            if not places:
-                raise ImportError(name) from None
-            return None, places[0], ("", "", PKG_DIRECTORY)
-        except ImportError:
-            if name != "__init__" or path is None:
-                raise
-            return io.StringIO(), "", (".py", "r", PY_SOURCE)
-
-
-def _is_installed(folder: Path) -> bool:
-    """Return whether a folder belongs to installed packages or to Python itself."""
-    paths = sysconfig.get_paths()
-    return folder.resolve() in {Path(paths[key]).resolve() for key in ("stdlib", "purelib", "platlib")}

@@ -19,6 +19,7 @@ from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
 from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, read_field, read_fields
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
+from pneuma.study.identity import own_things
 from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
@@ -215,6 +216,17 @@ class Space:
             **{key: [value] for key, value in self.fixed.items()},
             **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
         }
+
+    def deeds(self) -> list[str]:
+        """Return what trials would do with a user's own code and files; nothing is imported or opened."""
+        fields = self.all_values()
+        each = (
+            {"env": env, key: value}
+            for env in fields.get("env", [None])
+            for key in fields
+            for value in fields[key]
+        )
+        return [deed for one in each for deed in own_things(one).values()]
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the run that a trial sets on top of the base."""

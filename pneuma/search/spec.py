@@ -197,13 +197,18 @@ class Search:
         """Return the search with more fields that all trials share.
 
         Args:
-            over: fields of the run.
+            over: fields of the run, of `--set` or of a record, which may be untrusted.
             unread: fields that are refused if no run reads them.
 
         Raises:
-            UserError: for fields that are searched, or do not fit the space.
+            UserError: for fields that are searched, do not fit the space, or use a user's own code or files
+                other than the search's file does.
         """
         space = replace(self.space, fixed={**self.space.fixed, **over})
+        if added := [deed for deed in space.deeds() if deed not in self.space.deeds()]:
+            raise UserError(
+                f"search {self.name} would {added[0]}: only its file may say so, not --set or a record"
+            )
         try:
             space.check(unread)
         except UserError as error:

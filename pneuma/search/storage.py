@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from pneuma.search.optuna_study import ended_study
 from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
 from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
 from pneuma.study.execute import check_environments
-from pneuma.study.identity import own_things
 from pneuma.study.locks import run_lock
 from pneuma.study.spec import files_called
 from pneuma.study.store import Store
@@ -111,15 +109,14 @@ def find_search(store: Store, name: str, world: str | None = None) -> Search:
     if name.endswith(".toml") or own_name in list_searches():
         return load_search(name, world)
     search = load_search(_recorded_file(store, own_name), world or named_world)
-    refuse_own_code(search.name, search.space.all_values())
+    _refuse_own_code(search)
     return search
 
 
-def refuse_own_code(name: str, fields: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse values that would use a user's own code or files, as a record may be untrusted."""
-    for env, (key, values) in product(fields.get("env", [None]), fields.items()):
-        for deed in (deed for value in values for deed in own_things({"env": env, key: value}).values()):
-            raise UserError(f"search {name} would {deed}: name its file, which must say so, if you trust it")
+def _refuse_own_code(search: Search) -> None:
+    """Refuse a search whose file only a record names, if it uses a user's own code or files."""
+    for deed in search.space.deeds():
+        raise UserError(f"search {search.name} would {deed}: name its file, {search.file}, if you trust it")
 
 
 def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
@@ -191,14 +188,17 @@ def _changed(identity: object, task: Task) -> list[str]:
     return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
 
 
-def _read(path: Path, name: str, file: str) -> RecordedSearch:
-    """Return a search from its record, which may be untrusted, and its file."""
+def _read(path: Path, name: str, asked: str) -> RecordedSearch:
+    """Return a search from its record, which may be untrusted, and its file: the asked one, or the record's."""
     document = read_sealed(path) or {}
     try:
         over = read_fields(Run, document["set"])
-        identity, file = document["identity"], file or str(document["file"])
+        identity, file = document["identity"], asked or str(document["file"])
         budget = Budget(trials=document["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
-        search = load_search(file or split_world(name)[0], split_world(name)[1]).with_settings(over)
+        search = load_search(file or split_world(name)[0], split_world(name)[1])
+        if not asked:
+            _refuse_own_code(search)
+        search = search.with_settings(over)
         task = Task(search, budget, over)
         if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
             raise UserError(

@@ -11,15 +11,15 @@ from typing import Any
 
 from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards, read_field
+from pneuma.files import read_whole
 
+_MODULE_FILES = ("pneuma.env.own_modules", "module_files")
 _FILES = {
     "level": ("pneuma.env.level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
-    "reward": ("pneuma.env.reward", "reward_files"),
-    "env_module": ("pneuma.engines.gymnasium_env", "module_files"),
-    "wrappers": ("pneuma.engines.gymnasium_env", "wrapper_files"),
+    **dict.fromkeys(("reward", "env_module", "wrappers"), _MODULE_FILES),
 }
-"""By field: the function that returns the user's files to hash."""
+"""By field: the function that returns the user's files to hash. None imports them."""
 _DEEDS = {"reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper"}
 
 
@@ -56,15 +56,21 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
 def contents(fields: Mapping[str, Any]) -> str:
     """Return a digest of the user's own files in a run's fields: level, characters, and modules; "" of none.
 
-    Shipped files are part of the rules' version.
+    Shipped files are part of the rules' version. The fields may be untrusted: files are read, nothing is run.
+
+    Raises:
+        UserError, OSError: for a file that cannot be read.
     """
     paths: list[Path] = []
     for key, named in own_names(fields).items():
         module, function = _FILES[key]
-        paths += getattr(import_module(module), function)(named)
+        names = [named] if isinstance(named, str) else [name.rpartition(":")[0] for name in named]
+        for name in names:
+            paths += getattr(import_module(module), function)(name)
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(f"{path.name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+        data = read_whole(path)
+        digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
     return digest.hexdigest() if paths else ""
 
 

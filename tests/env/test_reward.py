@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS
-from pneuma.env.reward import PARTS, module_files
+from pneuma.env.own_modules import module_files
+from pneuma.env.reward import PARTS
 from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
@@ -243,7 +244,7 @@ def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -
     )
     package = tmp_path / "tools" / "__init__.py"
     package.write_text("")  # `bare` has none, nor has `inner`
-    found = module_files("mine", paths["mine"])
+    found = module_files(str(paths["mine"]))
     assert found[0] == paths["mine"]
     expected = {path for name, path in paths.items() if name not in ("other", "pneuma__env")} | {package}
     assert set(found) == expected and found[1:] == sorted(found[1:])

@@ -1,0 +1,84 @@
+"""A search's record in a results folder may be anybody's: it names no code, no file and no program."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pneuma.config import make_run
+from pneuma.errors import UserError
+from pneuma.search.storage import read_record, save_record
+from pneuma.study.identity import run_id
+from pneuma.study.store import Store
+
+from .conftest import MakeTask
+
+
+@pytest.fixture
+def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Put a package into the current folder that leaves a mark when it is imported; return the mark."""
+    mark = tmp_path / "mark"
+    (tmp_path / "marking" / "bare").mkdir(parents=True)
+    (tmp_path / "marking" / "__init__.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    for name in ("deep", "bare/deeper"):
+        (tmp_path / "marking" / f"{name}.py").write_text("1\n")
+    monkeypatch.chdir(tmp_path)
+    yield mark
+    assert not mark.exists() and not any(name.startswith("marking") for name in sys.modules)
+
+
+@pytest.mark.parametrize("module", ["marking.deep", "marking.bare.deeper"])
+@pytest.mark.parametrize("named", [{"env_module": "{}"}, {"wrappers": "{}:Own"}, {"reward": "{}:own"}])
+def test_untrusted_a_run_is_identified_by_a_modules_file_which_is_not_imported(
+    mark: Path, module: str, named: dict[str, str]
+) -> None:
+    own = {} if "reward" in named else {"env": "CartPole-v1"}
+    run = make_run({**own, **{key: value.format(module) for key, value in named.items()}})
+    before = run_id(run)
+    (mark.parent / (module.replace(".", "/") + ".py")).write_text("2\n")
+    assert run_id(run) != before
+
+
+SAFE: dict[str, Any] = {"env": "CartPole-v1"}
+GAME = '{"env_path": "game"}'
+
+
+@pytest.mark.usefixtures("mark")
+@pytest.mark.parametrize(
+    ("of_file", "of_record", "deed"),
+    [
+        (SAFE, {"env_module": "marking.deep"}, "run the module marking.deep"),
+        (SAFE, {"wrappers": ("marking.deep:Own",)}, "run the wrapper"),
+        ({}, {"reward": ("marking.deep:own",)}, "run the reward"),
+        ({}, {"level": "mine"}, "read the level"),
+        ({}, {"characters": "mine.toml"}, "read the characters"),
+        ({"env": "Godot-v0"}, {"env_kwargs": GAME}, "start the game"),
+        ({"env_kwargs": GAME, **SAFE}, {"env": "Godot-v0"}, "start the game"),
+        ({"env": "Godot-v0", "env_kwargs": '{"env_path": "mine"}'}, {"env_kwargs": GAME}, "start the game"),
+    ],
+)
+def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_s_file(
+    make_task: MakeTask, store: Store, of_file: dict[str, Any], of_record: dict[str, Any], deed: str
+) -> None:
+    task = make_task(more="[run]\n" + "".join(f"{key} = '{value}'\n" for key, value in of_file.items()))
+    save_record(store, task, [])
+    assert read_record(store, task.search.file).task == task
+    save_record(store, replace(task, over=of_record), [])
+    with pytest.raises(UserError, match=f"search formula would {deed}.*only its file may say so"):
+        read_record(store, task.search.file)
+
+
+@pytest.mark.usefixtures("mark")
+def test_untrusted_a_file_that_only_a_record_names_may_name_no_code(
+    make_task: MakeTask, store: Store
+) -> None:
+    task = make_task(more='[run]\nenv = "CartPole-v1"\nenv_module = "marking.deep"\n')
+    save_record(store, task, [])
+    assert read_record(store, task.search.file).task == task
+    with pytest.raises(UserError, match="would run the module .*: name its file, .*formula.toml"):
+        read_record(store, "formula")
