@@ -222,7 +222,7 @@ def evaluate(
         settings: keywords of `gymnasium.make`.
         best: the same agent without exploration or memory, which plays once from every start place. (A policy
             has its own.)
-        seed: as of a run; its random player and hunter are the ends of the score's scale.
+        seed: as of a run; its random player is 0 on the score's scale.
         episodes: number of episodes; studies use 50.
 
     Returns:

@@ -167,34 +167,27 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-# --- Players of known skill --------------------------------------------------------------------------
+# --- The random player -------------------------------------------------------------------------------
 
-PLAYERS = ("random player", "scripted hunter")
 NEAR = 0.02
 """Levels closer than this are drawn as one line."""
 
 
-def shared_levels(data: StudyData, quantity: str) -> dict[str, float]:
-    """Return the level of each of `PLAYERS` that evaluations recorded.
+def random_level(data: StudyData, quantity: str) -> float | None:
+    """Return the level of the random player that evaluations recorded.
 
-    Their normalised scores are 0 and 1 by definition, and their returns are not recorded. None if the
-    conditions, whose environments may differ, do not share them.
+    Its normalised score is 0 by definition, and its return is not recorded. None if the conditions, whose
+    environments may differ, do not share it.
     """
     if quantity == "score":
-        return dict(zip(PLAYERS, (0.0, 1.0), strict=True))
+        return 0.0
     if quantity not in EVALUATION_QUANTITIES or not data.evaluated:
-        return {}
-    rows = data.evaluations.groupby("condition", sort=False)
-    levels = [
-        [
-            np.ascontiguousarray(player_rows[f"{player}_share_killed"], float).mean()
-            for player in ("random", "hunter")
-        ]
-        for _, player_rows in rows
-    ]
-    if not levels or not np.ptp(levels, axis=0).max() <= NEAR:  # unlike, or NaN: no such players
-        return {}
-    return dict(zip(PLAYERS, np.mean(levels, axis=0).tolist(), strict=True))
+        return None
+    rows = data.evaluations.groupby("condition", sort=False)["random_share_killed"]
+    levels = [np.ascontiguousarray(shares, float).mean() for _, shares in rows]
+    if not levels or not np.ptp(levels) <= NEAR:  # unlike, or NaN: no such player
+        return None
+    return float(np.mean(levels))
 
 
 # --- Bands -----------------------------------------------------------------------------------------

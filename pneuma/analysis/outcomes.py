@@ -270,7 +270,7 @@ OUTCOMES: dict[str, Outcome] = {
         "monsters killed by the most probable actions", *KILLED,
         _evaluations("argmax_share_killed", _last), alike=NEAR_AN_END),
     "normalised-score": Outcome(
-        "score (0 random player, 1 scripted hunter)", "", UP, ANYTHING, EVALUATED,
+        "score (0 random player, 1 all monsters killed)", "", UP, ANYTHING, EVALUATED,
         _evaluations("score", _last)),
     "best-score": Outcome(
         "best score of any evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("score", np.max)),

@@ -31,7 +31,6 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
-from pneuma.worlds import TEXT, split_world, world_option
 
 if TYPE_CHECKING:
     from pneuma.search.promote import Gain, Winner
@@ -60,13 +59,11 @@ def list_(json: opt.Json = False) -> None:
 
 
 @app.command()
-def show(
-    name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
-) -> None:
+def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) -> None:
     """Show what a search varies, what it seeks, and its presets."""
-    from pneuma.search.storage import find_search
+    from pneuma.search.spec import load_search
 
-    search = find_search(Store(results), name, world)
+    search = load_search(name, world)
     if json:
         return print_json(_written(search))
     say(search.title + (f" (thesis section {search.spec.section})" if search.spec.section else ""))
@@ -121,7 +118,7 @@ def status(
         mark = "*" if trial.number in among else ""
         rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
     print_table(("", "trial", "", "value", "", ""), rows)
-    named = (name, *world_option(world or TEXT), "--results", store.root)
+    named = (name, *(["--world", world] if world else []), "--results", store.root)
     if best is None:
         print("No trial is complete yet.")
     elif isinstance(best, int):
@@ -147,7 +144,7 @@ def plot(
 
     searched = read_record(store, name, world)
     formats_asked = (word for each in formats for word in ("--format", each))
-    again = command("search", "plot", name, *world_option(world or TEXT), *formats_asked)
+    again = command("search", "plot", name, *(["--world", world] if world else []), *formats_asked)
     paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
     drawn = {path.stem.rpartition("-")[2] for path in paths}
     for what, needed in NEEDS.items():
@@ -185,7 +182,7 @@ def run(
     if place.detach:
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     store = Store(results)
-    task = _task(store, name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
+    task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = replace(place, workers=opt.most_workers(workers, place))
     if note := storage.replaced_note(store, task):
         say(f"Note: {note}.", aside=True, quiet=quiet)
@@ -213,14 +210,13 @@ def run(
     if json:
         print_json(_document(task, ended_trials))
     elif not code:
-        at = (name, *world_option(world or TEXT), "--results", store.root)
+        at = (name, *(["--world", world] if world else []), "--results", store.root)
         say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
         say(f"Draw it with: {command('search', 'plot', *at)}", quiet=quiet)
     return code
 
 
 def _task(
-    store: Store,
     name: str,
     world: str | None,
     preset: str,
@@ -231,14 +227,14 @@ def _task(
     from pneuma.config import Run
     from pneuma.env_fields import read_field
     from pneuma.search.space import FIXABLE
-    from pneuma.search.storage import find_search
+    from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
     for key in over:
         if key not in FIXABLE.names:
             raise unknown_name("key of --set", key, FIXABLE.names)
     over = {key: read_field(Run, key, value) for key, value in over.items()}
-    search = find_search(store, name, world)
+    search = load_search(name, world)
     presets = search.spec.presets
     if preset not in presets:
         raise unknown_name(f"preset of search {search.name}", preset, presets)
@@ -336,9 +332,7 @@ def promote(
         if json:
             print_json({"study": out, "winners": chosen})
         return 0
-    split = [*map(split_world, searched_names)]
-    named_world = [] if split[0][1] == TEXT else [split[0][1]]  # the end of a name tells a study's world
-    study = "-".join(["promoted", *named_world, *(name for name, _ in split)])
+    study = "-".join(["promoted", *(searched.task.search.label for searched in searches)])
     path = store.root / "searches" / f"{study}.toml"
     store.check_writable()
     store.write(path, text)

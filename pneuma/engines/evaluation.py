@@ -2,7 +2,7 @@
 
 All engines evaluate in the same way: 50 episodes with sampled actions, and one with the most probable actions
 from each distinct start place, even if training uses only the first. The primary outcome is the share of
-monsters killed. `score` scales it from the random player (0) to the scripted hunter (1).
+monsters killed. `score` scales it from the random player (0) to all monsters (1).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
 from pneuma.env.compiled import cached
-from pneuma.env.players import Hunter, RandomPlayer
+from pneuma.env.players import RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS, own_rewards
 from pneuma.errors import UserError
@@ -90,7 +90,7 @@ class Evaluation:
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
-        self.random_share, self.hunter_share = self._anchors()
+        self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
     def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
@@ -118,24 +118,24 @@ class Evaluation:
             "argmax_score": self._score(share[best]),
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
-            "hunter_share_killed": self.hunter_share,
             **values,
         }
 
     def _score(self, share: np.ndarray) -> float:
-        """Return the score of a share of monsters killed: 0 for the random player's, 1 for the hunter's."""
-        between = self.hunter_share - self.random_share
-        return float((share.mean() - self.random_share) / between) if between > 0 else float("nan")
+        """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.
 
-    def _anchors(self) -> tuple[float, float]:
-        """Return the shares of monsters that the random player and the hunter kill in these worlds."""
-        shares = []
+        NaN if there are no monsters, or the random player kills them all.
+        """
+        if not self.worlds.monsters.shape[1] or self.random_share == 1:
+            return math.nan
+        return float((share.mean() - self.random_share) / (1 - self.random_share))
+
+    def _play_at_random(self) -> float:
+        """Return the share of monsters that the random player kills in these worlds."""
         generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
-        for player in (RandomPlayer(generator), Hunter(self.worlds)):
-            self._play(player.act)
-            killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
-            shares.append(float(killed.mean()) / max(self.worlds.monsters.shape[1], 1))
-        return shares[0], shares[1]
+        self._play(RandomPlayer(generator).act)
+        killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
+        return float(killed.mean()) / max(self.worlds.monsters.shape[1], 1)
 
     def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
         """Play one episode in every world, the first ones with sampled actions, the others with the best.

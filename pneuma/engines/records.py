@@ -39,7 +39,6 @@ EVALUATION_COLUMNS = (
     "argmax_score",
     "argmax_return",
     "random_share_killed",
-    "hunter_share_killed",
 )
 
 VALUE_COLUMNS = ("q_estimate", "q_true", "success", "random_return", "random_spread")

@@ -1,7 +1,6 @@
-"""Two players that define the scale of scores: a random one (0) and a scripted hunter (1).
+"""Two players to compare with: a random one, whose score is 0, and a scripted hunter.
 
-A player chooses actions for all worlds at once, from their state; score 0 is the random one's,
-score 1 the hunter's.
+A player chooses actions for all worlds at once, from their state.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from pneuma.analysis.curves import (
     BANDS,
     Curve,
     curve_names,
-    shared_levels,
+    random_level,
     study_curves,
 )
 from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_words
@@ -259,7 +259,7 @@ class Quantity(NamedTuple):
 QUANTITIES = {
     "share_killed": Quantity("Monsters killed in evaluation", "Share killed", percent=True),
     "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
-    "score": Quantity("Normalised score in evaluation", "0 random player, 1 hunter"),
+    "score": Quantity("Normalised score in evaluation", "0 random player, 1 all killed"),
     "success": Quantity("Successes in evaluation", "Share of episodes", percent=True),
     "return": Quantity("Return in training", "Return of an episode"),
     "length": Quantity("Length of episodes in training", "Steps of an episode"),
@@ -334,7 +334,7 @@ def _draw_around(axes: Axes, data: StudyData, name: str, curves: Sequence[Curve]
     """Draw everything but the curves in a panel, and set the limits of its axes."""
     values = np.concatenate([curve.runs.ravel() for curve in curves])
     highest = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
-    panels.draw_players(axes, shared_levels(data, name), highest)
+    panels.draw_random_player(axes, random_level(data, name), highest)
     if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
         axes.axvline(step, color=style.GREY, linewidth=0.9, zorder=1.2)
     axes.set_xlim(0, data.budget)

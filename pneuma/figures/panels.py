@@ -31,13 +31,13 @@ from pneuma.values import shown_settings
 from pneuma.worlds import WORLDS
 
 FAR = 3.0
-"""A player's level this many times above the highest point is not drawn."""
+"""The random player's level this many times above the highest point is not drawn."""
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 3
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
-PLAYER_DASHES = {"random player": (0, (1, 2)), "scripted hunter": (0, (4, 2, 1, 2))}
+RANDOM_PLAYER = "random player"
 
 
 # --- Texts -------------------------------------------------------------------------------------------
@@ -157,39 +157,39 @@ def put_texts(
 
 
 def legend_entries(axes: Iterable[Axes]) -> dict[str, Any]:
-    """Return one artist for each label in some panels, with the players' levels last."""
+    """Return one artist for each label in some panels, with the random player's level last."""
     entries = {
         label: artist
         for each in axes
         for artist, label in zip(*each.get_legend_handles_labels(), strict=True)
     }
-    for player in PLAYER_DASHES:  # one entry each, without its level if panels have several
-        found = [label for label in entries if label.startswith(player)]
-        if artists := [entries.pop(label) for label in found]:
-            entries[found[0] if len(found) == 1 else player] = artists[0]
+    found = [label for label in entries if label.startswith(RANDOM_PLAYER)]
+    if artists := [entries.pop(label) for label in found]:  # without its level if panels have several
+        entries[found[0] if len(found) == 1 else RANDOM_PLAYER] = artists[0]
     return entries
 
 
 # --- Axes --------------------------------------------------------------------------------------------
 
 
-def draw_players(axes: Axes, levels: Mapping[str, float], top: float, upright: bool = False) -> None:
-    """Draw the levels of the random player and the hunter as grey lines.
+def draw_random_player(axes: Axes, level: float | None, top: float, upright: bool = False) -> None:
+    """Draw the level of the random player, if there is one, as a grey line.
 
     Args:
         axes: the axes.
-        levels: of each player, as shares.
-        top: the highest point that is drawn; levels far above it get no line, as it would flatten everything
-            else.
+        level: its level, as a share.
+        top: the highest point that is drawn; a level far above it gets no line, as it would flatten
+            everything else.
         upright: whether levels are on the horizontal axis.
     """
-    for name, level in levels.items():
-        look: Any = {"color": GREY, "linestyle": PLAYER_DASHES[name], "linewidth": 0.9, "zorder": 1.2}
-        label = f"{name} ({per_cent(level)})"
-        if level > FAR * max(top, 0.01):
-            axes.plot([], [], label=f"{label}: above", **look)
-        else:
-            (axes.axvline if upright else axes.axhline)(level, label=label, **look)
+    if level is None:
+        return
+    look: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
+    label = f"{RANDOM_PLAYER} ({per_cent(level)})"
+    if level > FAR * max(top, 0.01):
+        axes.plot([], [], label=f"{label}: above", **look)
+    else:
+        (axes.axvline if upright else axes.axhline)(level, label=label, **look)
 
 
 def set_steps(axes: Axes, most: int) -> None:

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.curves import curve_names, shared_levels
+from pneuma.analysis.curves import curve_names, random_level
 from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_words
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import (
@@ -77,7 +77,8 @@ def draw_summary(
         _draw_rows(grid[0], values, table, colours, mark)
         if outcome == PRIMARY:
             highest = max((float(runs.max()) for runs in values.values() if len(runs)), default=0.0)
-            panels.draw_players(grid[0], shared_levels(data, "share_killed"), highest, upright=True)
+            level = random_level(data, "share_killed")
+            panels.draw_random_player(grid[0], level, highest, upright=True)
             grid[0].set_xlim(0, max(grid[0].get_xlim()[1], 0.01))
         _set_outcome(grid[0], outcome)
         labels = [panels.label_of(data, name, names[name]) for name in values]

@@ -25,7 +25,6 @@ from pneuma.search.trials import EndedTrial, Outcomes, objective_value
 from pneuma.study.plan import Plan, differing_fields
 from pneuma.study.spec import unread_fields
 from pneuma.study.store import Store
-from pneuma.worlds import split_world
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def find_winners(
         UserError: when a search has no winner, or several objectives and no `--trial`; when searches were not
             tuned alike; when they used some of the seeds.
     """
-    names = [split_world(searched.task.search.name)[0] for searched in searches]
+    names = [searched.task.search.name for searched in searches]
     if len({*names, *(f"{name}-tuned" for name in names)}) < 2 * len(names):
         raise UserError(f"{', '.join(names)}: name each search once, and none NAME-tuned beside NAME")
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""

@@ -227,7 +227,9 @@ class Search:
         if world == self.world:
             return self
         if self.fixed_env:
-            raise UserError(f"--world {world}: search {self.name} is in one environment alone; leave --world out")
+            raise UserError(
+                f"--world {world}: search {self.name} is in one environment alone; leave --world out"
+            )
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, world=world)
 

@@ -15,16 +15,14 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.env_fields import read_fields
-from pneuma.errors import UserError, counted, unknown_name
-from pneuma.files import names_in, read_sealed, seal, to_json
+from pneuma.errors import UserError, counted
+from pneuma.files import read_sealed, seal, to_json
 from pneuma.search.optuna_study import ended_study
-from pneuma.search.spec import Budget, Search, check_budget, list_searches, load_search
+from pneuma.search.spec import Budget, Search, check_budget, load_search
 from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
 from pneuma.study.execute import check_environments
 from pneuma.study.locks import run_lock
-from pneuma.study.spec import files_called
 from pneuma.study.store import Store
-from pneuma.worlds import TEXT, WORLDS, in_world, split_world
 
 VERSIONS = ("optuna", "rules", "engines")
 """Parts of a search's identity that the user does not choose."""
@@ -99,62 +97,25 @@ def save_record(store: Store, task: Task, trials: Sequence[EndedTrial]) -> None:
     store.write(path, seal(document))
 
 
-def find_search(store: Store, name: str, world: str | None = None) -> Search:
-    """Load a search by its path, or by its name if it is shipped or was run by its path before.
-
-    Raises:
-        UserError: for an unknown search, or if a file that only the record names would use a user's own code.
-    """
-    own_name, named_world = split_world(name)
-    if name.endswith(".toml") or own_name in list_searches():
-        return load_search(name, world)
-    search = load_search(_recorded_file(store, own_name), world or named_world)
-    _refuse_own_code(search)
-    return search
-
-
-def _refuse_own_code(search: Search) -> None:
-    """Refuse a search whose file only a record names, if it uses a user's own code or files."""
-    for deed in search.space.deeds():
-        raise UserError(f"search {search.name} would {deed}: name its file, {search.file}, if you trust it")
-
-
 def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
     """Return a recorded search.
 
     Args:
         store: the results folder.
         name: of the search, or the path of its file.
-        world: of `pneuma.worlds.WORLDS`; the text's when neither this nor the name says so.
+        world: of `pneuma.worlds.WORLDS`; default: the arena.
 
     Raises:
         UserError: when it was never run here, its record is damaged, or its file has changed.
     """
-    file = name if name.endswith(".toml") else ""
-    name = in_world(Path(name).stem if file else name, world or TEXT)
-    path = record_path(store, name)
+    search = load_search(name, world)
+    path = record_path(store, search.label)
     if path.exists():
-        return _read(path, name, file)
-    if not file and split_world(name)[0] not in list_searches():
-        _recorded_file(store, split_world(name)[0])
+        return _read(path, search)
     raise UserError(
-        f"search {name} was not run in {store.root}: `pneuma search run` it first, "
+        f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
-
-
-def _recorded_file(store: Store, name: str) -> str:
-    """Return the path by which a search was run, in any world.
-
-    Raises:
-        UserError: when it was not.
-    """
-    for world in WORLDS:
-        file = (read_sealed(record_path(store, in_world(name, world))) or {}).get("file")
-        if file and isinstance(file, str):
-            return file
-    recorded = (Path(file).stem for file in names_in(store.root / "searches") if file.endswith(".json"))
-    raise unknown_name("search", name, [*list_searches(), *recorded, *files_called(name)])
 
 
 def replaced_note(store: Store, task: Task) -> str:
@@ -188,16 +149,13 @@ def _changed(identity: object, task: Task) -> list[str]:
     return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
 
 
-def _read(path: Path, name: str, asked: str) -> RecordedSearch:
-    """Return a search from its record, which may be untrusted, and its file: the asked one, or the record's."""
+def _read(path: Path, search: Search) -> RecordedSearch:
+    """Return a search from its record, which may be untrusted, and its file."""
     document = read_sealed(path) or {}
     try:
         over = read_fields(Run, document["set"])
-        identity, file = document["identity"], asked or str(document["file"])
+        identity = document["identity"]
         budget = Budget(trials=document["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
-        search = load_search(file or split_world(name)[0], split_world(name)[1])
-        if not asked:
-            _refuse_own_code(search)
         search = search.with_settings(over)
         task = Task(search, budget, over)
         if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:

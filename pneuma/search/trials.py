@@ -198,7 +198,7 @@ def rung_steps(pruner: Pruner, budget: Budget) -> dict[int, int]:
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     """Return the runs of trials as the plan of a study, which can be exported and drawn."""
-    name = f"search-{task.search.name}"
+    name = f"search-{task.search.label}"
     study = Study(
         name=name,
         path=None,
