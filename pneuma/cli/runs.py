@@ -33,7 +33,7 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
 
     index = RunIndex(Store(results))
     held = holders(index)
-    runs = [
+    runs: list[dict[str, Any]] = [
         {"run_id": name, "status": entry.status, "step": entry.step, "seed": entry.seed,
          "studies": held.get(name, [])}
         for name, entry in index.entries.items()

@@ -151,7 +151,7 @@ def status(
     shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
     say(shown.told(), aside=True)
     runs: list[dict[str, Any]] = []
-    rows = []
+    table = []
     for condition, seed, entry in shown.runs:
         about = {"run_id": entry.run_id, "condition": condition, "seed": seed}
         runs.append(
@@ -161,11 +161,11 @@ def status(
         label += f" at step {entry.step:,}" if entry.step and not entry.finished else ""
         if job := jobs.get(entry.run_id):
             label += f" job {job['job']} {job['state'].lower()}"
-        rows.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
+        table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
     if json:
         queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
         return print_json({"study": shown.asked.name, "runs": runs, "jobs": queued})
-    print_table([""] * 4, rows)
+    print_table([""] * 4, table)
     return print(tallied(entry.status for *_, entry in shown.runs))
 
 

@@ -218,7 +218,7 @@ def publish(
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
     before = index.tables.get(stem)
-    rows = {run_id: before.row(run_id) for run_id in (before.places if before else ())} | new
+    rows = {**(before.rows() if before else {}), **new}
     listing = store.listing(data.study)
     about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
     about |= {"listing": listing} if listing else {}
@@ -228,7 +228,7 @@ def publish(
     store.write(path, encoded)
     staying = len(rows) - len(new)
     if json:
-        about = {"study": data.study, "file": path, "bytes": len(encoded)}
-        return print_json({**about, "runs": len(new), "staying": staying})
+        written = {"study": data.study, "file": path, "bytes": len(encoded)}
+        return print_json({**written, "runs": len(new), "staying": staying})
     more = f", {staying} as they were published before" if staying else ""
     return say(f"wrote {path}: {len(new)} runs from here{more}; {len(encoded) / 1000:.0f} kB")

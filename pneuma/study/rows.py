@@ -177,6 +177,10 @@ class Published:
         """Return the row of one of its runs."""
         return Row(self._rows, self.places[run_id], published=True)
 
+    def rows(self) -> dict[str, Row]:
+        """Return the rows of all its runs, by id."""
+        return {run_id: self.row(run_id) for run_id in self.places}
+
 
 def _check(table: pa.Table) -> None:
     """Refuse a table, which may be untrusted, that could not have been written here.
