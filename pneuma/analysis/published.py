@@ -217,6 +217,10 @@ class PublishedRecords(Records):
         """Return where signs of collapse hold."""
         return unpack_signs(self.cell(SIGNS))
 
+    def stuck(self) -> tuple[int, int, int]:
+        """Return nothing: a table has no single updates. Its outcome `stuck-share` may have been kept."""
+        return 0, 0, 0
+
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was measured before curves were rounded or left out."""
         value: float | None = self.cell(f"{OUTCOME} {name}")

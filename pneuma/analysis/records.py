@@ -28,6 +28,7 @@ from pneuma.analysis.series import (
     episode_curve,
     held_curve,
     peak_curve,
+    stuck_updates,
     update_curve,
     update_signs,
 )
@@ -145,6 +146,14 @@ class Records:
         return (
             update_signs(steps[0], {name: series for name, (_, series) in columns.items()}) if steps else {}
         )
+
+    def stuck(self) -> tuple[int, int, int]:
+        """Return the number of stuck updates, of all updates, and of spells; 0 of all if it is not known."""
+        names = [name for name in ("entropy", *ACTION_QUANTITIES) if name in self.quantities]
+        columns = {name: self.series(name) for name in names}
+        steps = [step for step, _ in columns.values()]
+        values = {name: series for name, (_, series) in columns.items()}
+        return stuck_updates(steps[0], values) if steps else (0, 0, 0)
 
     def kept_outcome(self, name: str) -> float | None:
         """Return an outcome that was stored; None if it must be measured from the records."""

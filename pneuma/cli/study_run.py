@@ -18,6 +18,7 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
+from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 from pneuma.worlds import TEXT, split_world
 
@@ -100,6 +101,11 @@ def run(
         if not re.fullmatch(r"[\w.=-]+", as_) or split_world(as_)[1] != TEXT:
             raise UserError(f"--as {as_}: must be letters, digits, - and _, and not end in a world's name")
         chosen = replace(chosen, selection=replace(chosen.selection, variant=as_))
+    if chosen.selection.preset == spec.CLAIMS and (changed := uncommitted()):
+        raise UserError(
+            f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of pneuma/ "
+            "and studies/): commit first, so that each run tells the code that it was trained by"
+        )
     planned = _plan(chosen, name, unpublished)
     how = replace(
         place,
