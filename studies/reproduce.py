@@ -27,11 +27,12 @@ PARTS = {
     ),
     "other-networks": ("architecture",),
     "other-chapters": (
-        "tabular", "policy-gradient", "perception", "vision", "algorithms", "generalisation", "published-logs",
+        "tabular", "policy-gradient", "perception", "vision", "algorithms", "generalisation",
+        "published-logs",
     ),
     "collapse": ("collapse", "late-collapse", "robustness"),
 }  # fmt: skip
-"""Of parts of networks the runs that claims fix, the most important first; of the others the preset `paper`."""
+"""Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
 WORLDS = ("arena", "text", "godot")
 CURVES = {"tabular": "return,length", "collapse": "return,entropy,dead_units,actions", "robustness": "none"}
 """The curves that a published table keeps, where they are not the usual ones."""

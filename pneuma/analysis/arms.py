@@ -1,4 +1,4 @@
-"""Arms: the runs that a claim fixed in a world → one value per run, or the reason why they cannot be compared."""
+"""Arms: the runs that a claim fixed in a world → one value per run, or why they cannot be compared."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `judgement.py`. A checksum of the file and of `JUDGES` is printed with the verdicts.
-docs/claims.md explains each key. `pneuma.study.claimed` reads which runs a claim fixes.
+studies/claims.toml → ClaimList → `judgement.py`. A checksum of the file and of the code that judges
+is printed with the verdicts. docs/claims.md explains each key; `pneuma.study.claimed` reads its runs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
 JUDGES = (
-    "series", "outcomes", "collapse", "claims", "arms", "intervals", "pvalues", "contrasts", "design", "judgement",
+    "series", "outcomes", "collapse", "claims", "arms", "intervals", "pvalues", "contrasts", "design",
+    "judgement",
 )  # fmt: skip
 """The modules of this package that turn the records of runs into verdicts."""
 

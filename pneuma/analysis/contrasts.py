@@ -1,8 +1,8 @@
 """Contrasts: one arm of runs against another arm or a constant, with effect, interval and tests.
 
 A contrast has one-sided p-values, each valid by itself: the effect is above zero, below zero, within the
-margin, beyond it above, beyond it below, and not beyond it below. `pneuma.analysis.judgement` decides what they mean for a claim.
-docs/evidence.md explains the tests and their assumptions.
+margin, beyond it above, beyond it below, and not beyond it below. `pneuma.analysis.judgement` decides what
+they mean for a claim. docs/evidence.md explains the tests and their assumptions.
 """
 
 from __future__ import annotations
@@ -154,7 +154,8 @@ def compare_ranges(
 
     Args:
         arms: (runs,) finite values of each arm.
-        a, b: places of arms in `arms`, two or more each; both may have one arm in common.
+        a: places of arms in `arms`, two or more.
+        b: places of other arms, of which some may be the same; or a number.
         margin: smaller differences of ranges count as none; or None.
         level: of the simultaneous interval.
     """
@@ -200,7 +201,9 @@ def _beyond(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray, shift: f
     """Return the p-value that one range is above the other by more than -shift.
 
     Args:
-        effect, error, freedom: (steps of a, steps of b).
+        effect: (steps of a, steps of b) of a less b, with its sign turned for b over a.
+        error: of each.
+        freedom: of each.
         shift: added to the difference.
         sign: 1 for a over b, -1 for b over a.
     """

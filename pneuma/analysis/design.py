@@ -51,7 +51,7 @@ class Plan:
 
 
 def check_design(claims: ClaimList) -> list[Plan]:
-    """Return what the seeds of each claim can show, in each of its worlds in which runs are trained for it."""
+    """Return what the seeds of each claim can show, in each world in which runs are trained for it."""
     return [
         _plan(claims, claim.in_world(world), world, outcome, a, b)
         for claim in claims.claims.values()
@@ -91,9 +91,8 @@ def _plan(
     seeds = tuple(len(claim.seeds_in(world)[name]) for name in (*a, *b))
     alpha = claims.head.alpha / claims.contrasts(world)
     spreads = claims.pilot.spreads.get(world, {}) if claims.pilot else {}
-    spread = claim.of("spread", outcome) or spreads.get(
-        f"{outcome} {claim.event}" if claim.event else outcome
-    )
+    measured = f"{outcome} {claim.event}" if claim.event else outcome
+    spread = claim.of("spread", outcome) or spreads.get(measured)
     if claim.event and spread is None:
         spread = UNKNOWN_SHARE
     margin, value = claim.of("margin", outcome), claim.of("value", outcome)
@@ -106,9 +105,7 @@ def _plan(
     elif margin is None:
         reason = f"no margin of {outcome} is stated"
     elif not half <= margin:
-        reason = (
-            f"so many seeds ({sum(seeds)} runs) tell it to ±{half:.3g} only, and the margin is {margin:.3g}"
-        )
+        reason = f"{sum(seeds)} runs tell it to ±{half:.3g} only, and the margin is {margin:.3g}"
     names = arms_of(a, None), arms_of(b, value)
     return Plan(claim, world, outcome, *names, seeds, alpha, spread, half, margin, reason)
 
@@ -123,23 +120,20 @@ def _expected(
     level: float,
 ) -> Interval:
     """Return the interval of arms that spread as the pilot's, and do not differ."""
-    arms = {
-        name: _share(count, spread) if claim.event else spread * _normal(count)
-        for name, count in runs.items()
-    }
+    sample = _share if claim.event else _normal
+    arms = {name: sample(count, spread) for name, count in runs.items()}
     if claim.kind == "range":
         names = [*arms]
-        places = [names.index(name) for name in b] if b else 0.0
-        return compare_ranges(
-            [*arms.values()], [names.index(name) for name in a], places, None, level
-        ).simultaneous
+        places = [[names.index(name) for name in group] for group in (a, b)]
+        made = compare_ranges([*arms.values()], places[0], places[1] or 0.0, None, level)
+        return made.simultaneous
     return estimate(claim.kind, arms[a[0]], arms[b[0]] if b else float(value or 0))[1](level)
 
 
-def _normal(runs: int) -> np.ndarray:
-    """Return runs as a normal sample has them: of mean 0 and standard deviation 1, (runs,)."""
+def _normal(runs: int, spread: float) -> np.ndarray:
+    """Return runs as a normal sample of mean 0 has them, (runs,)."""
     scores = special.ndtri((np.arange(runs) + 0.5) / runs)
-    return scores / scores.std(ddof=1)
+    return spread * scores / scores.std(ddof=1)
 
 
 def _share(runs: int, share: float) -> np.ndarray:

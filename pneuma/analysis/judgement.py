@@ -4,7 +4,7 @@
 
 Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. All contrasts
 of all claims in one world, including those without runs, are one family for the correction. So the chance of
-any false verdict in a world is at most the list's alpha, whichever claims are shown and whatever has been run.
+any false verdict in a world is at most the list's alpha, whichever claims are shown and whatever was run.
 
 Each contrast enters with the smallest p-value that can decide it, corrected by Bonferroni. Holm's steps would
 be wrong here: a contrast that is found equivalent would leave the list because its effect looked small, so
@@ -252,7 +252,8 @@ def _not_ill(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
         p = one_share_p_values(np.array([ill.sum()]), ill.size, value, None)
         if (p.greater if claim.direction == "less" else p.less)[0] > FLOOR_LEVEL:
             than = "more" if claim.direction == "less" else "less"
-            return f"nothing to cure: {ill.sum():.0f} of {ill.size} runs of {name} are not shown to be {than} than {value:g}"
+            runs = f"{ill.sum():.0f} of {ill.size} runs of {name}"
+            return f"nothing to cure: {runs} are not shown to be {than} than {value:g}"
     return ""
 
 

@@ -103,8 +103,8 @@ def run(
         chosen = replace(chosen, selection=replace(chosen.selection, variant=as_))
     if chosen.selection.preset == spec.CLAIMS and (changed := uncommitted()):
         raise UserError(
-            f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of pneuma/ "
-            "and studies/): commit first, so that each run tells the code that it was trained by"
+            f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of "
+            "pneuma/ and studies/): commit first, so that each run tells the code that it was trained by"
         )
     planned = _plan(chosen, name, unpublished)
     how = replace(

@@ -102,8 +102,8 @@ def judged_claims(
         if studies is None or one.claim.study in studies:
             verdicts.setdefault(one.claim.name, {})[one.place] = one
     note = (
-        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. The "
-        f"chance of any false verdict in the whole list of {len(known.claims)} is at most "
+        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
+        f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
         f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
     )
     return verdicts, note
