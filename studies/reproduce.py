@@ -22,16 +22,17 @@ from pneuma.study.spec import load_study
 
 PARTS = {
     "small-networks": (
-        "activation", "optimizer", "early", "gradient-limits", "hyperparameters", "clip-range", "actor-size",
+        "activation", "optimizer", "actor-size", "early", "hyperparameters", "clip-range", "gradient-limits",
+        "sigmoid", "magic", "classes",
     ),
-    "other-networks": ("generalisation", "architecture"),
+    "other-networks": ("architecture",),
     "other-chapters": (
-        "tabular", "policy-gradient", "sigmoid", "magic", "classes", "perception", "vision", "algorithms",
+        "tabular", "policy-gradient", "perception", "vision", "algorithms", "generalisation",
         "published-logs",
     ),
     "collapse": ("collapse", "late-collapse", "robustness"),
 }  # fmt: skip
-"""Of the networks of chapter 6 the runs that claims fix; of the others the preset `paper`."""
+"""Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
 WORLDS = ("arena", "text", "godot")
 CURVES = {"tabular": "return,length", "collapse": "return,entropy,dead_units,actions", "robustness": "none"}
 """The curves that a published table keeps, where they are not the usual ones."""

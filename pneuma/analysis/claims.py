@@ -1,22 +1,22 @@
 """Claims: the thesis's empirical sentences, each stated as a test before the runs.
 
-    [list]                      title, what was learned before, alpha, weights, the first seed
-    [defaults]                  seeds and steps of a claim that has none
-    [margins], [plausible]      by outcome, of claims that state none; the latter for the design check
+    [list]                      title, what was learned before, alpha, the first seed
+    [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
+    [margins]                   by outcome, of claims that state none
     [pilot]                     spreads between runs, for `pneuma.analysis.design`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `judgement.py`. The file's checksum is printed with the verdicts.
-docs/claims.md explains each key. `pneuma.study.claimed` reads which runs a claim fixes.
+studies/claims.toml → ClaimList → `judgement.py`. A checksum of the file and of the code that judges
+is printed with the verdicts. docs/claims.md explains each key; `pneuma.study.claimed` reads its runs.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,13 +28,16 @@ from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
 from pneuma.schema import CONFIG, Table, TomlFile, passes, read_model, read_toml
-from pneuma.study.claimed import ClaimedRuns, SeedsOf, StepsOf, fix_runs, listed
+from pneuma.study.claimed import ClaimedRuns, SeedsHead, SeedsOf, StepsOf, World, fix_runs, listed
 from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
-from pneuma.values import OneOf
-from pneuma.worlds import WORLDS
 
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
+JUDGES = (
+    "series", "outcomes", "collapse", "claims", "arms", "intervals", "pvalues", "contrasts", "design",
+    "judgement",
+)  # fmt: skip
+"""The modules of this package that turn the records of runs into verdicts."""
 
 
 def _one_line(value: object) -> object:
@@ -58,36 +61,32 @@ def _find_measured(name: str) -> None:
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
-Kind = Literal["mean", "incidence"]
+Kind = Literal["mean", "incidence", "spread", "range"]
+Direction = Literal["greater", "less", "different", "equal", "no-less"]
 Outcomes = Annotated[
     tuple[Words, ...], BeforeValidator(listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
 ]
-World = Annotated[str, OneOf(tuple(WORLDS))]
 Measured = Annotated[str, passes(_find_measured)]
 ByWorld = Positive | dict[World, Positive]
 """One number for all worlds, or one for each."""
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
+Value = float | dict[str, float | dict[World, float]] | None
+Arms = tuple[str, ...]
 
 
-class ListHead(Table):
+class ListHead(SeedsHead, extra="forbid"):
     """The head of a list: what holds for all its claims.
 
     Attributes:
         title: of the list.
         learned: what the earlier list taught.
-        alpha: the chance of any false verdict in the whole list.
-        weights: how alpha is split between groups of claims; empty if all contrasts have equal parts.
-        world_weights: how each part is split between worlds.
-        seeds_from: the first seed if a claim fixes a number of seeds.
+        alpha: the chance of any false verdict of the whole list in each world.
     """
 
     title: Text = ""
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
-    weights: dict[str, Positive] = {}
-    world_weights: dict[World, Positive] = {}
-    seeds_from: Annotated[int, Field(ge=0)] = 0
 
 
 class Pilot(Table):
@@ -104,23 +103,21 @@ class Pilot(Table):
 
 
 class Claim(ClaimedRuns, Table):
-    """A sentence of the thesis as a test; see docs/claims.md. Each condition of a is compared with each of b.
+    """A sentence of the thesis as a test; see docs/claims.md.
+
+    Each condition of a is compared with each of b; for a range, all of a together with all of b.
 
     Attributes:
         name: of the claim.
-        quote: the words of the thesis.
-        context: the rest of the sentence, in one line.
+        quote: the sentence of the thesis.
+        context: what is compared, in one line.
         section: of the thesis.
-        group: the group whose part of alpha it shares; default: its section.
-        c, d: one condition each; the claim is then about (a - b) - (c - d).
-        value: a constant that a is compared with instead of b.
+        value: a constant that a is compared with instead of b, or one for each outcome.
         outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
         above, below: the threshold of an incidence.
-        only: an outcome of 0 or 1; runs with 0 do not count. Empty if all count.
         direction: of a compared with b.
         margin: smaller differences count as none; see `contrasts.compare`.
-        plausible: the largest effect thought possible.
-        need: whether all contrasts must be as claimed, or any one.
+        spread: between runs of its arms, for the design check, where it is not the pilot's.
         note: why it is tested so.
     """
 
@@ -130,17 +127,14 @@ class Claim(ClaimedRuns, Table):
     quote: Words
     context: Text = ""
     section: Words
-    group: Text = ""
-    value: float | None = None
+    value: Value = None
     outcome: Outcomes
     above: float | None = None
     below: float | None = None
-    only: Literal["", "collapsed"] = ""
     kind: Kind
-    direction: Literal["greater", "less", "different", "equal"]
+    direction: Direction
     margin: ByOutcome = None
-    plausible: ByOutcome = None
-    need: Literal["all", "any"] = "all"
+    spread: ByOutcome = None
     note: Text = ""
 
     @property
@@ -155,17 +149,24 @@ class Claim(ClaimedRuns, Table):
         return values > self.above if self.above is not None else values < np.array(self.below)
 
     @property
-    def pairs(self) -> list[tuple[str, str | None]]:
-        """The contrasts for each outcome: an arm and another arm, or None for a constant."""
-        return list(product(self.a, self.b or (None,)))
+    def counts_itself(self) -> bool:
+        """Whether the constant is itself what counts as none, as no range is below 0."""
+        return self.kind == "range" and not self.b
 
-    def of(self, key: Literal["margin", "plausible"], outcome: str) -> float | None:
-        """Return the margin or plausible effect of one outcome; the claim must be `in_world`."""
+    @property
+    def pairs(self) -> list[tuple[Arms, Arms]]:
+        """The contrasts for each outcome: arms against other arms, or against none for a constant."""
+        if self.kind == "range":
+            return [(self.a, self.b)]
+        return [((a,), (b,) if b else ()) for a, b in product(self.a, self.b or ("",))]
+
+    def of(self, key: Literal["margin", "value", "spread"], outcome: str) -> float | None:
+        """Return the margin, constant or spread of one outcome; the claim must be `in_world`."""
         value: Any = getattr(self, key)
         return value.get(outcome) if isinstance(value, dict) else value
 
     def in_world(self, world: str) -> Claim:
-        """Return the claim with the margins and plausible effects of one world."""
+        """Return the claim with the margins, constants and spreads of one world."""
 
         def here(value: Any) -> Any:
             if not isinstance(value, dict):
@@ -175,7 +176,9 @@ class Claim(ClaimedRuns, Table):
                 for name, number in value.items()
             }
 
-        return self.model_copy(update={"margin": here(self.margin), "plausible": here(self.plausible)})
+        return self.model_copy(
+            update={key: here(getattr(self, key)) for key in ("margin", "value", "spread")}
+        )
 
     def contrasts_in(self, world: str) -> int:
         """Return the number of the claim's contrasts in a world."""
@@ -187,17 +190,17 @@ class Defaults(Table):
 
     seeds: SeedsOf | None = None
     steps: StepsOf | None = None
+    worlds: tuple[World, ...] | None = None
     outcome: Outcomes | None = None
     kind: Kind | None = None
 
 
 class ClaimsFile(Table):
-    """The whole file. Margins and plausible effects are by outcome, or 'incidence' for all incidences."""
+    """The whole file. Margins are by outcome, or 'incidence' for all incidences."""
 
     list: ListHead = ListHead()
     defaults: Defaults = Defaults()
     margins: dict[Measured, ByWorld] = {}
-    plausible: dict[Measured, ByWorld] = {}
     pilot: Pilot | None = None
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
@@ -207,7 +210,7 @@ class ClaimList:
     """All claims of a file, which are judged together.
 
     Attributes:
-        digest: SHA-256 of the file.
+        digest: SHA-256 of the file and of the code that judges.
     """
 
     path: Path
@@ -216,32 +219,12 @@ class ClaimList:
     head: ListHead = ListHead()
     pilot: Pilot | None = None
 
-    @property
-    def contrasts(self) -> int:
-        """The number of contrasts in the list, with or without runs."""
-        return sum(claim.contrasts_in(world) for claim in self.claims.values() for world in WORLDS)
+    def contrasts(self, world: str) -> int:
+        """Return the number of contrasts in a world, with or without runs.
 
-    def factor(self, claim: Claim, world: str) -> float:
-        """Return what a contrast's p-value is multiplied by: alpha divided by the contrast's part of it.
-
-        Without weights it is the number of contrasts (Bonferroni). With weights, each group and world has a
-        part of alpha, which its contrasts share equally (weighted Bonferroni: Rosenthal and Rubin 1983).
+        Each p-value is multiplied by it (Bonferroni).
         """
-        counts: Counter[tuple[str, str]] = Counter()
-        for each in self.claims.values():
-            for where in WORLDS:
-                counts[self._cell(each, where)] += each.contrasts_in(where)
-        parts = {cell: self._weight(cell) for cell, count in counts.items() if count}
-        cell = self._cell(claim, world)
-        return counts[cell] * sum(parts.values()) / parts.get(cell, 1.0)
-
-    def _cell(self, claim: Claim, world: str) -> tuple[str, str]:
-        group = (claim.group or claim.section) if self.head.weights else ""
-        return group, world if self.head.world_weights else ""
-
-    def _weight(self, cell: tuple[str, str]) -> float:
-        group, world = cell
-        return self.head.weights.get(group, 1.0) * self.head.world_weights.get(world, 1.0)
+        return sum(claim.contrasts_in(world) for claim in self.claims.values())
 
 
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
@@ -253,13 +236,14 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     said = read_model(ClaimsFile, file)
     claims = {name: _read_claim(file, name, said) for name in said.claims}
-    groups = dict.fromkeys(claim.group or claim.section for claim in claims.values())
-    for group in said.list.weights:
-        if group not in groups:
-            raise file.mistake(
-                ("list", "weights"), str(unknown_name("group of claims", group, groups)), group
-            )
-    return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
+    return ClaimList(file.path, checksum(file.text.encode() + _judges()), claims, said.list, said.pilot)
+
+
+@cache
+def _judges() -> bytes:
+    """Return the source of the code that judges, whatever its line ends."""
+    paths = (Path(__file__).with_name(f"{name}.py") for name in JUDGES)
+    return "".join(path.read_text(encoding="utf-8") for path in paths).encode()
 
 
 def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
@@ -271,19 +255,18 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
     except UserError as error:
         raise file.mistake(where, f"study: {error}", "study") from None
     claim = fix_runs(claim, file, where, study)
-    filled = {"margin": _filled(claim, claim.margin, said.margins)}
-    filled["plausible"] = _filled(claim, claim.plausible, said.plausible)
-    claim = claim.model_copy(update=filled)
+    claim = claim.model_copy(update={"margin": _filled(claim, said.margins)})
     if found := _mistake(claim, said.list):
         raise file.mistake(where, found[1], found[0])
     return claim
 
 
-def _filled(claim: Claim, given: ByOutcome, usual: Mapping[str, ByWorld]) -> ByOutcome:
-    """Return a claim's margins or plausible effects, with the list's for outcomes that the claim omits."""
+def _filled(claim: Claim, usual: Mapping[str, ByWorld]) -> ByOutcome:
+    """Return a claim's margins, with the list's for outcomes that the claim omits."""
+    given = claim.margin
     if given is not None and not isinstance(given, dict):
         return given
-    names = {name: name if claim.kind == "mean" else claim.kind for name in claim.outcome}
+    names = {name: "incidence" if claim.event else name for name in claim.outcome}
     return {**{name: usual[of] for name, of in names.items() if of in usual}, **(given or {})} or None
 
 
@@ -293,24 +276,33 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
         return "", "a claim holds a against either b, conditions, or value"
     if sum(threshold is not None for threshold in (claim.above, claim.below)) != (claim.kind == "incidence"):
         return "", "an incidence, and nothing else, counts runs by above or below, a number"
-    if claim.kind == "incidence" and not 0 <= (claim.value or 0) <= 1:
-        return "value", f"value = {claim.value:g} is not allowed: a share of runs, 0 to 1"
-    four = [claim.a, claim.b, claim.c, claim.d]
-    effects = claim.kind == "mean" and all(len(names) == 1 for names in four) and len({*four}) == 4
-    if (claim.c or claim.d) and not effects:
-        return "c", "a difference of two effects is of means, with another condition in each of a, b, c, d"
-    for key, given in (("margin", claim.margin), ("plausible", claim.plausible)):
+    if claim.kind == "spread" and not claim.b:
+        return "b", "a spread is compared with that of other conditions"
+    if claim.kind == "range" and 1 in (len(claim.a), len(claim.b)):
+        return "a", "a range is of two conditions or more"
+    if claim.control and not (claim.event and claim.direction in ("greater", "less") and not claim.b):
+        return "control", "a control is for an incidence that is claimed to be greater or less than value"
+    for key in ("margin", "value", "spread"):
+        given = getattr(claim, key)
         for name in given if isinstance(given, dict) else ():
             if name not in claim.outcome:
                 return key, f"{key}: {unknown_name('outcome of the claim', name, claim.outcome)}"
     for world, outcome in product(claim.worlds, claim.outcome):
-        margin = claim.in_world(world).of("margin", outcome)
-        if margin is None and claim.direction == "equal":
-            return "margin", "the key 'margin' is missing: within it, a difference counts as none"
-        if margin is not None and margin >= 1 and claim.event:
-            return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
-    group = claim.group or claim.section
-    if head.weights and group not in head.weights:
-        return "group", f"group: {unknown_name('group of weights', group, head.weights)}"
+        if found := _mistaken_number(claim.in_world(world), outcome):
+            return found
     early = [seed for seeds in claim.seeds.values() for seed in seeds if seed < head.seeds_from]
     return ("seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}") if early else None
+
+
+def _mistaken_number(claim: Claim, outcome: str) -> tuple[str, str] | None:
+    """Return the key and the mistake of a claim's numbers in one world."""
+    margin, value = claim.of("margin", outcome), claim.of("value", outcome)
+    if value is None and not claim.b:
+        return "value", f"the key 'value' has no number for {outcome}"
+    if claim.event and not 0 <= (value or 0) <= 1:
+        return "value", f"value = {value:g} is not allowed: a share of runs, 0 to 1"
+    if margin is None and claim.direction in ("equal", "no-less"):
+        return "margin", "the key 'margin' is missing: within it, a difference counts as none"
+    if margin is not None and margin >= 1 and claim.event:
+        return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
+    return None

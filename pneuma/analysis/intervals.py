@@ -99,6 +99,18 @@ def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(squared), np.divide(squared**2, below, out=np.ones_like(squared), where=below > 0)
 
 
+def distances(values: np.ndarray) -> np.ndarray:
+    """Return how far each run lies from its arm's median, (…, runs)."""
+    return np.abs(values - np.median(values, axis=-1, keepdims=True))
+
+
+def pooled_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the standard error of a difference of means of one variance, and its degrees of freedom."""
+    freedom = a.shape[-1] + b.shape[-1] - 2
+    squares = sum(arm.var(axis=-1) * arm.shape[-1] for arm in (a, b))
+    return np.sqrt(squares / freedom * (1 / a.shape[-1] + 1 / b.shape[-1])), freedom
+
+
 # --- Intervals -------------------------------------------------------------------------------------
 
 
@@ -154,6 +166,15 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
         return no_interval()
     error, freedom = welch_error(first, second)
     return around(first.mean() - second.mean(), float(error), float(freedom), level, "Welch t")
+
+
+def spread_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
+    """Return Student's interval of the difference of mean distances from the median, a - b."""
+    first, second = distances(finite(a)), distances(finite(b))
+    error, freedom = pooled_error(first, second)
+    if not error > 0:
+        return no_interval()
+    return around(first.mean() - second.mean(), float(error), freedom, level, "Brown-Forsythe t")
 
 
 def deviation_interval(values: ArrayLike) -> Interval:

@@ -3,8 +3,8 @@
     ClaimList and Store → [Verdict]
 
 Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. All contrasts
-of all claims in all worlds, including those without runs, are one family for the correction. So the chance of
-any false verdict is at most the list's alpha, whichever claims are shown and whatever has been run.
+of all claims in one world, including those without runs, are one family for the correction. So the chance of
+any false verdict in a world is at most the list's alpha, whichever claims are shown and whatever was run.
 
 Each contrast enters with the smallest p-value that can decide it, corrected by Bonferroni. Holm's steps would
 be wrong here: a contrast that is found equivalent would leave the list because its effect looked small, so
@@ -20,11 +20,13 @@ from functools import cache
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, find_runs
+from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns
+from pneuma.analysis.claim_runs import find_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_effects, undecided
-from pneuma.analysis.design import not_admitted
+from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
+from pneuma.analysis.design import arms_of, not_admitted
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.pvalues import one_share_p_values
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import stream_seed
 from pneuma.errors import counted
@@ -86,6 +88,11 @@ class Verdict:
         return min(agreeing or each, key=lambda comparison: comparison.p, default=None)
 
     @property
+    def seen(self) -> bool:
+        """Whether its runs were seen before the claim was stated: a description, and no test."""
+        return self.place in self.claim.seen
+
+    @property
     def run_ids(self) -> list[str]:
         """The ids of all runs that were read."""
         return list(dict.fromkeys(run_id for comparison in self.comparisons for run_id in comparison.run_ids))
@@ -105,7 +112,8 @@ class Verdict:
             return BY_LETTER
         decisive = self.decisive
         margin = self.claim.of("margin", decisive.outcome) if decisive else None
-        if decisive and margin and self.verdict == SUPPORTED and self.claim.direction != "equal":
+        of_size = self.claim.direction not in ("equal", "no-less") and not self.claim.counts_itself
+        if decisive and margin and self.verdict == SUPPORTED and of_size:
             return BY_LETTER if abs(decisive.contrast.effect) < margin else WITH_CONTENT
         return WITH_CONTENT
 
@@ -138,7 +146,7 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
         for outcome in claim.outcome
     ]
     untestable = any(comparison.verdict == UNTESTABLE for comparison in made)
-    verdict = of_outcomes([together(verdicts, claim.need) for verdicts in each])
+    verdict = of_outcomes([together(verdicts) for verdicts in each])
     verdict = verdict or (UNTESTABLE if untestable else INCONCLUSIVE)
     reason = ""
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that mends them last
@@ -156,15 +164,14 @@ def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:
 def decisive_of(verdict: Verdict) -> list[Comparison]:
     """Return, for each outcome of a claim, the contrast that decides.
 
-    It is the surest if one is enough for the verdict, else the least sure.
+    It is the surest if one is enough for the verdict, which is so if it refutes, else the least sure.
     """
-    deciding, need = [], verdict.claim.need
+    deciding = []
     for outcome in dict.fromkeys(comparison.outcome for comparison in verdict.comparisons):
         each = [comparison for comparison in verdict.comparisons if comparison.outcome == outcome]
-        word = together([comparison.verdict for comparison in each], need) or INCONCLUSIVE
+        word = together([comparison.verdict for comparison in each]) or INCONCLUSIVE
         agreeing = [comparison for comparison in each if comparison.verdict == word] or each
-        one_is_enough = word == (REFUTED if need == "all" else SUPPORTED)
-        deciding.append((min if one_is_enough else max)(agreeing, key=lambda comparison: comparison.p))
+        deciding.append((min if word == REFUTED else max)(agreeing, key=lambda comparison: comparison.p))
     return deciding
 
 
@@ -179,44 +186,75 @@ def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
 
 
 def _judge_contrast(
-    runs: ClaimRuns, arm: Callable[[str, str], Arm], outcome: str, a: str, b: str | None, claims: ClaimList
+    runs: ClaimRuns,
+    arm: Callable[[str, str], Arm],
+    outcome: str,
+    a: tuple[str, ...],
+    b: tuple[str, ...],
+    claims: ClaimList,
 ) -> Comparison:
-    """Judge one contrast of a claim: of two arms, of one arm and a number, or of two effects.
-
-    It is untestable for a reason, or if there are too few runs to support it.
-    """
-    claim, names = runs.claim, [name for name in (a, b, *runs.claim.c, *runs.claim.d) if name is not None]
-    factor, alpha = claims.factor(claim, runs.world), claims.head.alpha
-    other = f"{claim.value:g}" if b is None else b
+    """Judge one contrast of a claim. It is untestable for a reason, or if too few runs could support it."""
+    claim, names = runs.claim, [*dict.fromkeys((*a, *b, *runs.claim.control))]
+    factor, alpha = claims.contrasts(runs.world), claims.head.alpha
     reason = runs.hindrance(outcome, names)
     arms = {} if reason else {name: arm(outcome, name) for name in names}
     reason = reason or next((arm.reason for arm in arms.values() if arm.reason), "")
-    reason = reason or _at_floor(claim, outcome, arms) or _at_an_end(claim, outcome, [*arms.values()])
-    values, margin = [arm.values for arm in arms.values()], claim.of("margin", outcome)
-    generator = np.random.default_rng(stream_seed(f"{claim.name}/{runs.world}", f"{a}/{other}"))
-    level = 1 - alpha / factor  # of the simultaneous intervals
+    tested = {name: arm for name, arm in arms.items() if name in (*a, *b)}
+    reason = reason or _at_floor(claim, outcome, tested) or _at_an_end(claim, outcome, [*tested.values()])
+    reason = reason or _not_ill(claim, outcome, arms)
     if reason:
-        sizes = [counted.size for counted in values] + [0, 0]
+        sizes = [counted.values.size for counted in tested.values()] + [0, 0]
         contrast = undecided(reason, (sizes[0], sizes[1]))
-    elif claim.c:
-        contrast = compare_effects(values, margin, level)
     else:
-        against = (claim.value or 0.0) if b is None else values[1]
-        contrast = compare(claim.kind, values[0], against, margin, generator, level)
+        contrast = _compare(claim, outcome, a, b, arms, runs.world, 1 - alpha / factor)
     verdict, p = decide(contrast, claim.direction, factor, alpha)
     if verdict == INCONCLUSIVE:  # equivalence may need fewer runs than a difference
         smallest = smallest_p(contrast, claim.direction)
         if not contrast.reason and smallest * factor > alpha:
             few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"
-            problem = f"{few}, and the list has {counted(claims.contrasts, 'contrast')}"
+            problem = f"{few}, and the list has {counted(factor, 'contrast')} in this world"
             contrast = replace(contrast, reason=problem)
         verdict = UNTESTABLE if contrast.reason else INCONCLUSIVE
-    if claim.c:
-        a, other = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
     counted_ids = tuple(run_id for arm in arms.values() for run_id in arm.run_ids)
     known_ids = tuple(run.run_id for name in names for run in runs.found(name))
     run_ids = counted_ids if arms else known_ids
-    return Comparison(a, other, outcome, contrast, run_ids, verdict, p)
+    other = arms_of(b, claim.of("value", outcome))
+    return Comparison(arms_of(a, None), other, outcome, contrast, run_ids, verdict, p)
+
+
+def _compare(
+    claim: Claim,
+    outcome: str,
+    a: tuple[str, ...],
+    b: tuple[str, ...],
+    arms: Mapping[str, Arm],
+    world: str,
+    level: float,
+) -> Contrast:
+    """Compare arms by the test of the claim's kind."""
+    value = float(claim.of("value", outcome) or 0)
+    margin = None if claim.counts_itself else claim.of("margin", outcome)
+    if claim.kind == "range":
+        names = [*arms]
+        places = [names.index(name) for name in b] if b else value
+        values = [arm.values for arm in arms.values()]
+        return compare_ranges(values, [names.index(name) for name in a], places, margin, level)
+    purpose = f"{a[0]}/{arms_of(b, value)}"
+    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", purpose))
+    against = arms[b[0]].values if b else value
+    return compare(claim.kind, arms[a[0]].values, against, margin, generator, level)
+
+
+def _not_ill(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
+    """Return the reason if the control does not show what the claim says is cured; empty if it does."""
+    for name in claim.control:
+        ill, value = arms[name].values, float(claim.of("value", outcome) or 0)
+        p = one_share_p_values(np.array([ill.sum()]), ill.size, value, None)
+        if (p.greater if claim.direction == "less" else p.less)[0] > FLOOR_LEVEL:
+            than = "more" if claim.direction == "less" else "less"
+            runs = f"{ill.sum():.0f} of {ill.size} runs of {name}"
+            return f"nothing to cure: {runs} are not shown to be {than} than {value:g}"
+    return ""
 
 
 def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
@@ -224,18 +262,15 @@ def _at_floor(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
 
     An arm is at the floor if it is not shown to play better than the random player, whatever its number of
     runs. Outcomes that are meaningful only for runs that learned need every arm above the floor. Outcomes
-    that measure play, and claims of no difference, need one; differences of two effects need one for each.
+    that measure play, and claims that nothing is lost, need one.
     """
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).supposes_rise for part in outcome.split(MINUS)):
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
     of_play = _is_of_play(outcome) and not claim.event
-    if not (of_play or claim.direction == "equal"):
+    if not (of_play or claim.direction in ("equal", "no-less")) or len(arms) < 2 or len(idle) < len(arms):
         return ""
-    for pair in ([*arms][:2], [*arms][2:]):
-        if len(pair) == 2 and all(name in idle for name in pair):
-            return f"arms at floor: none of {', '.join(pair)} is shown to play better than the random player"
-    return ""
+    return f"arms at floor: none of {', '.join(arms)} is shown to play better than the random player"
 
 
 def _at_an_end(claim: Claim, outcome: str, arms: Sequence[Arm]) -> str:
@@ -268,7 +303,8 @@ def _is_of_play(outcome: str) -> bool:
 def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> tuple[str, float]:
     """Return the verdict on one contrast of a list, and its corrected p-value.
 
-    A claim of no difference is refuted only by a difference beyond the margin, tested two-sided there.
+    A claim of no difference is refuted only by a difference beyond the margin, tested two-sided there, and
+    one of no loss only by a loss beyond it.
 
     Args:
         contrast: the contrast.
@@ -279,6 +315,8 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
     if claimed == "equal":
         p_far = min(2 * min(contrast.p.far_less, contrast.p.far_greater), 1.0)
         p, so = min(contrast.p.equivalent, p_far), contrast.p.equivalent <= p_far
+    elif claimed == "no-less":
+        p, so = min(contrast.p.no_less, contrast.p.far_less), contrast.p.no_less <= contrast.p.far_less
     else:
         what = what_it_shows(contrast)
         p = contrast.p.equivalent if what == "equal" else contrast.p_different
@@ -304,12 +342,11 @@ def what_it_shows(contrast: Contrast) -> str:
     return "greater" if contrast.p.greater < contrast.p.less else "less"
 
 
-def together(verdicts: Sequence[str], need: str) -> str:
+def together(verdicts: Sequence[str]) -> str:
     """Return the verdict on a claim, given those on its contrasts; empty if they do not decide."""
-    by_one, by_all = (REFUTED, SUPPORTED) if need == "all" else (SUPPORTED, REFUTED)
-    if by_one in verdicts:
-        return by_one
-    return by_all if all(verdict == by_all for verdict in verdicts) else ""
+    if REFUTED in verdicts:
+        return REFUTED
+    return SUPPORTED if all(verdict == SUPPORTED for verdict in verdicts) else ""
 
 
 def of_outcomes(verdicts: Sequence[str]) -> str:
@@ -330,6 +367,7 @@ def smallest_p(contrast: Contrast, claimed: str) -> float:
     """
     greater, less = contrast.smallest
     possible = {"greater": 2 * greater, "less": 2 * less, "equal": min(greater, less)}
+    possible["no-less"] = greater
     return min(possible[way] for way in _supporting(claimed))
 
 

@@ -30,6 +30,10 @@ ANYTHING = (-np.inf, np.inf)
 SHARE = (0.0, 1.0)
 NEAR_AN_END = 0.5 / 14
 """How close to 0 or 1 a share killed counts as equal, for claims without a margin: half a monster of 14."""
+LATE = 5
+"""The number of last evaluations from which late outcomes are taken."""
+LEAST_NORM = 1e-8
+"""Smaller gradient norms count as this, in logarithms."""
 QUIET = 0.9
 """The least share of a core for a valid time; below it, other work on the machine counts too much."""
 
@@ -194,6 +198,39 @@ def _last(values: np.ndarray) -> float:
     return float(values[-1])
 
 
+def _late(values: np.ndarray) -> float:
+    return float(values[-LATE:].mean())
+
+
+def _rise(values: np.ndarray) -> float:
+    """Return how much a straight line through the last evaluations rises over them; NaN for one."""
+    last = values[-LATE:]
+    places = np.arange(len(last)) - (len(last) - 1) / 2
+    squares = (places**2).sum()
+    return float((len(last) - 1) * (places @ last) / squares) if squares > 0 else NAN
+
+
+def _log_growth(seen: RunView) -> float:
+    """Return how much the logarithm of the norm grows, from the mean of the first tenth to that of the last."""
+    _, values = seen.curve("grad_norm")
+    if not len(values):
+        return NAN
+    logs = np.log(np.maximum(values, LEAST_NORM))
+    tenth = max(len(logs) // 10, 1)
+    return float(logs[-tenth:].mean() - logs[:tenth].mean())
+
+
+def _log_max(seen: RunView) -> float:
+    greatest = _peak("grad_norm")(seen)
+    return NAN if np.isnan(greatest) else float(np.log(max(greatest, LEAST_NORM)))
+
+
+def _stuck_share(seen: RunView) -> float:
+    """Return the share of updates that are stuck; NaN if not known, or up to an earlier step."""
+    stuck, updates, _ = seen.run.row.stuck
+    return stuck / updates if updates and seen.until >= seen.run.budget else NAN
+
+
 def _fall(values: np.ndarray) -> float:
     return float(values.max() - values[-1])
 
@@ -264,6 +301,15 @@ KILLED = ("share", UP, SHARE, EVALUATED)
 OUTCOMES: dict[str, Outcome] = {
     "final-share-killed": Outcome(
         "monsters killed, last evaluation", *KILLED, _evaluations("share_killed", _last), alike=NEAR_AN_END),
+    "late-share-killed": Outcome(
+        "monsters killed, mean of the last five evaluations", *KILLED, _evaluations("share_killed", _late),
+        alike=NEAR_AN_END),
+    "late-greedy-share-killed": Outcome(
+        "monsters killed by the likeliest actions, mean of the last five evaluations", *KILLED,
+        _evaluations("argmax_share_killed", _late), alike=NEAR_AN_END),
+    "late-slope": Outcome(
+        "rise of monsters killed over the last five evaluations, by a straight line", "share", "",
+        (-1.2, 1.2), EVALUATED, _evaluations("share_killed", _rise), supposes_rise=True),
     "auc-share-killed": Outcome(
         "monsters killed, mean over all evaluations", *KILLED, _share_area, alike=NEAR_AN_END),
     "argmax-share-killed": Outcome(
@@ -304,6 +350,14 @@ OUTCOMES: dict[str, Outcome] = {
     "median-grad-norm": Outcome(
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm",
         _curve("grad_norm", "median")),
+    "log-max-grad-norm": Outcome(
+        "natural logarithm of the greatest gradient norm of any update", "", DOWN, ANYTHING, "grad_norm",
+        _log_max),
+    "grad-norm-growth": Outcome(
+        "growth of the logarithm of the gradient norm, from the first tenth of training to the last", "",
+        DOWN, ANYTHING, "grad_norm", _log_growth),
+    "stuck-share": Outcome(
+        "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", _stuck_share),
     "final-dead-units": Outcome(
         "dead hidden units at the end", "share", DOWN, SHARE, "dead_units", _curve("dead_units", "last")),
     **{

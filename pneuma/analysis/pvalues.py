@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis.intervals import welch_error
+from pneuma.analysis.intervals import distances, pooled_error, welch_error
 
 MOST_COUNTED = 200_000
 """With more relabelings than this, some are drawn at random. Ten runs against ten have 184,756."""
@@ -53,6 +53,7 @@ class PValues(NamedTuple, Generic[P]):
         greater, less: the effect is above zero, or below it.
         equivalent: it is within the margin on both sides; 1 without a margin.
         far_greater, far_less: it is beyond the margin, above or below; likewise.
+        no_less: it is above zero, or below it by less than the margin; likewise.
     """
 
     greater: P
@@ -60,6 +61,7 @@ class PValues(NamedTuple, Generic[P]):
     equivalent: P
     far_greater: P
     far_less: P
+    no_less: P
 
 
 ManyPValues = PValues[np.ndarray]
@@ -69,8 +71,9 @@ def p_values(p_greater: ArrayLike, p_less: ArrayLike, samples: int) -> ManyPValu
     """Combine p-values of an effect above and below zero, and each margin if there is one."""
     greater, less = np.reshape(p_greater, (-1, samples)), np.reshape(p_less, (-1, samples))
     if len(greater) == 1:
-        return PValues(greater[0], less[0], *np.ones((3, samples)))
-    return PValues(greater[0], less[0], np.maximum(less[1], greater[2]), greater[1], less[2])
+        return PValues(greater[0], less[0], *np.ones((4, samples)))
+    equivalent = np.maximum(less[1], greater[2])
+    return PValues(greater[0], less[0], equivalent, greater[1], less[2], greater[2])
 
 
 def shifts(margin: float | None) -> list[float]:
@@ -200,6 +203,25 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
     by_student = student_tails(rows.mean(axis=1) / size, errors, samples.shape[1] - 1)
     p_greater, p_less = map(np.maximum, tails(flips @ (rows / size).T), by_student)
     return p_values(p_greater, p_less, len(samples))
+
+
+def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None) -> ManyPValues:
+    """Test how far the runs of two arms lie from their medians (Brown and Forsythe 1974).
+
+    With two arms the F test is the square of Student's t with one variance for both.
+
+    Args:
+        a: (samples, runs) of arm a.
+        b: (samples, runs) of arm b.
+        margin: smaller differences of mean distances count as none; or None.
+    """
+    from_a, from_b = map(distances, (a, b))
+    size = np.maximum(from_a.max(axis=-1), from_b.max(axis=-1))
+    size = np.where(size > 0, size, 1.0)  # so that units do not matter
+    error, freedom = pooled_error(from_a, from_b)
+    effect = from_a.mean(axis=-1) - from_b.mean(axis=-1)
+    shifted = [student_tails((effect + shift) / size, error / size, freedom) for shift in shifts(margin)]
+    return p_values([above for above, _ in shifted], [below for _, below in shifted], len(a))
 
 
 # --- Shares ----------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import HERE, Detached, Supervision
 from pneuma.study.identity import own_things
 from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
+from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 
 UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
@@ -91,6 +92,11 @@ def run(
 ) -> int:
     """Train the missing runs of a study, resuming those that were stopped."""
     store = chosen.store
+    if chosen.selection.preset == spec.CLAIMS and (changed := uncommitted()):
+        raise UserError(
+            f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of "
+            "pneuma/ and studies/): commit first, so that each run tells the code that it was trained by"
+        )
     planned = _plan(chosen, name, unpublished)
     how = replace(
         place,

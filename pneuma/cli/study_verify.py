@@ -27,7 +27,7 @@ def verify(
     world: opt.WorldName = None,
     file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
     design: Annotated[
-        bool, opt.flag("--design", "Say what the seeds of each claim can tell, and read no runs.")
+        bool, opt.flag("--design", "Say how near the seeds of each claim tell its effect, and read no runs.")
     ] = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -46,7 +46,8 @@ def verify(
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     alpha = known.head.alpha
     if json:
-        head = {"claims_hash": known.digest, "alpha": alpha, "contrasts": known.contrasts}
+        contrasts = {place: known.contrasts(place) for place in WORLDS}
+        head = {"claims_hash": known.digest, "alpha": alpha, "contrasts": contrasts}
         return print_json({**head, "claims": [_document(one) for one in shown]})
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
@@ -55,9 +56,13 @@ def verify(
         if one.reason:
             print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
     fixed = ", fixed before the runs" if file is None else ""
-    print(f"\nClaims: {known.path.name}, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {100 * alpha:g}% chance of any false verdict among all, by Bonferroni's correction.")
-    print("Intervals are simultaneous: all hold together with that chance of error.")
+    print(f"\nClaims: {known.path.name} and the code that judges, SHA-256 {known.digest[:16]}…{fixed}.")
+    print(f"At most {100 * alpha:g}% chance of any false verdict in each world, by Bonferroni's correction.")
+    print("Intervals are simultaneous: all of a world hold together with that chance of error.")
+    for place in known.head.seen:
+        print(
+            f"In {WORLDS[place].title} runs were seen before the claims were stated: a description, no test."
+        )
     return None
 
 
@@ -67,13 +72,14 @@ def verify(
 def _document(one: Verdict) -> dict[str, Any]:
     claim = one.claim
     decisive: dict[str, Any] = _contrast(one.decisive) if one.decisive else {"seeds": []}
-    of_claim = ("section", "quote", "context", "study", "kind", "direction", "need")
+    of_claim = ("section", "quote", "context", "study", "kind", "direction")
     return {
         "claim": claim.name,
         "world": one.place,
         **{key: getattr(one, key) for key in ("verdict", "standing", "reason", "run_ids")},
         **{key: decisive.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
         **{key: getattr(claim, key) for key in of_claim},
+        "seen": one.seen,
         "outcome": claim.outcome[0],
         "outcomes": list(claim.outcome),
         "margin": claim.of("margin", claim.outcome[0]),
@@ -98,16 +104,15 @@ def _contrast(comparison: Comparison) -> dict[str, Any]:
 
 
 def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, json: bool) -> None:
-    """Print what the seeds of claims can show, and which claims are not admitted."""
+    """Print how near the seeds of claims tell their effects, and which claims are not admitted."""
     from pneuma.analysis.design import check_design, not_admitted
 
     refused = not_admitted(known)
-    keys = ("world", "outcome", "a", "b", "seeds", "alpha", "spread", "detectable", "provable", "reason")
+    keys = ("world", "outcome", "a", "b", "seeds", "alpha", "spread", "half_width", "margin", "reason")
     plans = [
         {
             "claim": plan.claim.name,
             **{key: getattr(plan, key) for key in keys},
-            **{key: plan.claim.of(key, plan.outcome) for key in ("margin", "plausible")},
             "admitted": (plan.claim.name, plan.world) not in refused,
         }
         for plan in check_design(known)
@@ -118,18 +123,18 @@ def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, js
         return print_json({**head, "design": plans})
     rows = []
     for plan in plans:
-        numbers = (plan[key] for key in ("detectable", "plausible", "provable", "margin"))
+        numbers = (plan[key] for key in ("spread", "half_width", "margin"))
         cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
         about = plan["claim"], plan["world"], plan["outcome"], "/".join(map(str, plan["seeds"]))
         rows.append((*about, *cells, plan["reason"] or "decidable"))
-    print_table(("claim", "world", "outcome", "seeds", "found", "plausible", "shown", "margin", ""), rows)
+    print_table(("claim", "world", "outcome", "seeds", "spread", "half width", "margin", ""), rows)
     if known.pilot is None:
         print("\nThe list has no pilot: every claim is admitted.")
         return None
     print(f"\nNot admitted, of {len({(plan['claim'], plan['world']) for plan in plans})} claims in worlds:")
     for (name, where), reason in refused.items():
         print(f"  {plain(name)}, {where}: {plain(reason)}")
-    print("found: the least difference found with 80 % power; shown: the least margin shown for arms alike.")
+    print("half width: that of the simultaneous interval, as the pilot's spread lets expect.")
     return None
 
 

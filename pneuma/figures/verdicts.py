@@ -57,7 +57,10 @@ MEANINGS = {
 
 PLACES = {name: world.title[0].upper() + world.title[1:] for name, world in WORLDS.items()}
 """Where claims are judged, each place separately."""
-_CLAIMED = {"greater": "greater than", "less": "less than", "different": "unlike", "equal": "the same as"}
+_CLAIMED = {"greater": "greater than", "less": "less than", "different": "unlike", "equal": "the same as",
+            "no-less": "no less than"}  # fmt: skip
+
+_SPREADS = {"spread": "mean distance of runs from their median", "range": "best arm's mean less the worst's"}
 
 STEM = "verdicts"
 MOST = 40.0
@@ -100,9 +103,9 @@ def judged_claims(
         if studies is None or one.claim.study in studies:
             verdicts.setdefault(one.claim.name, {})[one.place] = one
     note = (
-        f"Claims: {known.path.name}, SHA-256 {known.digest}, fixed before the runs. The chance of any false "
-        f"verdict in the whole list of {len(known.claims)} is at most {100 * known.head.alpha:g}% "
-        "(Bonferroni)."
+        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
+        f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
+        f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
     )
     return verdicts, note
 
@@ -137,6 +140,8 @@ def standings_of(claims: Verdicts) -> dict[str, Counter[str]]:
 def compared(claim: Claim) -> str:
     """Describe what is compared, as 'monsters killed, last evaluation'."""
     words = " and ".join(map(_words, claim.outcome))
+    if claim.kind in _SPREADS:
+        return f"{_SPREADS[claim.kind]}, {words}"
     return f"share of runs, {words} {claim.event}" if claim.event else words
 
 
@@ -146,11 +151,9 @@ def _words(outcome: str) -> str:
 
 def tested(claim: Claim) -> str:
     """Describe the claimed relation, as 'tanh greater than relu'."""
-    joined = " and " if claim.need == "all" else " or "
-    a, b = joined.join(claim.a), joined.join(claim.b) if claim.value is None else f"{claim.value:g}"
-    if claim.c:
-        a, b = f"{a} less {b}", f"{claim.c[0]} less {claim.d[0]}"
-    return f"{a} {_CLAIMED[claim.direction]} {b}"
+    b = " and ".join(claim.b) or "a number for each outcome"
+    b = f"{claim.value:g}" if isinstance(claim.value, int | float) else b
+    return f"{' and '.join(claim.a)} {_CLAIMED[claim.direction]} {b}"
 
 
 def decisive(verdict: Verdict) -> Comparison | None:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from annotated_types import Interval, MinLen
+from annotated_types import Interval, MaxLen, MinLen
 from pydantic import BeforeValidator
 
 from pneuma.config import Steps
@@ -39,6 +39,8 @@ def _seeds_as_written(value: Any) -> Any:
     return value
 
 
+World = Annotated[str, OneOf(tuple(WORLDS))]
+Seed = Annotated[int, Interval(ge=0)]
 Conditions = Annotated[tuple[str, ...], BeforeValidator(listed)]
 SeedsOf = Annotated[
     dict[str, Annotated[tuple[int, ...], Reads(_seeds_as_written, SEEDS_ALLOWED)]],
@@ -52,30 +54,51 @@ class ClaimedRuns(Table, extra="ignore"):
 
     Attributes:
         study: the name of a shipped study, or the path of a file beside the claims.
-        a, b, c, d: conditions; all but a may be empty.
+        a, b: conditions that are compared; b may be empty.
+        control: a condition that must show what the claim says is cured; may be empty.
+        beside: conditions that are trained and told beside the claim, and not tested.
         seeds, steps: of each condition, after `fix_runs`.
+        seen: for worlds in which nothing is trained anew, the seeds of earlier runs, after `fix_runs`.
         worlds: those of `WORLDS` that the claim is about; default: all of the study's.
     """
 
     study: Annotated[str, MinLen(1)]
     a: Annotated[Conditions, MinLen(1)]
     b: Conditions = ()
-    c: Conditions = ()
-    d: Conditions = ()
+    control: Annotated[Conditions, MaxLen(1)] = ()
+    beside: Conditions = ()
     seeds: SeedsOf
     steps: StepsOf
-    worlds: tuple[Annotated[str, OneOf(tuple(WORLDS))], ...] = ()
+    worlds: tuple[World, ...] = ()
+    seen: dict[str, tuple[int, ...]] = {}
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Every condition that its verdict needs."""
+        return tuple(dict.fromkeys((*self.a, *self.b, *self.control)))
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Every condition that it is about."""
-        return tuple(dict.fromkeys((*self.a, *self.b, *self.c, *self.d)))
+        """Every condition that is trained for it."""
+        return tuple(dict.fromkeys((*self.compared, *self.beside)))
+
+    def seeds_in(self, world: str) -> dict[str, tuple[int, ...]]:
+        """Return the seeds of each condition in a world."""
+        if world in self.seen:
+            return dict.fromkeys(self.compared, self.seen[world])
+        return self.seeds
 
 
-class _Head(Table, extra="ignore"):
-    """What a list of claims says about all seeds."""
+class SeedsHead(Table, extra="ignore"):
+    """What the head of a list says about all seeds.
+
+    Attributes:
+        seeds_from: the first seed if a claim fixes a number of seeds; smaller ones are refused.
+        seen: worlds in which nothing is trained anew, with the first and last seed of their earlier runs.
+    """
 
     seeds_from: Annotated[int, Interval(ge=0)] = 0
+    seen: dict[World, tuple[Seed, Seed]] = {}
 
 
 Claimed = TypeVar("Claimed", bound=ClaimedRuns)
@@ -87,7 +110,7 @@ def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Clai
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    for key in ("a", "b", "c", "d"):
+    for key in ("a", "b", "control", "beside"):
         names = getattr(claim, key)
         for name in names:
             if name not in study.conditions:
@@ -99,7 +122,8 @@ def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Clai
         if name not in study.worlds:
             known = ", ".join(study.worlds)
             raise file.mistake(where, f"worlds: study {study.name} is run in {known}, not {name}", "worlds")
-    first = read_model(_Head, file, ("list",)).seeds_from
+    head = read_model(SeedsHead, file, ("list",))
+    first = head.seeds_from
     spread: dict[str, dict[str, Any]] = {}
     for key in ("seeds", "steps"):
         value = getattr(claim, key)
@@ -112,7 +136,8 @@ def fix_runs(claim: Claimed, file: TomlFile, where: Where, study: Study) -> Clai
         for name, given in spread["seeds"].items()
     }
     worlds = tuple(name for name in WORLDS if name in (claim.worlds or study.worlds))
-    return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds})
+    seen = {world: tuple(range(least, most + 1)) for world, (least, most) in head.seen.items()}
+    return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds, "seen": seen})
 
 
 # --- The preset ------------------------------------------------------------------------------------
@@ -151,7 +176,7 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
             continue
         claim = fix_runs(claim, file, where, study)
         if study.world in claim.worlds:
-            for condition, seeds in claim.seeds.items():
+            for condition, seeds in claim.seeds_in(study.world).items():
                 found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
     return {
         steps: {

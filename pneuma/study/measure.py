@@ -30,6 +30,7 @@ from pneuma.study.rows import (
     EXACT,
     LAST_EPISODES,
     PEAKS,
+    STUCK,
     Row,
     curve_column,
     decode_row,
@@ -46,6 +47,7 @@ from pneuma.study.series import (
     make_grid,
     pack_signs,
     peak_curve,
+    stuck_updates,
     update_curve,
     update_signs,
 )
@@ -255,6 +257,10 @@ def row_cells(run: Measured) -> dict[str, Any]:
     elif "return" in run.series:
         steps, _ = run.series["return"]
         cells[LAST_EPISODES] = float(np.count_nonzero(steps > 0.95 * run.fields["steps"]))
+    columns = {name: values for name, (_, values) in run.series.items() if name in UPDATE_QUANTITIES}
+    if columns:
+        step, _ = run.series[next(iter(columns))]
+        cells |= dict(zip(STUCK, stuck_updates(step, columns), strict=True))
     for quantity in run.series:
         cells |= _of_quantity(run, quantity)
     return cells

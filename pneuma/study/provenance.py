@@ -143,6 +143,21 @@ def code() -> str:
     return version
 
 
+def uncommitted(source: Path | None = None) -> list[str]:
+    """Return files of Pneuma's code and studies that differ from the commit; none where there is no commit.
+
+    Args:
+        source: the source tree; default: that of this code.
+    """
+    source = source or Path(__file__).parents[2]
+    command = ["git", "-C", str(source), "status", "--porcelain", "--", "pneuma", "studies"]
+    if (source / ".git").exists():
+        with suppress(OSError, subprocess.CalledProcessError):
+            listed = subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
+            return [line[3:] for line in listed.splitlines()]
+    return []
+
+
 @cache
 def _cpu() -> str:
     """Return the processor's model name, or its ARM numbers."""

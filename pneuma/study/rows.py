@@ -35,6 +35,8 @@ NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 NUMBERS = ("seed", "steps", "end")
 EVALUATIONS, PEAKS = "evaluations", "extreme"
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
+STUCK = ("stuck updates", "updates", "stuck spells")
+"""Counts of updates without entropy and with one action, of all updates, and of unbroken spells of the former."""
 
 EXACT: dict[str, tuple[str, ...]] = {
     "return": ("last", "best", "height"),
@@ -61,7 +63,7 @@ def column_type(name: str) -> pa.DataType | None:
     first, _, second = name.partition(" ")
     if name in NAMING:
         return pa.string()
-    if name in (*NUMBERS, AVERAGED_OVER):
+    if name in (*NUMBERS, AVERAGED_OVER, *STUCK):
         return pa.int64()
     if first in TRAINING_QUANTITIES and second in ("", *WINDOWS, PEAKS):
         return pa.list_(pa.float32())
@@ -328,6 +330,12 @@ class Row:
         """Return a statistic of a curve at the run's end, with all digits; NaN if it is not kept."""
         value = self.cell(f"{quantity} {statistic}")
         return math.nan if value is None else float(value)
+
+    @property
+    def stuck(self) -> tuple[int, int, int]:
+        """The counts of `STUCK`; 0 each if they are not known."""
+        stuck, updates, spells = (self.cell(name) or 0 for name in STUCK)
+        return stuck, updates, spells
 
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:

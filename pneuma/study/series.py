@@ -188,6 +188,29 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
     return {sign: stretches(step, holds) for sign, holds in holding.items()}
 
 
+STUCK_ENTROPY = LEAST_ENTROPY
+STUCK_SHARE = 0.99
+"""An update is stuck below that entropy, in nats, if one action is more than this share of its rollout."""
+
+
+def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
+    """Return the number of stuck updates, of all updates, and of unbroken spells of stuck ones.
+
+    (0, 0, 0) if entropy or actions were not recorded.
+
+    Args:
+        step: (updates,) increasing.
+        columns: (updates,) each: entropy and `ACTION_QUANTITIES`. NaN is not stuck.
+    """
+    names = ("entropy", *ACTION_QUANTITIES)
+    if any(name not in columns or np.isnan(columns[name]).all() for name in names):
+        return 0, 0, 0
+    shares = np.array([columns[name] for name in ACTION_QUANTITIES])
+    most = np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))  # of the spells together
+    holds = (columns["entropy"] < STUCK_ENTROPY) & (most > STUCK_SHARE)
+    return int(holds.sum()), len(step), len(stretches(step, holds))
+
+
 def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
     """Return first and last step of every unbroken stretch over which something holds."""
     edges = np.diff(np.concatenate([[False], holds, [False]]).astype(int))

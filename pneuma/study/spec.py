@@ -206,7 +206,7 @@ def load_study(name: str, world: str | None = None) -> Study:
 
 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
-    """Return the path of a study's or search's file, by its path, a shipped name, or NAME.toml in this folder.
+    """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or of an example.
 
     Raises:
         UserError: for an unknown name; `others` are names that exist otherwise.
@@ -216,7 +216,9 @@ def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) ->
         return folder / f"{name}.toml"
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
-        raise unknown_name(what, name, [*known, *others])
+        if name in (examples := shipped_names(folder / "examples")):
+            return folder / "examples" / path
+        raise unknown_name(what, name, [*known, *others, *examples])
     refuse_taken_name(path, folder / path.name, what)
     return path
 

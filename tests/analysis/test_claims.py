@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from functools import cache
+from importlib import import_module
+from itertools import combinations
 from pathlib import Path
 
 import pytest
 
+from pneuma.analysis import claims as claims_module
 from pneuma.analysis.claims import load_claims
+from pneuma.analysis.design import check_design, not_admitted
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -22,11 +26,19 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
     path = write_files(tmp_path)
     claims = load_claims(path)
     claim = claims.claims["better"]
-    assert (claim.a, claim.b, claim.value, claim.pairs) == (("high",), ("low",), None, [("high", "low")])
+    assert (claim.a, claim.b, claim.value, claim.pairs) == (
+        ("high",), ("low",), None, [(("high",), ("low",))],
+    )  # fmt: skip
     assert (claim.kind, claim.direction, claim.of("margin", claim.outcome[0])) == ("mean", "greater", 0.04)
     assert claim.seeds == {"high": tuple(range(8)), "low": tuple(range(8))}
     assert claim.steps == {"high": 1024, "low": 1024}
-    assert claims.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_the_digest_is_of_the_file_and_of_the_code_that_judges(tmp_path: Path) -> None:
+    path = write_files(tmp_path)
+    judges = [Path(import_module(f"pneuma.analysis.{name}").__file__ or "") for name in claims_module.JUDGES]
+    both = path.read_bytes() + b"".join(judge.read_bytes() for judge in judges)
+    assert load_claims(path).digest == hashlib.sha256(both).hexdigest()
 
 
 @pytest.mark.parametrize(
@@ -35,7 +47,19 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
         ("'final-share-kiled'", [("margin = 0.04", "margin = { final-share-kiled = 0.1 }")]),
         ("'txt'", [("margin = 0.04", "margin = { final-share-killed = { txt = 0.1 } }")]),
         ("'final-share-kiled'", [("[defaults]", "[margins]\nfinal-share-kiled = 0.1\n[defaults]")]),
-        ("'9'", [("[defaults]", "[list]\nweights = { 6 = 1, 9 = 1 }\n[defaults]")]),
+        ("list of claims|'weights'", [("[defaults]", "[list]\nweights = { 6 = 1 }\n[defaults]")]),
+        (
+            "no number for final-share-killed",
+            [('b = "low"', "value = { final-share-killed = { arena = 1 } }")],
+        ),
+        ("two conditions or more", [('"mean"', '"range"')]),
+        ("of other conditions", [('b = "low"', "value = 1"), ('"mean"', '"spread"')]),
+        ("a control is for", [('b = "low"', 'b = "low"\ncontrol = "middle"')]),
+        ("'margin' is missing", [("margin = 0.04\n", ""), ('"greater"', '"no-less"')]),
+        (
+            "below seeds_from",
+            [("seeds = 8", "seeds = [1, 9]"), ("[defaults]", "[list]\nseeds_from = 5\n[defaults]")],
+        ),
         ("two outcomes", [('"final-share-killed"', '"best-score - final-return - auc-return"')]),
         ("0 to 1", [('b = "low"', "value = 50"), ('"mean"', '"incidence"\nabove = 0.5')]),
     ],
@@ -48,13 +72,20 @@ def test_what_matches_nothing_is_refused(tmp_path: Path, wrong: str, changes: li
 # --- The shipped claims ----------------------------------------------------------------------------
 
 
+def test_every_shipped_claim_is_admitted_and_each_of_its_contrasts_is_decidable() -> None:
+    assert len(SHIPPED.claims) <= 24
+    assert not_admitted(SHIPPED) == {}
+    assert [plan.reason for plan in check_design(SHIPPED) if plan.reason] == []
+
+
 def test_no_shipped_claim_compares_what_is_the_same() -> None:
     load = cache(load_study)
     for claim in SHIPPED.claims.values():
         for world in claim.worlds:
             study = load(claim.study, world)
             for a, b in claim.pairs:
-                assert b is None or study.fields(a) != study.fields(b), claim.name
+                fields = [study.fields(name) for name in dict.fromkeys((*a, *b))]
+                assert all(one != other for one, other in combinations(fields, 2)), claim.name
 
 
 def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> None:
@@ -62,7 +93,7 @@ def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> No
     fixed: dict[tuple[str, int], set[tuple[str, int]]] = {}
     for claim in SHIPPED.claims.values():
         if world in claim.worlds:
-            for name, seeds in claim.seeds.items():
+            for name, seeds in claim.seeds_in(world).items():
                 key = (claim.study, claim.steps[name])
                 fixed[key] = fixed.get(key, set()) | {(name, seed) for seed in seeds}
     for (study, steps), cells in fixed.items():

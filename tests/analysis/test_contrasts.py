@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis import pvalues
-from pneuma.analysis.contrasts import compare, compare_effects
+from pneuma.analysis.contrasts import compare, compare_ranges
 from pneuma.analysis.pvalues import relabel, share_table
 
 A, B = [3.0, 7.5, 4.0, 9.0, 8.0], [1.0, 2.5, 5.0, 2.0]
@@ -76,7 +76,9 @@ def test_units_do_not_matter() -> None:
     large, small = (compare("mean", [a * unit for a in A], 0.0, None, rng()) for unit in (1, 1e-9))
     assert small.p.greater == large.p.greater
     arms = [np.array([*A, *B]) + shift for shift in (0, 3, 1, 0)]
-    large, small = (compare_effects([arm * unit for arm in arms], 0.5 * unit) for unit in (1, 1e-9))
+    large, small = (
+        compare_ranges([arm * unit for arm in arms], [0, 1], [2, 3], 0.5 * unit) for unit in (1, 1e-9)
+    )
     assert (small.p.greater, small.p.equivalent) == pytest.approx((large.p.greater, large.p.equivalent))
 
 
@@ -131,3 +133,65 @@ def test_a_margin_that_reaches_no_event_at_all_is_kept_by_no_event() -> None:
     counts = [np.arange(50) < count for count in (0, 1, 2)]
     p = [compare("incidence", runs * 1.0, 0.1, 0.1, np.random.default_rng(0)).p.equivalent for runs in counts]
     assert p == pytest.approx([0.8**50, stats.binom.cdf(1, 50, 0.2), stats.binom.cdf(2, 50, 0.2)])
+
+
+# --- Spreads and ranges ------------------------------------------------------------------------------
+
+
+def test_spreads_are_tested_as_scipy_does_by_brown_and_forsythe() -> None:
+    own = compare("spread", A, B, None, rng())
+    assert own.p_different == pytest.approx(stats.levene(A, B, center="median").pvalue)
+    assert own.effect == pytest.approx((4.5 + 0 + 3.5 + 1.5 + 0.5) / 5 - np.mean([1.25, 0.25, 2.75, 0.25]))
+    long = rng().normal(size=(2, 31)) * [[1.0], [3.0]]
+    own = compare("spread", *long, None, rng())
+    assert own.p.less == pytest.approx(stats.levene(*long, center="median").pvalue / 2)
+    low, high = own.interval.low, own.interval.high
+    at_end = compare("spread", *long, -low, rng())  # 2.5 % below its low end
+    assert low < high < 0 and at_end.p.no_less == pytest.approx(0.025)
+
+
+def _ladders() -> tuple[list[np.ndarray], list[np.ndarray]]:
+    noise = rng().normal(size=(5, 12))
+    return list(noise[:3] + [[0.0], [4.0], [1.0]]), list(noise[3:] + [[0.0], [1.0]])
+
+
+def test_a_range_of_two_arms_against_a_number_is_welchs_test_of_their_difference() -> None:
+    """The step that is not so great as it is turned counts too, so that the p-value is doubled."""
+    (low, high, _), _ = _ladders()
+    own = compare_ranges([low, high], [0, 1], 2.0, None)
+    theirs = stats.ttest_ind(high - 2.0, low, equal_var=False, alternative="greater").pvalue
+    assert own.effect == pytest.approx(high.mean() - low.mean() - 2)
+    assert own.p.greater == pytest.approx(2 * theirs)
+    assert own.p.less == pytest.approx(1 - theirs)  # every step must be smaller
+
+
+def test_ranges_turn_with_their_ladders_and_with_signs() -> None:
+    a, b = _ladders()
+    own = compare_ranges([*a, *b], [0, 1, 2], [3, 4], 1.0)
+    for arms, first, second in (([*a, *b], [3, 4], [0, 1, 2]), ([*b, *a], [0, 1], [2, 3, 4])):
+        other = compare_ranges(arms, first, second, 1.0)
+        assert other.effect == pytest.approx(-own.effect)
+        assert (other.p.less, other.p.far_less) == pytest.approx((own.p.greater, own.p.far_greater))
+        assert other.p.equivalent == pytest.approx(own.p.equivalent)
+        assert other.interval.low == pytest.approx(-own.interval.high)
+    turned = compare_ranges([-arm for arm in (*a, *b)], [0, 1, 2], [3, 4], 1.0)
+    assert turned.p.greater == pytest.approx(own.p.greater)
+
+
+def test_the_ends_of_a_range_interval_are_where_the_test_just_decides() -> None:
+    a, b = _ladders()
+    own = compare_ranges([*a, *b], [0, 1, 2], [3, 4], None)
+    assert own.interval.low > 0
+    at_low = compare_ranges([*a, *b], [0, 1, 2], [3, 4], own.interval.low)
+    assert at_low.p.far_greater == pytest.approx(0.025)
+    at_high = compare_ranges([*a, *b], [0, 1, 2], [3, 4], own.interval.high)
+    assert at_high.p.equivalent == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize("means", [(0, 0, 0, 0, 0, 0), (0, 1, 2, 0, 1, 2), (0, 0, 3, 0, 3, 3)])
+def test_equal_ranges_are_seldom_told_apart(means: tuple[float, ...]) -> None:
+    generator, found = np.random.default_rng(3), 0
+    for arms in generator.normal(size=(400, 6, 10)) + np.array(means)[:, None]:
+        own = compare_ranges(arms, [0, 1, 2], [3, 4, 5], None)
+        found += 2 * min(own.p.greater, own.p.less) <= 0.05
+    assert found / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)

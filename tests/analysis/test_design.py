@@ -1,4 +1,4 @@
-"""The design check: what so many seeds can tell, held against textbook formulas and against simulation."""
+"""The design check: how near so many seeds tell an effect, against textbook formulas and real intervals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy import stats
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.design import Plan, check_design, not_admitted
-from pneuma.analysis.pvalues import share_table
+from pneuma.analysis.intervals import incidence_interval
 from pneuma.study.store import Store
 
 from .claim_files import HIGH, LOW, changed, judge_one, save_runs, write_files
@@ -21,17 +21,12 @@ command = "pneuma study summary mine --seeds 50,51"
 [pilot.spreads.text]
 final-share-killed = 0.1
 "collapsed above 0.5" = 0.1
-[plausible]
-final-share-killed = 0.3
-collapsed = 0.5
 """
 INCIDENCE = (
-    (
-        'outcome = "final-share-killed"\nkind = "mean"',
-        'outcome = "collapsed"\nabove = 0.5\nkind = "incidence"',
-    ),
-    ("margin = 0.04\n", ""),
-)
+    ('outcome = "final-share-killed"', 'outcome = "collapsed"\nabove = 0.5'),
+    ('"mean"', '"incidence"'),
+    ('b = "low"', "value = 0.2"),
+)  # fmt: skip
 
 
 def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> Plan:
@@ -40,86 +35,49 @@ def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> P
     return plan
 
 
-def test_the_least_difference_is_found_with_the_power_asked_for(tmp_path: Path) -> None:
-    """A normal arm that much above the other, at 5 %: four of five pairs of 50 runs show it."""
+def test_the_half_width_of_means_is_welchs(tmp_path: Path) -> None:
+    """0.1 sqrt(2 / 50) times Student's quantile; 8 runs against 50 have Welch's degrees of freedom."""
     plan = plan_of(tmp_path)
-    assert plan.alpha == 0.05 and plan.seeds == (50, 50) and plan.reason == ""
-    assert plan.detectable == pytest.approx(0.1 * np.sqrt(2 / 50) * (1.96 + 0.84), rel=0.02)
-    generator = np.random.default_rng(1)
-    a, b = generator.normal(0, 0.1, size=(2, 4_000, 50))
-    p = stats.ttest_ind(a + plan.detectable, b, axis=1).pvalue
-    assert (p <= 0.05).mean() == pytest.approx(0.8, abs=0.02)
+    assert (plan.alpha, plan.seeds, plan.spread, plan.margin) == (0.05, (50, 50), 0.1, 0.04)
+    assert plan.half_width == pytest.approx(0.02 * stats.t.ppf(0.975, 98)) and plan.reason == ""
+    unlike = plan_of(tmp_path, seeds="{ high = 8, low = 50 }")
+    parts = np.array([0.01 / 8, 0.01 / 50])
+    freedom = parts.sum() ** 2 / (parts**2 / [7, 49]).sum()
+    assert unlike.half_width == pytest.approx(np.sqrt(parts.sum()) * stats.t.ppf(0.975, freedom))
 
 
-def test_arms_of_unlike_size_have_welchs_degrees_of_freedom(tmp_path: Path) -> None:
-    """Eight runs against 50, at one in a thousand: with 56 degrees of freedom power would be half."""
-    plan = plan_of(
-        tmp_path, ("[defaults]", "[list]\nalpha = 0.001\n[defaults]"), seeds="{ high = 8, low = 50 }"
-    )
-    assert plan.detectable is not None
-    generator = np.random.default_rng(1)
-    a, b = generator.normal(0, 0.1, (20_000, 8)), generator.normal(0, 0.1, (20_000, 50))
-    p = stats.ttest_ind(a + plan.detectable, b, axis=1, equal_var=False).pvalue
-    assert (p <= 0.001).mean() == pytest.approx(0.8, abs=0.05)
+def test_a_half_width_beyond_the_margin_decides_nothing(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, seeds=8)
+    assert plan.reason == "16 runs tell it to ±0.107 only, and the margin is 0.04"
+    assert plan_of(tmp_path, ("margin = 0.04", "margin = 0.2"), seeds=8).reason == ""
+    own = plan_of(tmp_path, ("margin = 0.04", "margin = 0.04\nspread = 0.01"), seeds=8)
+    assert (own.spread, own.reason) == (0.01, "")  # of the claim's own arms
 
 
-def test_so_few_seeds_cannot_decide_what_is_plausible(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, seeds=4)
-    assert plan.reason == "" and plan.detectable is not None and 0.2 < plan.detectable < 0.3
-    few = plan_of(tmp_path, ("margin = 0.04", "margin = 0.04\nplausible = 0.1"), seeds=4)
-    assert few.reason.startswith("cannot be decided with so many seeds (8 runs): the least difference")
-    assert plan_of(tmp_path, seeds=3).detectable == np.inf  # the smallest p of 3 against 3 is 2 / 20
+def test_a_share_is_planned_by_the_interval_of_its_expected_count(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, *INCIDENCE, ("margin = 0.04", "margin = 0.1"))
+    interval = incidence_interval(5, 50)
+    assert plan.half_width == pytest.approx((interval.high - interval.low) / 2)
 
 
-def test_equivalence_is_planned_by_the_margin_that_can_be_shown(tmp_path: Path) -> None:
-    """0.1 sqrt(2 / 50) (1.66 + 1.28) = 0.0588 for arms alike: past a margin of 0.04, within one of 0.06."""
-    equal = ('"greater"', '"equal"')
-    plan = plan_of(tmp_path, equal)
-    assert plan.provable == pytest.approx(0.0588, abs=2e-4)
-    assert plan.reason.endswith("arms alike are shown to lie within 0.0589, and the margin is 0.04")
-    assert plan_of(tmp_path, equal, ("margin = 0.04", "margin = 0.06")).reason == ""
-
-
-@pytest.mark.parametrize("against", ['b = "low"', "value = 0.1"])
-def test_a_share_is_planned_by_exact_chances(against: str, tmp_path: Path) -> None:
-    """From the pilot's share of 0.1 of runs, or a constant: the first of whole percents that is found."""
-    plan = plan_of(tmp_path, *INCIDENCE, ('b = "low"', against))
-    assert plan.detectable is not None
-    counts = np.arange(51)
-    for share, enough in ((0.1 + plan.detectable, True), (0.09 + plan.detectable, False)):
-        chance = stats.binom.pmf(counts, 50, share)
-        if against.startswith("b"):
-            both = np.outer(chance, stats.binom.pmf(counts, 50, 0.1))
-            p = share_table(50, 50)
-            power = both[2 * p <= 0.05].sum()
-        else:
-            p = np.array([stats.binomtest(int(k), 50, 0.1, "greater").pvalue for k in counts])
-            power = chance[2 * p <= 0.05].sum()
-        assert (power >= 0.8) == enough
-
-
-def test_equal_shares_are_planned_by_the_margin_of_two_exact_tests(tmp_path: Path) -> None:
-    """Of 50 runs against 0.4: within the margin from above and from below, at 5 % each."""
-    equal = ('direction = "greater"', 'direction = "equal"\nmargin = 0.2')
-    plan = plan_of(tmp_path, *INCIDENCE, ('b = "low"', "value = 0.4"), equal)
-    counts, powers = np.arange(51), []
-    two_arms = plan_of(tmp_path, *INCIDENCE, equal).provable  # about sqrt(0.18 / 50) (1.645 + 1.28)
-    assert plan.provable is not None and two_arms == pytest.approx(0.176, abs=0.03)
-    for margin in (plan.provable, plan.provable - 0.01):
-        above, below = stats.binom.cdf(counts, 50, 0.4 + margin), stats.binom.sf(counts - 1, 50, 0.4 - margin)
-        powers.append(stats.binom.pmf(counts, 50, 0.4)[np.maximum(above, below) <= 0.05].sum())
-    assert powers[1] < 0.8 <= powers[0]
+def test_a_range_is_known_less_well_than_a_difference(tmp_path: Path) -> None:
+    """Two steps either way: a fourth of the error rate on each side is an eighth of it."""
+    ladder = ('a = "high"', 'a = ["high", "low"]'), ('b = "low"', "value = 0.3"), ('"mean"', '"range"')
+    plan = plan_of(tmp_path, *ladder)
+    difference = plan_of(tmp_path).half_width
+    assert plan.half_width is not None and difference is not None and plan.half_width > difference
+    low = 0.02 * stats.t.ppf(1 - 0.0125, 98)  # of the greatest of two steps
+    high = 0.02 * stats.t.ppf(0.975, 98)  # all steps must be smaller
+    assert plan.half_width == pytest.approx((low + high) / 2)
 
 
 def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: Path) -> None:
     """Though its runs are there; of two outcomes one is enough."""
-    low = PILOT.replace("final-share-killed = 0.3", "final-share-killed = 0.01\nfinal-return = 0.01")
-    text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + low
+    text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + PILOT
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     one = judge_one(store, tmp_path, text)
     assert one.standing == "could not be decided"
-    assert one.reason.startswith("not admitted: cannot be decided with so many seeds (16 runs)")
-    enough = text.replace("final-return = 0.01", "final-return = 9").replace(
-        "[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.1"
-    )
+    assert one.reason.startswith("not admitted: 16 runs tell it to ±")
+    assert one.reason.endswith("; no pilot has a spread of final-return")
+    enough = text.replace("[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.01")
     assert not_admitted(load_claims(write_files(tmp_path, enough))) == {}

@@ -100,6 +100,12 @@ def data(tmp_path: Path) -> StudyData:
         ("best-score", 1.2),  # twice the share of 0.6
         ("fall-from-best", 0.1),
         ("curve-roughness", (0.4 + 0.2 + 0.1 - 0.3) / 3),
+        ("late-share-killed", 0.425),  # of all four evaluations, as there are no five
+        ("late-greedy-share-killed", 0.2125),
+        ("late-slope", 3 * 0.07),  # (-0.3 - 0.3 + 0.2 + 0.75) / 5 from one evaluation to the next
+        ("log-max-grad-norm", np.log(50)),
+        ("grad-norm-growth", (17 * np.log(9) + np.log(10)) / 18),  # of 181 points, from 1 in the first tenth
+        ("stuck-share", 0.0),
         ("steps-to:0.5", 500),
         ("steps-to:0.9", np.inf),
         ("wall-seconds", 8),

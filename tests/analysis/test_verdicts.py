@@ -16,9 +16,14 @@ from pneuma.analysis.pvalues import PValues, holm
 
 
 def contrast(
-    greater: float, less: float, equivalent: float, far_greater: float = 1.0, far_less: float = 1.0
+    greater: float,
+    less: float,
+    equivalent: float,
+    far_greater: float = 1.0,
+    far_less: float = 1.0,
+    no_less: float = 1.0,
 ) -> Contrast:
-    p = PValues(greater, less, equivalent, far_greater, far_less)
+    p = PValues(greater, less, equivalent, far_greater, far_less, no_less)
     return Contrast(0.0, no_interval(), p, (10, 10))
 
 
@@ -68,18 +73,30 @@ def test_a_difference_inside_the_margin_does_not_refute_that_there_is_none() -> 
 
 def test_the_smallest_p_is_of_the_claimed_direction() -> None:
     few = replace(contrast(1, 1, 1), seeds=(4, 4), smallest=(0.01, 0.3))
-    told = {way: smallest_p(few, way) for way in ("greater", "less", "different", "equal")}
-    assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01}
+    told = {way: smallest_p(few, way) for way in ("greater", "less", "different", "equal", "no-less")}
+    assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01, "no-less": 0.01}
+
+
+def test_no_loss_is_shown_by_its_own_side_alone() -> None:
+    """Twenty runs an arm, a margin of 1: a gain of any size is no loss, one of 0.7 neither, one of 1.6 is."""
+    spread = np.linspace(-0.2, 0.2, 20)
+    told = {
+        difference: judged(
+            (compare("mean", spread + difference, spread, 1.0, np.random.default_rng(0)), "no-less")
+        )
+        for difference in (5.0, 0.0, -0.7, -1.6)
+    }
+    assert told == {5.0: ["supported"], 0.0: ["supported"], -0.7: ["supported"], -1.6: ["refuted"]}
+    wide = compare("mean", 5 * spread - 1, 5 * spread, 1.0, np.random.default_rng(0))
+    assert judged((wide, "no-less")) == ["inconclusive"]
 
 
 @pytest.mark.parametrize("truth", [*product((True, False), repeat=3)])
-@pytest.mark.parametrize("need", ["all", "any"])
-def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, ...], need: str) -> None:
+def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, ...]) -> None:
     """Every combination of three contrasts' truths and verdicts."""
-    is_so = all(truth) if need == "all" else any(truth)
     for verdicts in product(("supported", "refuted", "inconclusive", "untestable"), repeat=3):
-        verdict = together(verdicts, need)
-        false = verdict == ("refuted" if is_so else "supported")
+        verdict = together(verdicts)
+        false = verdict == ("refuted" if all(truth) else "supported")
         false_ones = ["refuted" if so else "supported" for so in truth]
         assert not false or any(own == wrong for own, wrong in zip(verdicts, false_ones, strict=True))
 

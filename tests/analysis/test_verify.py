@@ -36,7 +36,11 @@ def test_the_document_has_every_claim_in_its_worlds(
     command: list[str], tmp_path: Path, capsys: Captured
 ) -> None:
     document = _document(capsys, *command)
-    assert (document["schema"], document["contrasts"], document["alpha"]) == (1, 2, 0.05)
+    assert (document["schema"], document["contrasts"], document["alpha"]) == (
+        1,
+        {"text": 2, "godot": 0, "arena": 0},
+        0.05,
+    )
     assert document["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
     told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
     assert told == [

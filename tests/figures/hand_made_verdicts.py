@@ -33,7 +33,7 @@ def comparison(
     """Return a contrast of tanh against relu that came to an effect."""
     own = of or claim()
     interval = Interval(*ends, "written") if ends else no_interval()
-    contrast = Contrast(effect, interval, PValues(1.0, 1.0, 1.0, 1.0, 1.0), seeds, simultaneous=interval)
+    contrast = Contrast(effect, interval, PValues(*[1.0] * 6), seeds, simultaneous=interval)
     return Comparison("tanh", "relu", own.outcome[0], contrast, verdict=verdict, p=p, **more)
 
 
