@@ -115,7 +115,10 @@ def _draw_map(axes: Axes, found: Map) -> None:
 
 def contrast_word(found: Map) -> str:
     """Return the contrast of a map as `--contrast` takes it."""
-    return f"{found.setting}={':'.join(map(shown_value, found.values))}".replace(", ", ",")
+    shown = (
+        f"[{shown_value(one)}]" if isinstance(one, list | tuple) else shown_value(one) for one in found.values
+    )
+    return f"{found.setting}={':'.join(shown)}".replace(", ", ",")
 
 
 def _read(field: str) -> str:

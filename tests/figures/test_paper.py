@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from pneuma.analysis.publishing import encode_study
 from pneuma.figures import paper
-from pneuma.figures.origin import read_origin
+from pneuma.figures.origin import Origin, read_origin
+from pneuma.figures.style import save_figure
 
 from .hand_made import HandMade
 
@@ -49,14 +51,13 @@ def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert "| Judged in |" in (folder / "verdicts.md").read_text()
 
 
-def test_what_is_drawn_no_more_is_removed_and_nothing_else(published: Path, tmp_path: Path) -> None:
+def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    drawn = paper.draw_all(folder, published)
-    mine = [folder / "mine.txt", folder / "mine.png"]
-    for path in mine:
-        path.write_bytes(b"")
-    for path in (published / "published").glob("mine-godot.*"):
-        path.unlink()
-    left = paper.draw_all(folder, published)
-    assert {*left} < {*drawn} and not any("godot" in path.name for path in left)
-    assert {*left, *mine} == {path for path in folder.rglob("*") if path.is_file()}
+    for stem, command in (("old", paper.COMMAND), ("mine", "pneuma study plot mine")):
+        save_figure(Figure(), folder, stem, ("png", "svg"), Origin(command=command))
+    (folder / "tables").mkdir()
+    for name in ("notes.txt", "other.png", "tables/old.md"):
+        (folder / name).write_bytes(b"")
+    paper.draw_all(folder, tmp_path / "results")
+    left = {path.name for path in folder.rglob("*") if path.is_file()}
+    assert left == {"mine.png", "mine.svg", "notes.txt", "other.png"}
