@@ -189,7 +189,7 @@ def _changed(identity: object, task: Task) -> list[str]:
 
 
 def _read(path: Path, name: str, asked: str) -> RecordedSearch:
-    """Return a search from its record, which may be untrusted, and its file: the asked one, or the record's."""
+    """Return a search from its record, which may be untrusted, and the file asked for, else the record's."""
     document = read_sealed(path) or {}
     try:
         over = read_fields(Run, document["set"])
