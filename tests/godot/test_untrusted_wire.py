@@ -74,6 +74,7 @@ def says(*texts: str) -> Callable[[socket.socket], None]:
     def trains(connection: socket.socket) -> None:
         for text in texts:
             put(connection, text)
+        connection.shutdown(socket.SHUT_WR)
         while connection.recv(1 << 16):
             pass
 
