@@ -141,7 +141,10 @@ def serve(
         int, typer.Option("--port", metavar="N", min=1, max=65535, help="Where the trainer listens.")
     ] = 11008,
     agents: Annotated[
-        int, typer.Option("--agents", metavar="N", min=1, help="How many copies are played side by side.")
+        int,
+        typer.Option(
+            "--agents", metavar="N", min=1, max=1024, help="How many copies are played side by side."
+        ),
     ] = 1,
     seed: Seed = 0,
     set_: opt.Settings = None,
@@ -149,9 +152,9 @@ def serve(
     """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
 
     Takes any environment of Gymnasium's with Discrete or Box actions. Start the trainer first, or within a
-    minute. It ends when the trainer does.
+    minute. It ends when the trainer says so.
     """
-    from pneuma.env.godot import serve as serve_trainer
+    from pneuma.env.godot_serve import serve as serve_trainer
 
     steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
     print(f"played {steps:,} steps")

@@ -1,205 +1,51 @@
-"""Both ends of Godot RL Agents' protocol: an environment as a game, and a game as an environment.
+"""A game made with Godot as an environment, over Godot RL Agents' protocol; `godot_serve` is the other end.
 
-A message is JSON behind its length in four bytes, little-endian, over TCP. The trainer listens and the game
-connects; then the trainer says `handshake` and asks for `env_info`, `reset`, `action` (one step) and `close`.
-A game begins the next episode by itself: what it sends beside `done` is that episode's first observation.
-Beyond the protocol, `reset` may name a `seed`; a game that repeats it in its answer has begun with it.
 The package's own client is not used here, because it pins Gymnasium 1.0 and never notices a game that ended.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import reprlib
 import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Mapping
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from pneuma.env.godot_wire import (
+    FINAL,
+    PORT,
+    START_SECONDS,
+    TRUNCATED,
+    UNREADABLE,
+    flag,
+    number,
+    numbers,
+    receive,
+    send,
+    whole,
+)
 from pneuma.errors import UserError
 
-PORT = 11008
-START_SECONDS = 60
-"""Seconds that one end waits for the other to start."""
 SILENT_SECONDS = 5
 """Seconds after which a trainer says that it waits for a game."""
 ANSWER_SECONDS = 10
-"""Seconds that a trainer waits for a game's answer."""
+"""Seconds within which a game must answer."""
+MOST_NUMBERS = 2**20
+"""Most numbers of an observation or an action, and most discrete actions."""
+LEASH = """exec 3<&0; (read -r _; kill -KILL 0) <&3 & exec "$@" 3<&- </dev/null"""
+"""A shell command that becomes the game. Its standard input is a pipe that Pneuma holds open and never writes
+to. When it closes, however Pneuma ended, the process group is killed: the game and what it started."""
 
-
-def send(connection: socket.socket, message: Mapping[str, Any]) -> None:
-    """Send one message."""
-    data = json.dumps(message).encode()
-    connection.sendall(len(data).to_bytes(4, "little") + data)
-
-
-def receive(connection: socket.socket) -> dict[str, Any]:
-    """Return the next message.
-
-    Raises:
-        EOFError: when the other end has closed.
-        TimeoutError: when it does not answer in time.
-        ValueError: for an invalid message.
-    """
-    message = json.loads(_exactly(connection, int.from_bytes(_exactly(connection, 4), "little")))
-    if not isinstance(message, dict):
-        raise ValueError("a message that is no JSON object")
-    return message
-
-
-def _exactly(connection: socket.socket, size: int) -> bytes:
-    parts = bytearray()
-    while len(parts) < size:
-        part = connection.recv(min(size - len(parts), 1 << 16))
-        if not part:
-            raise EOFError
-        parts += part
-    return bytes(parts)
-
-
-# --- An environment as a game ----------------------------------------------------------------------
-
-
-def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
-    """Play the game for a trainer that listens at a port, until it closes; return the steps played.
-
-    Args:
-        name: an environment's id. Box actions come from -1 to 1 and are scaled to the space's bounds.
-        settings: its keyword arguments.
-        agents: number of copies that are played side by side.
-        port: of this machine.
-        seed: of the first copy; the next has the next one.
-
-    Raises:
-        UserError: when no trainer listens, when it does not speak the protocol, or when the environment has
-            other than flat observations and one action.
-    """
-    with ExitStack() as stack:
-        envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]
-        connection = stack.enter_context(_connect(port))
-        connection.settimeout(START_SECONDS)
-        seeds: list[int | None] = [seed + i for i in range(agents)]
-        kind, steps = None, 0
-        while True:
-            try:
-                message = receive(connection)
-                actions = _actions(message, envs) if message.get("type") == "action" else []
-                asked = message.get("seed")
-                if asked is not None and not (type(asked) is int and asked >= 0):
-                    raise ValueError(f"seed {asked!r}")
-            except (EOFError, OSError):
-                if kind is None:
-                    raise UserError(f"port {port}: what listens there sent no message: a trainer?") from None
-                return steps
-            except (KeyError, TypeError, ValueError) as error:
-                reason = f"{type(error).__name__}: {error}"
-                raise UserError(f"port {port}: the trainer sent what is no message: {reason}") from None
-            kind = message.get("type")
-            connection.settimeout(None)  # learning may take long
-            if kind == "close":
-                return steps
-            if kind == "env_info":
-                send(connection, _env_info(envs))
-            elif kind == "reset":
-                if asked is not None:
-                    seeds = [asked + i for i in range(agents)]
-                first = [env.reset(seed=env_seed)[0] for env, env_seed in zip(envs, seeds, strict=True)]
-                seeds = [None] * agents
-                send(connection, {"type": "reset", "obs": [_observed(obs) for obs in first], "seed": asked})
-            elif kind == "action":
-                rows = [_step(env, action) for env, action in zip(envs, actions, strict=True)]
-                send(connection, {"type": "step", **{key: [row[key] for row in rows] for key in rows[0]}})
-                steps += agents
-            elif kind != "handshake":
-                raise UserError(f"port {port}: the trainer asks for {kind!r}, which no game of Pneuma's can")
-
-
-def _playable(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
-    try:
-        env: gymnasium.Env[Any, Any] = gymnasium.make(name, **settings)
-    except (gymnasium.error.Error, TypeError, ImportError) as error:
-        raise UserError(f"{name}: cannot be made: {error}") from None
-    space = env.action_space
-    if isinstance(space, spaces.Box) and space.is_bounded():
-        env = gymnasium.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
-    elif not isinstance(space, spaces.Discrete):
-        raise UserError(f"{name}: its actions are {space}; a game here has Discrete ones or a bounded Box")
-    env = gymnasium.wrappers.FlattenObservation(env)
-    env.reset(seed=0)
-    reward: Any = env.step(env.action_space.sample())[1]  # compiled before a trainer waits for answers
-    if np.ndim(reward):
-        raise UserError(f"{name}: its reward is a vector; a game here has one number")
-    return env
-
-
-def _connect(port: int) -> socket.socket:
-    for _ in range(START_SECONDS * 10):
-        try:
-            return socket.create_connection(("127.0.0.1", port))
-        except ConnectionRefusedError:
-            time.sleep(0.1)
-    raise UserError(f"port {port}: no trainer listened for {START_SECONDS} s; start one, then this again")
-
-
-def _env_info(envs: list[gymnasium.Env[Any, Any]]) -> dict[str, Any]:
-    actions, seen = envs[0].action_space, envs[0].observation_space
-    if isinstance(actions, spaces.Discrete):
-        action = {"size": int(actions.n), "action_type": "discrete"}
-    else:
-        action = {"size": int(np.prod(actions.shape or ())), "action_type": "continuous"}
-    return {
-        "type": "env_info",
-        "n_agents": len(envs),
-        "action_space": [{"action": action}] * len(envs),
-        "observation_space": [{"obs": {"size": list(seen.shape or ()), "space": "box"}}] * len(envs),
-        "agent_policy_names": ["shared_policy"] * len(envs),
-    }
-
-
-def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) -> list[Any]:
-    """Return the action of each copy.
-
-    Raises:
-        KeyError, TypeError, ValueError: for invalid actions.
-    """
-    space = envs[0].action_space
-    sent = [
-        np.array(action["action"], space.dtype) for _, action in zip(envs, message["action"], strict=True)
-    ]
-    actions = [
-        action.reshape(space.shape) if isinstance(space, spaces.Box) else action.item() for action in sent
-    ]
-    if isinstance(space, spaces.Discrete) and not all(space.contains(action) for action in actions):
-        raise ValueError(f"{actions} for actions in {space}")
-    return actions
-
-
-def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
-    """Step one copy, and reset it if its episode ends."""
-    obs, reward, terminated, truncated, info = env.step(action)
-    sent: dict[str, Any] = {
-        key: value for key, value in info.items() if isinstance(value, bool | int | float)
-    }
-    if done := bool(terminated or truncated):
-        sent |= {"truncated": bool(truncated and not terminated), "final_observation": _observed(obs)["obs"]}
-        obs, _ = env.reset()
-    return {"obs": _observed(obs), "reward": float(reward), "done": done, "info": sent}
-
-
-def _observed(obs: Any) -> dict[str, list[float]]:
-    return {"obs": np.asarray(obs, np.float32).ravel().tolist()}
-
-
-# --- A game as an environment ----------------------------------------------------------------------
+Read = TypeVar("Read")
 
 
 class GodotGame(gymnasium.Env[np.ndarray, Any]):
@@ -228,9 +74,11 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._name = env_path or "the running game"
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: socket.socket | None = None
-        self._begun: dict[str, Any] | None = None
+        self._begun: np.ndarray | None = None
         if env_path is not None and not Path(env_path).is_file():
             raise UserError(f"env_path {env_path}: no such file; name the exported game")
+        if env_path is not None and not os.access(env_path, os.X_OK):
+            raise UserError(f"env_path {env_path}: may not be executed; allow it with chmod +x")
         self._start(0)
 
     def reset(
@@ -238,29 +86,21 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; for a new seed that the game does not take, restart the game."""
         super().reset(seed=seed)
+        begun, self._begun = self._begun, None
         if seed is not None:
-            answer = self._ask({"type": "reset", "seed": seed}, "reset")
-            if answer.get("seed") != seed and self._path:
+            begun, taken = self._reset_game(seed=seed)
+            if taken != seed and self._path:
                 self.close()
                 self._start(seed)
-                answer = self._ask({"type": "reset"}, "reset")
-            begun = answer["obs"][0]
-        else:
-            begun = self._begun or self._ask({"type": "reset"}, "reset")["obs"][0]
-        self._begun = None
-        return np.array(begun["obs"], np.float32), {}
+                begun = None
+        return (self._reset_game()[0] if begun is None else begun), {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one step; an episode counts as truncated only if the game says so."""
-        plain = np.asarray(action).tolist()
-        answer = self._ask({"type": "action", "action": [{self._action: plain}]}, "step")
-        obs, reward, done = answer["obs"][0], float(answer["reward"][0]), bool(answer["done"][0])
-        info = dict(answer.get("info", [{}])[0])
-        final, truncated = info.pop("final_observation", obs["obs"]), bool(info.pop("truncated", False))
-        if done:
-            self._begun = obs
-        seen = np.array(final if done else obs["obs"], np.float32)
-        return seen, reward, done and not truncated, truncated, info
+        if not np.isfinite(action).all():
+            raise UserError(f"{self._name}: an action must be finite")
+        message = {"type": "action", "action": [{self._action: np.asarray(action).tolist()}]}
+        return self._ask(message, "step", self._read_step)
 
     def close(self) -> None:
         """End the game."""
@@ -268,9 +108,10 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             with suppress(OSError):
                 send(self._connection, {"type": "close"})
             self._connection.close()
-        if self._process:
-            with suppress(ProcessLookupError):  # a game may be a script that starts another program
+        if self._process and self._process.stdin:
+            with suppress(OSError):  # a game may be a script that starts another program
                 os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.stdin.close()
             self._process.wait()
         self._connection = self._process = None
 
@@ -291,16 +132,16 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 arguments = {"port": listening.getsockname()[1], "env_seed": seed, **self._arguments}
                 words = [f"--{key}={value}" for key, value in arguments.items()]
                 command = [str(Path(self._path).resolve()), *words, "--disable-render-loop", "--headless"]
-                try:
-                    self._process = subprocess.Popen(
-                        command, stdout=subprocess.DEVNULL, start_new_session=True
-                    )
-                except OSError as error:
-                    raise UserError(f"env_path {self._path}: {error.strerror}") from None
+                self._process = subprocess.Popen(
+                    ["/bin/sh", "-c", LEASH, *command[:1], *command],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
             self._connection = self._accept(listening)
-        self._connection.settimeout(ANSWER_SECONDS)
-        send(self._connection, {"type": "handshake", "major_version": "0", "minor_version": "7"})
-        self._set_spaces(self._ask({"type": "env_info"}, "env_info"))
+        with suppress(OSError):  # the next question tells
+            send(self._connection, {"type": "handshake", "major_version": "0", "minor_version": "7"})
+        self._ask({"type": "env_info"}, "env_info", self._set_spaces)
 
     def _accept(self, listening: socket.socket) -> socket.socket:
         """Wait for the game while its process runs, and say so if it takes long."""
@@ -321,50 +162,64 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self.close()
         raise UserError(f"{self._name}: did not connect within {START_SECONDS} s")
 
-    def _ask(self, message: Mapping[str, Any], kind: str) -> dict[str, Any]:
-        """Send a message and return the game's answer; any failure ends the game."""
+    def _ask(self, message: Mapping[str, Any], kind: str, read: Callable[[Mapping[str, Any]], Read]) -> Read:
+        """Send a message and return what is read from the game's answer; any failure ends the game."""
         if self._connection is None:
             raise UserError(f"{self._name}: was ended")
         try:
+            self._connection.settimeout(ANSWER_SECONDS)
             send(self._connection, message)
-            answer = receive(self._connection)
+            answer = receive(self._connection, ANSWER_SECONDS)
+            if answer.get("type") == kind:
+                return read(answer)
+            said = reprlib.repr(answer.get("type"))
+            problem = f"answered {message['type']!r} with {said}; is its plugin of version 0.8?"
         except TimeoutError:
             problem = f"did not answer {message['type']!r} within {ANSWER_SECONDS} s"
         except (EOFError, OSError):
             problem = f"ended at {message['type']!r}"
-        except ValueError as error:
-            problem = f"sent what is no message: {error}"
-        else:
-            if answer.get("type") == kind:
-                return answer
-            problem = (
-                f"answered {message['type']!r} with {answer.get('type')!r}; is its plugin of version 0.8?"
-            )
+        except UNREADABLE as error:
+            problem = f"answered {message['type']!r} with what is no message: {type(error).__name__}: {error}"
         self.close()
         raise UserError(f"{self._name}: {problem}")
 
+    def _reset_game(self, **seed: int) -> tuple[np.ndarray, Any]:
+        """Return the first observation of an episode, and the seed that the game took."""
+        return self._ask(
+            {"type": "reset", **seed}, "reset", lambda sent: (self._seen(sent["obs"][0]), sent.get("seed"))
+        )
+
+    def _read_step(self, answer: Mapping[str, Any]) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        obs, reward, done = self._seen(answer["obs"][0]), number(answer["reward"][0]), flag(answer["done"][0])
+        info = dict(answer.get("info", [{}])[0])
+        truncated = done and any([flag(info.pop(key, False)) for key in TRUNCATED])
+        last = [self._seen(info.pop(key)) for key in FINAL if key in info]
+        self._begun = obs if done else None
+        return (last[0] if done and last else obs), reward, done and not truncated, truncated, info
+
+    def _seen(self, sent: Any) -> np.ndarray:
+        """Return an observation, sent by its name or as its numbers alone."""
+        return numbers(sent["obs"] if isinstance(sent, Mapping) else sent, *self.observation_space.shape)
+
     def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
         try:
-            agents = int(env_info["n_agents"])
             ((action, acts),) = _first(env_info["action_space"]).items()
             ((key, seen),) = _first(env_info["observation_space"]).items()
-            size, shape = int(acts["size"]), tuple(map(int, seen["size"]))
-        except (KeyError, TypeError, ValueError, AttributeError):
-            agents, acts, seen, shape, key = 0, {}, {}, (), ""
-        sound = acts.get("action_type") in ("discrete", "continuous") and seen.get("space") == "box"
-        if agents != 1 or not sound or len(shape) != 1 or key != "obs":
+            (features,) = (whole(size, 1, MOST_NUMBERS) for size in seen["size"])
+            size, _ = whole(acts["size"], 1, MOST_NUMBERS), whole(env_info["n_agents"], 1, 1)
+            discrete = {"discrete": True, "continuous": False}[acts["action_type"]]
+            if (key, seen["space"]) != ("obs", "box"):
+                raise ValueError(key)
+        except UNREADABLE:
+            has = reprlib.repr({name: env_info.get(name) for name in _SPACES})
             self.close()
             raise UserError(
                 f"{self._name}: must have one agent with one action and flat observations named 'obs'; "
-                f"it has {json.dumps({name: env_info.get(name) for name in _SPACES})}"
-            )
+                f"it has {has}"
+            ) from None
         self._action = action
-        self.observation_space = spaces.Box(-np.inf, np.inf, shape, np.float32)
-        self.action_space = (
-            spaces.Discrete(size)
-            if acts["action_type"] == "discrete"
-            else spaces.Box(-1.0, 1.0, (size,), np.float32)
-        )
+        self.observation_space = spaces.Box(-np.inf, np.inf, (features,), np.float32)
+        self.action_space = spaces.Discrete(size) if discrete else spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 
 _SPACES = ("n_agents", "action_space", "observation_space")
