@@ -51,18 +51,13 @@ def commands(
     for name in studies or PARTS[part]:
         study = load_study(name)
         for world in (world for world in worlds if world in study.worlds):
-            fixed = [*fixed_amounts(study.in_world(world))] if preset == "claims" else []
-            if preset == "claims" and not fixed:
+            if preset == "claims" and not fixed_amounts(study.in_world(world)):
                 continue  # no claim is about the study there
-            budgets = [steps] if steps or len(fixed) < 2 else fixed
-            for place, budget in enumerate(budgets):
-                words = ["study", command, name, "--world", world]
-                words += ["--preset", preset] if command in ("run", "plan") else []
-                words += ["--steps", str(budget)] if budget else []
-                if command == "publish":
-                    words += ["--curves", CURVES[name]] if name in CURVES else []
-                    words += ["--as", f"{name}-{budget}"] if place else []  # one table has one budget
-                yield [*words, *options]
+            words = ["study", command, name, "--world", world]
+            words += ["--preset", preset] if command in ("run", "plan") else []
+            words += ["--steps", str(steps)] if steps else []
+            words += ["--curves", CURVES[name]] if command == "publish" and name in CURVES else []
+            yield [*words, *options]
 
 
 def main() -> None:

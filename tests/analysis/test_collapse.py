@@ -243,7 +243,7 @@ def test_a_policy_that_only_casts_spells_has_one_action(shares: list[float], hel
 
 
 def test_stuck_updates_have_no_entropy_and_one_action() -> None:
-    """Six updates: two are stuck, one has entropy left, one two actions, then one is stuck, and one unknown."""
+    """Of six updates two are stuck, one has entropy left, one two actions, one is stuck, one unknown."""
     step = np.arange(1.0, 7.0)
     entropy = np.array([0.05, 0.05, 0.5, 0.05, 0.0, np.nan])
     most = np.array([1.0, 0.995, 1.0, 0.97, 1.0, 1.0])

@@ -142,11 +142,11 @@ def test_spreads_are_tested_as_scipy_does_by_brown_and_forsythe() -> None:
     own = compare("spread", A, B, None, rng())
     assert own.p_different == pytest.approx(stats.levene(A, B, center="median").pvalue)
     assert own.effect == pytest.approx((4.5 + 0 + 3.5 + 1.5 + 0.5) / 5 - np.mean([1.25, 0.25, 2.75, 0.25]))
-    long = rng().normal(size=(2, 31)) * [[1.0], [3.0]]
-    own = compare("spread", *long, None, rng())
-    assert own.p.less == pytest.approx(stats.levene(*long, center="median").pvalue / 2)
+    narrow, wide = rng().normal(size=(2, 31)) * [[1.0], [3.0]]
+    own = compare("spread", narrow, wide, None, rng())
+    assert own.p.less == pytest.approx(stats.levene(narrow, wide, center="median").pvalue / 2)
     low, high = own.interval.low, own.interval.high
-    at_end = compare("spread", *long, -low, rng())  # 2.5 % below its low end
+    at_end = compare("spread", narrow, wide, -low, rng())  # 2.5 % below its low end
     assert low < high < 0 and at_end.p.no_less == pytest.approx(0.025)
 
 

@@ -45,7 +45,7 @@ def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
     ],
 )
 def test_what_counts_as_a_false_verdict(truth: str, claimed: str, p: tuple[float, ...], wrong: bool) -> None:
-    own = Contrast(0.0, no_interval(), PValues(*p, 1.0), (9, 9))
+    own = Contrast(0.0, no_interval(), PValues._make((*p, 1.0)), (9, 9))
     assert is_false(decide(own, claimed, 60)[0], own, truth, claimed) == wrong
 
 
