@@ -13,9 +13,9 @@ import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from pneuma.analysis.published import read_published
 
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.published import read_published
 from pneuma.analysis.run_index import open_study
 from pneuma.study.store import Store
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from pneuma.analysis.published import NO_SUM, read_published, with_sum
 
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.published import NO_SUM, read_published, with_sum
 from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters

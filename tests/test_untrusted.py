@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from pneuma.analysis.published import NO_SUM, read_published, with_sum
+from pneuma.analysis.publishing import encode_study
 
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.published import NO_SUM, read_published, with_sum
-from pneuma.analysis.publishing import encode_study
 from pneuma.analysis.run_index import open_study
 from pneuma.errors import UserError
 from pneuma.files import read_json, read_whole

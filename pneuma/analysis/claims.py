@@ -34,10 +34,11 @@ from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
 JUDGES = (
-    "series", "outcomes", "collapse", "claims", "arms", "intervals", "pvalues", "contrasts", "design",
-    "judgement",
+    "study/series", "study/measure", "analysis/outcomes", "analysis/collapse", "analysis/claims",
+    "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts", "analysis/design",
+    "analysis/judgement",
 )  # fmt: skip
-"""The modules of this package that turn the records of runs into verdicts."""
+"""The modules that turn the records of runs into verdicts."""
 
 
 def _one_line(value: object) -> object:
@@ -242,7 +243,7 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
 @cache
 def _judges() -> bytes:
     """Return the source of the code that judges, whatever its line ends."""
-    paths = (Path(__file__).with_name(f"{name}.py") for name in JUDGES)
+    paths = (Path(__file__).parents[1] / f"{name}.py" for name in JUDGES)
     return "".join(path.read_text(encoding="utf-8") for path in paths).encode()
 
 

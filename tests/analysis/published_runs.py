@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.published import TIMES_SUFFIX
 from pneuma.analysis.publishing import encode_study, encode_times
+
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import open_published
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.study.store import Store

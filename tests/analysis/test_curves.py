@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 import pytest
+from pneuma.analysis.records import Records
+from pneuma.analysis.series import held_curve, make_grid, update_curve
 from scipy import stats
 
 from pneuma.analysis import WINDOWS
@@ -17,8 +19,6 @@ from pneuma.analysis.curves import (
     training_curves,
 )
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.records import Records
-from pneuma.analysis.series import held_curve, make_grid, update_curve
 from pneuma.study.store import Status, Store
 
 NAN = float("nan")

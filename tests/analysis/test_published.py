@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-
 from pneuma.analysis.published import read_published
 from pneuma.analysis.publishing import encode_study, rounded
+
 from pneuma.analysis.run_index import RunIndex, open_study
 from pneuma.errors import UserError
 from pneuma.study.store import Status, Store

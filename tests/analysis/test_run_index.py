@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pneuma.analysis.publishing import CURVES
+from pneuma.analysis.stored_studies import study_record
 
 from pneuma.analysis import EPISODE_QUANTITIES, UPDATE_QUANTITIES
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.publishing import CURVES
 from pneuma.analysis.run_index import RunIndex, open_published, open_study
-from pneuma.analysis.stored_studies import study_record
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Status, Store

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from pneuma.analysis.stored_studies import study_record
+
 from pneuma.api import open_data
 from pneuma.config import ENGINE_VERSIONS
 from pneuma.study.execute import prepare

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
-
 from pneuma.analysis.publishing import encode_study
+
 from pneuma.figures import paper
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-
 from pneuma.analysis.stored_studies import study_record
+
 from pneuma.errors import UserError
 from pneuma.study.execute import (
     CellResult,
