@@ -14,17 +14,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.run_index import Entry, RunIndex
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Configurations, Selection, configure, round_up
-from pneuma.study.spec import Study, list_studies, load_study, run_command
+from pneuma.study.spec import Study, list_studies, load_study, read_study, run_command
 from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS
+
+if TYPE_CHECKING:
+    from pneuma.analysis.frames import StudyData  # which loads pandas: not for `status`
 
 ALL = Selection()
 Tell = Callable[[str], object]
@@ -264,10 +266,10 @@ def _elsewhere(index: RunIndex, asked: Asked) -> list[str]:
     """Return in which other worlds, and with which changed field, runs of a study are stored."""
     if asked.study is None:
         return []
-    found = []
+    found, as_written = [], read_study(_file(asked.study))
     for world in asked.study.worlds:
         if world != asked.study.world:
-            other = configure(load_study(_file(asked.study), world), asked.study.settings)
+            other = configure(as_written.in_world(world), asked.study.settings)
             count = sum(len(index.by_configuration.get(config_id(run), ())) for run in other.runs.values())
             found += [f"{counted(count, 'run')} in {WORLDS[world].title} (--world {world})"] if count else []
     return found
@@ -334,6 +336,8 @@ def open_study(
 
 def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None) -> StudyData:
     """Return the finished runs of an answer, with their rows."""
+    from pneuma.analysis.frames import FinishedRun, StudyData
+
     rows = index.rows(entry for *_, entry in shown.runs)
     runs = [
         FinishedRun(condition, seed, rows[entry.run_id])
@@ -376,10 +380,10 @@ def known_studies(world: str | None = None) -> Iterator[Configurations]:
     own = sorted(path.name for path in Path().glob("*.toml"))
     for name in [*list_studies(), *own]:
         try:
-            usual = load_study(name)
-            for each in usual.worlds:
+            study = read_study(name)
+            for each in study.worlds:
                 if world in (None, each):
-                    yield configure(load_study(name, each), {})
+                    yield configure(study.in_world(each), {})
         except (UserError, OSError):
             continue
 

@@ -106,8 +106,8 @@ class RunIndex:
 
     def _entries_here(self) -> Iterator[Entry]:
         for run_id in self.store.runs():
-            status = self.store.status(run_id, quick=True)
-            if (known := self.store.identity(run_id)) is None and status.finished:
+            status, known = self.store.listed(run_id)
+            if known is None and status.finished:
                 try:  # of an older version: its row is made now
                     row = stored_row(self.store, run_id)
                     yield Entry(run_id, row.config_id, row.seed, row.budget, status.name, status.step)

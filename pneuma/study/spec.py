@@ -200,9 +200,15 @@ def load_study(name: str, world: str | None = None) -> Study:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
+    study = read_study(name)
+    return study.in_world(checked_world(world) or usual_world(study.worlds))
+
+
+def read_study(name: str) -> Study:
+    """Load a study likewise, as its file stands, in no world yet."""
     path = find_file("study", name, studies_folder())
     study: Study = import_module("pneuma.study.study_file").read_study(path)
-    return study.in_world(checked_world(world) or usual_world(study.worlds))
+    return study
 
 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:

@@ -170,7 +170,10 @@ class Store:
 
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
-        folder, manifest = self.run_folder(run_id), self._manifest(run_id)
+        return self._status(run_id, self._manifest(run_id), quick)
+
+    def _status(self, run_id: str, manifest: dict[str, Any] | None, quick: bool) -> Status:
+        folder = self.run_folder(run_id)
         recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
         files = {
             name: sum_ for name, sum_ in (manifest or {"files": {}})["files"].items() if name != ROW_FILE
@@ -195,7 +198,15 @@ class Store:
 
     def identity(self, run_id: str) -> Identity | None:
         """Return what a run is a run of; None if its status does not say so, as those of older runs."""
-        manifest = self._manifest(run_id) or {}
+        return self._identity(self._manifest(run_id))
+
+    def listed(self, run_id: str) -> tuple[Status, Identity | None]:
+        """Return a run's status, judged by the existence of its files, and its identity."""
+        manifest = self._manifest(run_id)
+        return self._status(run_id, manifest, quick=True), self._identity(manifest)
+
+    def _identity(self, manifest: Mapping[str, Any] | None) -> Identity | None:
+        manifest = manifest or {}
         known = {key: manifest[key] for key in ("config_id", "seed", "steps") if key in manifest}
         return Identity(**known) if len(known) == 3 else None
 
