@@ -118,17 +118,24 @@ class Verdict:
         return WITH_CONTENT
 
 
-def judge(claims: ClaimList, store: Store, stored: bool = True) -> list[Verdict]:
+def judge(
+    claims: ClaimList,
+    store: Store,
+    stored: bool = True,
+    on_progress: Callable[[int, int], object] = lambda done, of: None,
+) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds.
 
     With `stored = False` only published tables are used. No claim can be judged without the others of the
-    list.
+    list. `on_progress` is called with the number of verdicts so far, and of all.
     """
     refused = not_admitted(claims)
-    return [
-        _judge_one(runs, claims, refused.get((runs.claim.name, runs.world), ""))
-        for runs in find_runs(RunIndex(store, stored, shipped=False), claims)
-    ]
+    of = sum(len(claim.worlds) for claim in claims.claims.values())
+    verdicts: list[Verdict] = []
+    for runs in find_runs(RunIndex(store, stored, shipped=False), claims):
+        verdicts.append(_judge_one(runs, claims, refused.get((runs.claim.name, runs.world), "")))
+        on_progress(len(verdicts), of)
+    return verdicts
 
 
 def _judge_one(runs: ClaimRuns, claims: ClaimList, refused: str) -> Verdict:

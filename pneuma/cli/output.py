@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shlex
+import time
 import shutil
 import sys
 from collections import Counter
@@ -38,6 +39,26 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
         print_aside(text)
     elif not quiet:
         print(plain(text))
+
+
+class Progress:
+    """Says on standard error how far a long computation is, every few seconds.
+
+    Args:
+        what: is counted.
+    """
+
+    EVERY_SECONDS = 2.0
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._next = time.monotonic() + self.EVERY_SECONDS
+
+    def __call__(self, done: int, of: int) -> None:
+        """Take the number of those done, and of all."""
+        if time.monotonic() >= self._next and done < of:
+            self._next = time.monotonic() + self.EVERY_SECONDS
+            print_aside(f"{done} of {of} {self._what}")
 
 
 def command(*words: object) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any
@@ -41,6 +41,18 @@ def _tell_step(data: StudyData) -> None:
 
     if step := common_step(data):
         say(f"Budgets differ: all values are those at step {step:,}, {step_words(data)}.")
+
+
+FEW_EPISODES = 10
+"""With fewer, the last point of a return is said to average few."""
+
+
+def _tell_episodes(data: StudyData, outcomes: Iterable[str]) -> None:
+    """Say how many runs' last returns average few episodes."""
+    counts = sorted(run.row.last_episodes for run in data.runs if run.row.last_episodes < FEW_EPISODES)
+    if counts and "final-return" in outcomes:
+        between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
+        say(f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}.")
 
 
 def _with_unit(outcome: str) -> str:
@@ -96,7 +108,7 @@ def summary(
         for name, condition in product(outcome or (), data.conditions):
             if (name, condition) not in runs:
                 say(f"{name}, {condition}: {_lack(data, condition, name)}")
-        return None
+        return _tell_episodes(data, outcomes_shown)
     names = measured[:COLUMNS]
     shares = ("collapsed", "diverged")
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
@@ -199,6 +211,7 @@ def compare(
     print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
     print("\nMeans, and their difference with a 95 % interval (Welch). P(better): the probability that a run")
     print("of the first is better than one of the second. no value: runs without one, which are left out.")
+    _tell_episodes(data, [row["outcome"] for _, row in compared])
     return tell_written(files)
 
 

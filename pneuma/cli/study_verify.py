@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import print_json, print_table
+from pneuma.cli.output import Progress, print_json, print_table
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
@@ -42,7 +42,7 @@ def verify(
             raise unknown_name("claim", name, known.claims)
     if design:
         return _check_design(known, claims or (), world, json)
-    every = judge(known, Store(results))
+    every = judge(known, Store(results), on_progress=Progress("verdicts"))
     shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
     alpha = known.head.alpha
     if json:

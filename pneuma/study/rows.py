@@ -337,6 +337,12 @@ class Row:
         return math.nan if value is None else float(value)
 
     @property
+    def last_episodes(self) -> float:
+        """The number of episodes that the last point of its return averages; infinite if it is not known."""
+        value = self.cell(LAST_EPISODES)
+        return math.inf if value is None else float(value)
+
+    @property
     def stuck(self) -> tuple[int, int, int]:
         """The counts of `STUCK`; 0 each if they are not known."""
         stuck, updates, spells = (self.cell(name) or 0 for name in STUCK)
