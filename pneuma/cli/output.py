@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import shlex
-import time
 import shutil
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from json import dumps
