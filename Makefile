@@ -21,9 +21,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps godot-rl==0.8.2  # for tests; it pins an old Gymnasium
 	@touch $@
 
-study: install  ## Run the activation study (thesis Fig. 6.5) in the arena at its quick preset, and draw it
-	$(BIN)/pneuma study run activation --world arena
-	$(BIN)/pneuma study plot activation --world arena
+study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
+	$(BIN)/pneuma study run activation
+	$(BIN)/pneuma study plot activation
 
 figures: install  ## Draw everything in paper_figures/, the verdicts among it
 	$(BIN)/python -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
