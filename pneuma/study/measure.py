@@ -38,8 +38,10 @@ from pneuma.study.rows import (
 )
 from pneuma.study.series import (
     EXTREMES,
+    GRID_POINTS,
     STATISTICS,
     TRAILING_EPISODES,
+    WINDOW_POINTS,
     Series,
     Stretch,
     episode_curve,
@@ -254,16 +256,25 @@ def row_cells(run: Measured) -> dict[str, Any]:
     }
     if run.averaged_over:
         cells[AVERAGED_OVER] = run.averaged_over
-    elif "return" in run.series:
-        steps, _ = run.series["return"]
-        cells[LAST_EPISODES] = float(np.count_nonzero(steps > 0.95 * run.fields["steps"]))
     columns = {name: values for name, (_, values) in run.series.items() if name in UPDATE_QUANTITIES}
     if columns:
         step, _ = run.series[next(iter(columns))]
         cells |= dict(zip(STUCK, stuck_updates(step, columns), strict=True))
     for quantity in run.series:
         cells |= _of_quantity(run, quantity)
+    if "return" in run.series and not run.averaged_over:
+        cells[LAST_EPISODES] = _last_episodes(run, cells[curve_column("return", WINDOWS[0])])
     return cells
+
+
+def _last_episodes(run: Measured, curve: Sequence[float]) -> float:
+    """Return how many episodes the last point of a curve of returns averages."""
+    known = np.flatnonzero(np.isfinite(curve))
+    if not len(known):
+        return 0.0
+    steps, end = run.series["return"][0], make_grid(run.fields["steps"])[known[-1]]
+    window = run.fields["steps"] * WINDOW_POINTS / GRID_POINTS
+    return float(np.count_nonzero((steps > end - window) & (steps <= end)))
 
 
 def _of_quantity(run: Measured, quantity: str) -> dict[str, Any]:
