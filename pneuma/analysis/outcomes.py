@@ -211,7 +211,7 @@ def _rise(values: np.ndarray) -> float:
 
 
 def _log_growth(seen: RunView) -> float:
-    """Return how much the logarithm of the norm grows, from the mean of the first tenth to that of the last."""
+    """Return how much the norm's logarithm grows, from the mean of the first tenth to that of the last."""
     _, values = seen.curve("grad_norm")
     if not len(values):
         return NAN

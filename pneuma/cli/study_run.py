@@ -215,8 +215,5 @@ def _tell_results(
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
     if results and not any(result.status.name in UNWELL for result in results):
-        say(
-            f"Draw it with: {command('study', 'plot', *spec.asked_words(planned.study), '--results', store.root)}",
-            as_json,
-            quiet,
-        )
+        drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
+        say(f"Draw it with: {drawn}", as_json, quiet)

@@ -35,7 +35,7 @@ NUMBERS = ("seed", "steps", "end")
 EVALUATIONS, PEAKS = "evaluations", "extreme"
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
 STUCK = ("stuck updates", "updates", "stuck spells")
-"""Counts of updates without entropy and with one action, of all updates, and of unbroken spells of the former."""
+"""Counts of updates without entropy and with one action, of all updates, and of spells of the former."""
 
 EXACT: dict[str, tuple[str, ...]] = {
     "return": ("last", "best", "height"),
@@ -183,6 +183,9 @@ class Published:
         return {run_id: self.row(run_id) for run_id in self.places}
 
 
+_PATTERNS = {"run_id": "[0-9a-f]{16}", "config_id": "[0-9a-f]{16}", "status": "done|diverged"}
+
+
 def _check(table: pa.Table) -> None:
     """Refuse a table, which may be untrusted, that could not have been written here.
 
@@ -193,7 +196,7 @@ def _check(table: pa.Table) -> None:
     for name in (*NAMING, *NUMBERS, EVALUATIONS):
         if table[name].null_count:
             raise ValueError(f"column {name} makes no sense")
-    for name, pattern in (("run_id", "[0-9a-f]{16}"), ("config_id", "[0-9a-f]{16}"), ("status", "done|diverged")):
+    for name, pattern in _PATTERNS.items():
         if not all(re.fullmatch(pattern, text) for text in table[name].to_pylist()):
             raise ValueError(f"column {name} makes no sense")
     if not all(steps > 0 for steps in table["steps"].to_pylist()):

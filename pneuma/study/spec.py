@@ -236,7 +236,7 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 
 
 def asked_words(study: Study) -> list[str]:
-    """Return the words of a command that ask for a study as it is: its name or file, world and changed fields."""
+    """Return a command's words for a study as it is: its name or file, world and changed fields."""
     asked = study.name if study.own_path is None else study.own_path
     changed = [f"--set={key}={value}" for key, value in study.settings.items()]
     return [asked, *world_option(study.world, study.worlds), *changed]
