@@ -10,10 +10,9 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from pneuma.env import rules
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 
@@ -22,7 +21,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
 
     A player leaves `agents` when it dies. The episode ends for all when no player is alive, at the time
     limit, or, with `end_on_clear`, when the level is cleared. `infos` hold `action_mask`, and at a player's
-    end `ending`, `kills`, `xp` and `hp`. `save` and `restore` copy the world and put it back.
+    end `ending`, `kills`, `xp` and `hp`.
 
     Args:
         env_id: whose presets to start from.
@@ -115,24 +114,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
         self._show()
         return self._observations(acting), rewards, terminations, truncations, infos
-
-    def save(self) -> Snapshot:
-        """Return a snapshot of the world, which any interface or process can restore."""
-        return self.worlds.save(0)
-
-    def restore(self, snapshot: Snapshot) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Restore a snapshot with its living `agents`; return what `reset` returns.
-
-        If the saved episode had ended, `agents` is empty, as after its last step.
-        """
-        self.worlds.restore(0, snapshot)
-        self.worlds.observe()
-        self._keyed = True
-        running = self.worlds.worlds["ending"][0] == rules.RUNNING
-        alive = (self.worlds.players["hp"][0] > 0) & running
-        self.agents = [agent for agent, lives in zip(self.possible_agents, alive, strict=True) if lives]
-        self._show()
-        return self._observations(self.agents), self._masks(self.agents)
 
     def state(self) -> np.ndarray:
         """Return the observations of all players, one after the other."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
@@ -161,26 +160,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self._lengths[slot] = 0
         self._episodes[slot] += 1
         return info
-
-    def save(self, world: int) -> Snapshot:
-        """Return a snapshot of one world, which any interface or process can restore."""
-        players = slice(world * self.slots.players, (world + 1) * self.slots.players)
-        return replace(self.state.save(world), returns=self._returns[players].copy())
-
-    def restore(self, world: int, snapshot: Snapshot) -> np.ndarray:
-        """Restore a snapshot in one world; return all observations, as `reset` does.
-
-        If the saved episode had ended, the next one begins. `episode` in the info counts from the episode's
-        beginning, or from here on if another interface saved it. See `Slots.restore`.
-        """
-        runs = self.slots.restore(world, snapshot)
-        slots = slice(world * self.slots.players, (world + 1) * self.slots.players)
-        self._returns[slots], self._lengths[slots] = 0.0, 0
-        if not runs:
-            self.state.reset(np.arange(len(self.state)) == world)
-        elif snapshot.returns is not None:
-            self._returns[slots], self._lengths[slots] = snapshot.returns, self.state.worlds["steps"][world]
-        return self.observe()
 
     def observe(self) -> np.ndarray:
         """Return the observations of the current state, after it was changed by hand."""

@@ -14,7 +14,7 @@ from pneuma.env.observation import MOST_XP, most_hp
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
@@ -50,7 +50,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     holds `ending`, `kills`, `xp` and `hp`.
 
     ## Saving
-    `save()` returns a snapshot of the world, which `restore` puts back here or in any other face.
+    `copy.deepcopy` and `pickle` copy the environment, its random stream included.
 
     ## Arguments
     The fields of `pneuma.config.EnvConfig`.
@@ -89,17 +89,6 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
             self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])
             self._keyed = True
         self.state.reset(starts=start)
-        return self._seen()
-
-    def save(self) -> Snapshot:
-        """Return a snapshot of the world, which any interface or process can restore."""
-        return self.state.save(0)
-
-    def restore(self, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
-        """Restore a snapshot and return what `reset` returns; see `Worlds.restore`."""
-        self.state.restore(0, snapshot)
-        self.state.observe()
-        self._keyed = True
         return self._seen()
 
     def _seen(self) -> tuple[np.ndarray, dict[str, Any]]:

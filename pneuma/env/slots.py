@@ -11,10 +11,9 @@ import operator
 from typing import Any
 
 import numpy as np
-from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 
 
 class Slots:
@@ -48,18 +47,6 @@ class Slots:
             if whole.view(np.uint64).max() < self._action_count:  # negative numbers are huge as unsigned ones
                 return whole
         raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
-
-    def restore(self, world: int, snapshot: Snapshot) -> bool:
-        """Restore a snapshot in one world; return whether its episode goes on.
-
-        Raises:
-            ResetNeeded: before the first reset of all worlds.
-        """
-        if not self.begun and len(self.worlds) > 1:
-            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
-        self.worlds.restore(world, snapshot)
-        self.begun = True
-        return bool(self.worlds.worlds["ending"][world] == rules.RUNNING)
 
     def step(self, actions: np.ndarray) -> bool:
         """Advance all worlds by (slots,) actions; return whether any slot's episode ended."""

@@ -260,11 +260,6 @@ def make_handle(state: State) -> np.ndarray:
     return handle
 
 
-def raw(array: np.ndarray) -> np.ndarray:
-    """View records as bytes of their size, which NumPy copies far faster than field by field."""
-    return array.view(np.dtype((np.void, array.dtype.itemsize)))
-
-
 def read_only(array: np.ndarray) -> np.ndarray:
     """Return a read-only view of an array."""
     view = array.view()

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from pneuma.env.single import VectorRewards
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Snapshot, Worlds
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
@@ -92,22 +92,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.slots.begun = True
         self.state.reset(mask, starts)
         self._note_over(self._over & ~mask)
-        self._show()
-        return self.slots.observations, self._infos()
-
-    def save(self, world: int) -> Snapshot:
-        """Return a snapshot of one world, which any interface or process can restore."""
-        return self.state.save(world)
-
-    def restore(self, world: int, snapshot: Snapshot) -> tuple[np.ndarray, dict[str, Any]]:
-        """Restore a snapshot in one world; return all observations, as `reset` does.
-
-        The world continues as the saved one would have. If its episode had ended, the autoreset mode decides
-        when the next one begins. See `Slots.restore`.
-        """
-        self._over[world] = not self.slots.restore(world, snapshot)
-        self._note_over(self._over)
-        self.state.observe()
         self._show()
         return self.slots.observations, self._infos()
 

@@ -6,11 +6,9 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,27 +24,6 @@ from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
-_SEEN_OR_PAID = {
-    "reward", "perceived", "sight", "hp_scale", "energy_scale", "distance_scale", "xp_scale", "reach_squared",
-}  # fmt: skip
-"""Stats on which no state depends."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole state of one world, from which it continues unchanged.
-
-    Attributes:
-        worlds, players, monsters: (1,), (1, P) and (1, M), as in `Worlds`.
-        fits: a hash of the levels, characters and obstacles with which it can be restored.
-        returns: (P,) the rewards of the episode so far, if the interface counts them.
-    """
-
-    worlds: np.ndarray
-    players: np.ndarray
-    monsters: np.ndarray
-    fits: str
-    returns: np.ndarray | None = None
 
 
 class Worlds:
@@ -99,7 +76,6 @@ class Worlds:
         ]
         self.action_space = spaces.Discrete(len(self.action_names))
         self._allocate(count, len(self.action_names))
-        self._fits = self._fingerprint()
         self._try_rewards()
 
     def _allocate(self, count: int, actions: int) -> None:
@@ -146,8 +122,6 @@ class Worlds:
     def _take_addresses(self) -> None:
         """Store the addresses of the arrays, and views of them that are needed."""
         self.handle = state.make_handle(self._arrays)
-        whole = self.worlds, self.players, self.monsters
-        self.raw = tuple(state.raw(each) for each in whole)  # bytes: NumPy copies those faster
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
     def __len__(self) -> int:
@@ -279,60 +253,6 @@ class Worlds:
         """Return how a world's episode ended, or 'running'."""
         return ENDINGS[self.worlds["ending"][world]]
 
-    # --- Saving and restoring ---------------------------------------------------------------------
-
-    def save(self, world: int) -> Snapshot:
-        """Return a snapshot of one world, which can be sent and restored elsewhere.
-
-        Raises:
-            ValueError: for an unknown world, or one in which no episode has begun.
-        """
-        self._check_number(world)
-        if not self.worlds["players_left"][world] and self.ending(world) == "running":
-            raise ValueError(f"no episode has begun in world {world}: reset it first")
-        one = slice(world, world + 1)
-        worlds, players, monsters = (raw[one].copy() for raw in self.raw)
-        arrays = worlds.view(state.WORLD), players.view(state.PLAYER), monsters.view(state.MONSTER)
-        return Snapshot(*arrays, self._fits)
-
-    def restore(self, world: int, snapshot: Snapshot) -> None:
-        """Restore a snapshot in one world, of this or another `Worlds` with equal levels and characters.
-
-        The world continues as the saved one would have. Its events are empty. The next step writes its
-        observation, or `observe` at once.
-
-        Raises:
-            ValueError: for an unknown world, or a state that does not fit it.
-        """
-        self._check_number(world)
-        if snapshot.fits != self._fits or snapshot.worlds["level"].item() >= len(self.levels):
-            raise ValueError(
-                "a state of another number of players, another level, class, weapon or kind of monster, or "
-                "where other things stop whoever moves, does not fit this world"
-            )
-        saved = snapshot.worlds, snapshot.players, snapshot.monsters
-        for whole, array in zip(self.raw, saved, strict=True):
-            whole[world] = array.view(whole.dtype)[0]
-        self.events[world], self.events["distance"][world] = 0, np.inf
-
-    def _check_number(self, world: int) -> None:
-        if not 0 <= world < len(self):
-            raise ValueError(f"world {world}: there are worlds 0 to {len(self) - 1}")
-
-    def _fingerprint(self) -> str:
-        """Return a digest of levels, characters and what stops whom, without observations and rewards."""
-        digest = hashlib.sha256(state.LAYOUT_DIGEST.encode())
-        for level in self.levels:
-            digest.update(repr((level.left, level.top, level.tile, level.terrain.shape)).encode())
-            digest.update(level.terrain.tobytes() + level.starts.tobytes())
-        for name in ("player_stops", "monster_stops", "bodies_block", "slow_factor"):
-            digest.update(self.settings[name].tobytes())
-        for stats in (self.player_stats, self.monster_stats):
-            for name in stats.dtype.names or ():
-                if name not in _SEEN_OR_PAID:
-                    digest.update(stats[name].tobytes())
-        return digest.hexdigest()
-
     def observe(self) -> None:
         """Write all observations and masks from the current state, which may have been changed by hand.
 
@@ -381,5 +301,5 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("handle", "_shown", "raw")
+_ADDRESSES = ("handle", "_shown")
 """Attributes of `Worlds` that are valid in one process only."""

@@ -1,4 +1,4 @@
-"""The four faces: they agree with each other, save and copy alike, and do as Gymnasium does."""
+"""The four faces: they agree with each other, are copied alike, and do as Gymnasium does."""
 
 from __future__ import annotations
 
@@ -177,24 +177,6 @@ def test_copied_environments_go_on_alike_and_apart(pit: str, face: str, how: Cal
     assert play_on(env, plan(1, 80, 3)) == told
 
 
-@each_face
-def test_a_world_that_is_put_back_goes_on_as_it_would_have(pit: str, face: str) -> None:
-    env, again = (FACES[face](level=pit, episode_steps=30) for _ in range(2))
-    reset(env)
-    if face in ("vector", "learner"):
-        reset(again, options={"start": 1})
-        play_on(env, plan(0, 5, 3))
-        saved = [env.save(world) for world in range(3)]
-        told = play_on(env, plan(1, 100, 3))
-        for world in (2, 0, 1):
-            again.restore(world, saved[world])
-    else:  # which need not have been reset
-        play_on(env, plan(0, 5, 3))
-        again.restore(pickle.loads(pickle.dumps(env.save())))
-        told = play_on(env, plan(1, 100, 3))
-    assert play_on(again, plan(1, 100, 3)) == told
-
-
 # --- The vector face -----------------------------------------------------------------------------
 
 N = 4
@@ -250,26 +232,3 @@ def test_seeds_may_be_listed_and_a_mask_leaves_the_other_worlds_streams_alone() 
     env.reset(seed=50, options={"reset_mask": np.array([True, False, False])})
     assert env.state.worlds["key"][0] != before["key"][0]
     assert (env.state.worlds[1:] == before[1:]).all()
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_a_world_put_back_at_its_end_begins_again_as_the_mode_has_it(mode: AutoresetMode, pit: str) -> None:
-    single = PneumaEnv(level=pit, episode_steps=3)
-    single.reset(seed=0, options={"start": 0})
-    for action in plan(0, 3):
-        single.step(action)
-    saved = single.save()
-    first = single.reset()[0]
-    env = PneumaVectorEnv(2, autoreset_mode=mode, level=pit, episode_steps=3)
-    with pytest.raises(ResetNeeded, match="the other worlds"):
-        env.restore(0, saved)
-    env.reset(seed=0)
-    observations, _ = env.restore(1, saved)
-    if mode == AutoresetMode.DISABLED:
-        with pytest.raises(ValueError, match="reset_mask"):
-            env.step(np.zeros(2, np.int64))
-        observations, _ = env.reset(options={"reset_mask": np.array([False, True])})
-    elif mode == AutoresetMode.NEXT_STEP:
-        observations, rewards, terminated, truncated, _ = env.step(np.zeros(2, np.int64))
-        assert not (rewards[1] or terminated[1] or truncated[1])
-    assert np.array_equal(observations[1], first)
