@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 
 from ..training import training_here
-from .calls import TINY, as_it_stands, printed
+from .calls import TINY, printed
 
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results folder with two conditions of two seeds, which no test changes."""
+    """A results folder with two conditions of two seeds, which no test changes; it is read with `SETTINGS`."""
     results = tmp_path_factory.mktemp("trained") / "results"
     with training_here():
         printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
-    as_it_stands(results, "activation")
     return results
