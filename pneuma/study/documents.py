@@ -33,7 +33,7 @@ class _Listed(TypedDict):
 class Listing(TypedDict):
     """The record of a study without a file."""
 
-    study: Annotated[str, StringConstraints(pattern=r"^(?!\.+$)[^/\\\0]+$")]
+    study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
     title: str
     baseline: str
     runs: Annotated[list[_Listed], MinLen(1)]
