@@ -1,4 +1,4 @@
-"""`pneuma env …`: list, check, play and render environments."""
+"""`pneuma env …`: list, play and render environments."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import typer
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, print_json, print_rows
+from pneuma.cli.output import check_file, print_rows
 from pneuma.errors import UserError, unknown_name
 
-app = typer.Typer(help="Look at, check and play environments.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(help="Look at and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
@@ -48,34 +48,6 @@ def list_(json: opt.Json = False) -> None:
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
         rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
     return print_rows("environments", rows, json)
-
-
-@app.command(short_help="Check that an environment is sound.")
-def check(
-    name: Annotated[
-        str | None,
-        opt.argument(
-            "ID", "The environment (default: all; with --set the text's world).", complete.environments
-        ),
-    ] = None,
-    set_: opt.Settings = None,
-    json: opt.Json = False,
-) -> int:
-    """Check that an environment, with any level, characters or reward of yours, keeps its promises."""
-    from pneuma.env import REGISTERED
-    from pneuma.env.check import check_environment
-    from pneuma.env_fields import ENVIRONMENTS
-
-    settings = dict(set_ or ())
-    rows = []
-    for each in REGISTERED if not (name or settings) else [name or ENVIRONMENTS[0]]:
-        for check_name, problem in check_environment(each, settings):
-            rows.append({"env": each, "check": check_name, "problem": problem})
-            if not json:
-                print(f"{each:<26} {check_name:<26} {problem or 'ok'}")
-    if json:
-        print_json({"checks": rows})
-    return int(any(row["problem"] for row in rows))
 
 
 @app.command()
