@@ -1,4 +1,4 @@
-"""Small runs written by hand, and records of studies of them: the one builder of all tests that read runs."""
+"""Small runs written by hand, and studies that list them: the one builder of all tests that read runs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from pneuma.analysis.asked import open_study
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.files import to_json
-from pneuma.study.store import Status, Store
+from pneuma.study.measure import UNKNOWN
+from pneuma.study.store import Identity, Status, Store
 from pneuma.study.tables import to_parquet
 
 BUDGET = 10_000
@@ -24,6 +28,11 @@ SOUND = 1.2, 0.3, 0.1
 GONE = 0.001, 1.0, 0.8
 
 Rows = Iterable[Mapping[str, Any]]
+Cells = Mapping[tuple[str, int], str]
+"""The ids of a study's runs, by condition and seed."""
+Fields = Mapping[str, Any]
+FIELDS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
+"""What a run's configuration says, unless its test says more."""
 
 _USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "episodes": (
@@ -35,7 +44,7 @@ _USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         EVALUATION_COLUMNS,
         {
             **dict.fromkeys(EVALUATION_COLUMNS, 0.0),
-            **{"episodes": 50, "argmax_starts": 6, "hunter_share_killed": 0.9},
+            **{"episodes": 50, "argmax_starts": 6},
         },
     ),
 }
@@ -50,6 +59,8 @@ def save_run(
     evaluations: Rows,
     end: int,
     status: str = "done",
+    fields: Fields | None = None,
+    config_id: str = UNKNOWN,
     **provenance: object,
 ) -> None:
     """Store a run of rows, each of which tells its step and what is not usual; none after the end."""
@@ -58,8 +69,10 @@ def save_run(
         told = [{**usual, **row} for row in rows if row["step"] <= end]
         every = dict.fromkeys((*columns, *(key for row in told for key in row)))
         files[f"{name}.parquet"] = to_parquet(told, tuple(every))
+    run = {**FIELDS, **(fields or {})}
+    files["run.json"] = to_json({"run_id": run_id, "run": run})
     files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11", **provenance})
-    store.save_run(run_id, Status(status, end), files)
+    store.save_run(run_id, Status(status, end), files, Identity(config_id, run.get("seed", 0), run["steps"]))
 
 
 def make_id(condition: str, seed: int) -> str:
@@ -67,17 +80,16 @@ def make_id(condition: str, seed: int) -> str:
     return hashlib.sha256(f"{condition} {seed}".encode()).hexdigest()[:16]
 
 
-def record_of(
-    cells: Mapping[tuple[str, int], str], settings: Mapping[str, Mapping[str, Any]] | None = None, **run: Any
-) -> dict[str, Any]:
-    """Return a study's record of runs by condition and seed; settings may differ by condition."""
-    usual = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000, **run}
-    runs = [
-        {"condition": c, "seed": s, "run_id": i, "run": {**usual, **(settings or {}).get(c, {})}}
-        for (c, s), i in cells.items()
-    ]
-    texts = {"study": "mine", "title": "Mine", "figure": "fig-mine", "baseline": next(iter(cells))[0]}
-    return {**texts, "same": [], "selection": {}, "runs": runs}
+def save_listing(store: Store, cells: Cells, name: str = "mine", **about: str) -> None:
+    """Store a study without a file, which lists these runs; its baseline is the first condition."""
+    runs = [{"run_id": run_id, "condition": c, "seed": seed} for (c, seed), run_id in cells.items()]
+    store.save_listing(name, {"title": "Mine", "baseline": runs[0]["condition"], **about, "runs": runs})
+
+
+def study_of(store: Store, cells: Cells, **about: str) -> StudyData:
+    """Return a study that lists runs of a store, which is stored too."""
+    save_listing(store, cells, **about)
+    return open_study(RunIndex(store, shipped=False), about.get("name", "mine"))
 
 
 # --- Runs that collapse: a hundred updates of 100 steps, an evaluation every five of them ----------
@@ -90,6 +102,7 @@ def save_collapse(
     shares: np.ndarray,
     end: int = BUDGET,
     returns: Sequence[float] | np.ndarray = (0.0,) * 100,
+    **fields: Any,
 ) -> None:
     """Store a run.
 
@@ -100,6 +113,7 @@ def save_collapse(
         shares: (20,) monsters killed at the evaluations.
         end: where it diverged.
         returns: (100,) of the episodes, one an update.
+        fields: of its configuration.
     """
     steps = range(HORIZON, BUDGET + 1, HORIZON)
     metrics = [
@@ -117,14 +131,9 @@ def save_collapse(
         {"episode": k, "step": step, "return": float(value), "length": 100}
         for k, (step, value) in enumerate(zip(steps, returns, strict=True), start=1)
     ]
-    save_run(store, run_id, episodes, metrics, evaluations, end, "done" if end == BUDGET else "diverged")
-
-
-def collapse_record(
-    cells: Mapping[tuple[str, int], str], settings: Mapping[str, Mapping[str, Any]] | None = None
-) -> dict[str, Any]:
-    """Return the record of a study of such runs."""
-    return record_of(cells, settings, players=1, horizon=HORIZON, steps=BUDGET)
+    status = "done" if end == BUDGET else "diverged"
+    fields = {"players": 1, "horizon": HORIZON, "steps": BUDGET, **fields}
+    save_run(store, run_id, episodes, metrics, evaluations, end, status, fields)
 
 
 def learning(best: float = 0.6) -> np.ndarray:

@@ -96,7 +96,10 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
-            listing = self.tables[name].about.get("listing")
+            from pneuma.study.documents import Listing, fits  # pydantic: not for `--help`
+
+            published = self.tables[name].about.get("listing")
+            listing = published if fits(published, Listing) and published["study"] == name else None
         return listing
 
     def listings(self) -> list[str]:

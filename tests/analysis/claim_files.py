@@ -7,14 +7,15 @@ from pathlib import Path
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Verdict, judge
-from pneuma.analysis.run_index import open_study
-from pneuma.study.execute import selection_record
+from pneuma.config import Run, as_fields
+from pneuma.study.identity import config_id, run_id
+from pneuma.study.measure import stored_row
 from pneuma.study.plan import Selection, make_plan
+from pneuma.study.rows import encode_published
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
 from .. import hand_made
-from .published_runs import publish
 
 STEPS = 1024
 SEEDS = 8
@@ -97,37 +98,38 @@ def save_runs(
         selection = Selection("quick", tuple(range(len(values))), steps, conditions=(condition,))
         for i, (cell, share) in enumerate(zip(make_plan(study, selection).cells, values, strict=True)):
             own = returns[i] if returns else None
-            save_run(store, cell.run_id, share, cell.run.steps, own, **provenance)
+            save_run(store, cell.run, share, own, **provenance)
             ids.append(cell.run_id)
     return ids
 
 
 def save_run(
     store: Store,
-    run_id: str,
+    run: Run,
     shares: float | Sequence[float],
-    steps: int,
     returned: float | None = None,
     **provenance: object,
 ) -> None:
     """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
     curve = shares if isinstance(shares, Sequence) else [shares]
     evaluations = [
-        {"step": steps * k // len(curve), "share_killed": own, "score": own}
+        {"step": run.steps * k // len(curve), "share_killed": own, "score": own}
         for k, own in enumerate(curve, start=1)
     ]
-    episode = {"step": steps, "return": curve[-1] if returned is None else returned, "length": 9}
+    episode = {"step": run.steps, "return": curve[-1] if returned is None else returned, "length": 9}
+    rows = [episode], [{"step": run.steps, "entropy": 1.0}], evaluations
     about = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
     hand_made.save_run(
-        store, run_id, [episode], [{"step": steps, "entropy": 1.0}], evaluations, steps, "done", **about
+        store, run_id(run), *rows, run.steps, fields=as_fields(run), config_id=config_id(run), **about
     )
 
 
 def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
-    """Publish runs of high and low as a study's table; return a store of tables alone, as a clone has."""
-    selection = Selection("quick", tuple(range(SEEDS)), STEPS, conditions=("high", "low"))
-    record = selection_record(make_plan(load_study(str(folder / "mine.toml")), selection))
-    publish(open_study(store, {**record, "study": study}), clone := Store(folder / "clone"))
+    """Publish all runs as a study's table; return a store of tables alone, as a clone has."""
+    clone = Store(folder / "clone")
+    rows = [stored_row(store, name) for name in store.runs()]
+    about = {"study": study, "world": "text", "settings": {}}
+    clone.write(clone.published_path(study), encode_published(rows, about))
     return clone
 
 

@@ -1,23 +1,20 @@
-"""Small stored runs for the tests of published tables, and studies read back from such tables."""
+"""Small stored runs for the tests of rows and published tables, and studies read back from such tables."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.published import TIMES_SUFFIX
-from pneuma.analysis.publishing import encode_study, encode_times
-
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import open_published
+from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
+from pneuma.study.rows import encode_published
 from pneuma.study.store import Store
 
 from .. import hand_made
 
-SETTINGS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
 CELLS = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8, ("a", 1): "a1" * 8, ("b", 1): "b1" * 8}
-RECORD = hand_made.record_of(CELLS)
 
 
 def save_run(
@@ -45,19 +42,21 @@ def save_run(
         for k in range(1, 5)
     ]  # fmt: skip
     about = {"started": started, "wall_seconds": len(started), "python": "3.11.7", "commit": "abc", **about}
-    hand_made.save_run(store, run_id, episodes, updates, evaluations, end, status, **about)
+    fields = {"seed": seed}
+    hand_made.save_run(store, run_id, episodes, updates, evaluations, end, status, fields, **about)
 
 
-def publish(data: StudyData, store: Store, times: bool = True, **options: Any) -> None:
-    """Write a study's published table, and the times beside it, into a results folder."""
+def publish(data: StudyData, store: Store, *curves: str) -> Path:
+    """Write a study's runs as a published table into a results folder, with curves of these, or of all."""
+    runs = [{"run_id": run.run_id, "condition": run.condition, "seed": run.seed} for run in data.runs]
+    listing = {"study": data.study, "title": data.title, "baseline": data.baseline, "runs": runs}
     path = store.published_path(data.study)
-    store.write(path, encode_study(data, **options))
-    if times:
-        store.write(path.with_suffix(TIMES_SUFFIX), encode_times(data))
+    about = {"study": data.study, "world": None, "settings": {}, "listing": listing}
+    store.write(path, encode_published([run.row for run in data.runs], about, curves or None))
+    return path
 
 
-def republished(data: StudyData, folder: Path, times: bool = True) -> StudyData:
+def republished(data: StudyData, folder: Path, *curves: str) -> StudyData:
     """Return a study as it is read from its published table in a folder that holds nothing else."""
-    publish(data, clone := Store(folder / "clone"), times)
-    (again,) = open_published(clone.root)
-    return again
+    publish(data, clone := Store(folder / "clone"), *curves)
+    return open_study(RunIndex(clone, shipped=False), data.study)

@@ -9,13 +9,14 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import open_study
+from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import draw_study, settle
 from pneuma.study.store import Store
 
-from ..hand_made import make_id, save_run
+from ..hand_made import make_id, save_listing, save_run
 
 BUDGET = 1000
 
@@ -23,17 +24,11 @@ _HALF = dict.fromkeys(METRIC_COLUMNS, 0.5)
 
 
 class HandMade:
-    """A results folder that is filled by hand, and the selection that it was recorded for."""
+    """A results folder that is filled by hand, with a study called 'mine' that lists its runs."""
 
     def __init__(self, folder: Path) -> None:
         self.store = Store(folder / "results")
-        self.record: dict[str, Any] = {
-            "study": "mine",
-            "title": "Mine",
-            "figure": "fig-mine",
-            "same": [],
-            "runs": [],
-        }
+        self.cells: dict[tuple[str, int], str] = {}
 
     def add(
         self,
@@ -46,19 +41,13 @@ class HandMade:
         random: float = 0.04,
     ) -> None:
         """Store a run that finished an episode every 50 steps and was evaluated every 250."""
-        run_id = run_id or make_id(condition, seed)
-        settings = {"steps": BUDGET, "slots": 1, "env": "pneuma/Pneuma-v0"}
-        self.record["runs"].append({"condition": condition, "seed": seed, "run_id": run_id, "run": settings})
+        self.cells[condition, seed] = run_id = run_id or make_id(condition, seed)
+        save_listing(self.store, self.cells)
         told = [{"episode": k, "step": 50 * (k + 1), "return": float(k + seed)} for k in range(episodes)]
         updates = [  # gradient norms go through the powers of ten
             {**_HALF, "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)} for k in range(20)
         ]
-        levels = {
-            "hunter_share_killed": 0.5,
-            "random_share_killed": random,
-            "score": 0.5,
-            "argmax_share_killed": 0.5,
-        }
+        levels = {"random_share_killed": random, "score": 0.5, "argmax_share_killed": 0.5}
         evaluated = [
             {**levels, "step": 250 * (k + 1), "share_killed": share} for k, share in enumerate(evaluations)
         ]
@@ -66,7 +55,7 @@ class HandMade:
 
     @property
     def data(self) -> StudyData:
-        return open_study(self.store, self.record)
+        return open_study(RunIndex(self.store, shipped=False), "mine")
 
     def draw(
         self,
