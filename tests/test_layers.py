@@ -55,7 +55,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch", "pneuma.study.store",
         "pneuma.study.provenance",
     ),
-    "pneuma.bench": ("pneuma.env", "pneuma.engines", "pneuma.study", "pneuma.analysis"),
+    "pneuma.bench": ("pneuma.env",),
     "pneuma.doctor": ("pneuma.study",),
     "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.cli": ("pneuma",),

@@ -201,8 +201,8 @@ class Band(NamedTuple):
         edges: takes (runs, points) values, NaN where a run has none; None if the runs themselves are drawn.
         least_runs: with fewer, there is no band.
         enough_runs: with fewer, the runs are drawn too, because a band that estimates the mean covers it less
-            often than 90 % for some of the distributions of `pneuma bench calibration`. 0 for bands that
-            show how far runs lie apart.
+            often than 90 % for some of the distributions in docs/evidence.md. 0 for bands that show how far
+            runs lie apart.
     """
 
     label: str

@@ -4,7 +4,7 @@ The unit is the seed. Estimates take finite values of at least one run. Values t
 refused; callers must drop, count and report them.
 
 Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
-`pneuma bench calibration` prints the coverage of each, and docs/evidence.md shows it.
+docs/evidence.md has the coverage of each.
 """
 
 from __future__ import annotations

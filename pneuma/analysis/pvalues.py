@@ -1,7 +1,7 @@
 """P-values of one or two arms of runs, for means and shares.
 
-Each test of two arms takes many samples at once, one per row, so that verdicts and their calibration (`pneuma
-bench calibration`) use the same code. docs/evidence.md explains which test is used when, and its assumptions.
+Each test of two arms takes many samples at once, one per row, so that verdicts and their calibration use the
+same code. docs/evidence.md explains which test is used when, and its assumptions.
 
 If there are few relabelings all are enumerated, otherwise they are drawn at random. The observed one is
 always included, so that no p-value is zero.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -14,11 +14,8 @@ from pneuma.study.store import Store
 
 logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
 logs.callback()(lambda: None)  # keeps the name of a group's only command
-bench = typer.Typer(
-    help="Measure speed on this machine, and calibrate the statistics.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+bench = typer.Typer(help="Measure speed on this machine.", no_args_is_help=True, rich_markup_mode=None)
+bench.callback()(lambda: None)
 
 
 def report(
@@ -122,23 +119,3 @@ def env(json: opt.Json = False) -> None:
     from pneuma.bench.env import bench_env
 
     return print_rows("cases", bench_env(), json)
-
-
-@bench.command(short_help="Simulate lists of claims whose truth is known.")
-def calibration(
-    lists: Annotated[
-        Any, opt.count("--lists", "How many lists of claims to simulate in each setting.")
-    ] = "2000",
-    json: opt.Json = False,
-) -> None:
-    """Simulate lists of claims whose truth is known; say how often a verdict or an interval is wrong."""
-    from pneuma.bench.calibration import bench_calibration
-
-    tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
-    for table, row in bench_calibration(lists):
-        tables[table].append(row)
-    if json:
-        return print_json(tables)
-    for table, rows in tables.items():
-        print_rows(table, rows, json)
-    return None

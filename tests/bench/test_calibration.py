@@ -10,7 +10,8 @@ from pneuma.analysis.curves import BANDS
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.judgement import decide
 from pneuma.analysis.pvalues import PValues
-from pneuma.bench.calibration import DISTRIBUTIONS, SETTINGS, band_coverage, is_false, wrong_lists
+
+from .calibration import DISTRIBUTIONS, SETTINGS, band_coverage, is_false, wrong_lists
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,13 @@
 Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
 claim are equal, or differ by half the margin (which counts as no difference), by exactly the margin (where a
 false verdict of equivalence is most likely), or by much more. docs/evidence.md has the results.
+
+    python -m tests.bench.calibration [LISTS]
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import comb
@@ -21,6 +24,7 @@ from pneuma.analysis.curves import BANDS
 from pneuma.analysis.intervals import mean
 from pneuma.analysis.judgement import INCONCLUSIVE, decide, what_it_shows
 from pneuma.analysis.pvalues import ManyPValues, PValues
+from pneuma.cli.output import print_rows
 
 SEEDS = (3, 5, 10, 20, 50)
 CLAIMS = {"mean": 50, "incidence": 10}
@@ -246,3 +250,15 @@ def band_coverage(band: str, runs: np.ndarray) -> float:
     assert edges
     low, high = edges(runs.T)
     return float(((low <= 0) & (high >= 0)).mean())
+
+
+def main(lists: int = 2000) -> None:
+    tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
+    for table, row in bench_calibration(lists):
+        tables[table].append(row)
+    for table, rows in tables.items():
+        print_rows(table, rows, json=False)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
