@@ -171,15 +171,18 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     """Return the runs of a study that have the steps and seeds that were asked for.
 
     Without steps these are the runs of the budget that was last trained here; if none was, of the budget of
-    most runs.
+    most runs. Budgets without any of the seeds that were asked for are passed over.
 
     Raises:
         UserError: when nothing is stored that is asked for.
     """
-    if asked.listed:
+    if asked.study is None:
         found = [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
         if picked.steps:
             found = [each for each in found if each[2].steps == picked.steps]
+        if not found:
+            of = f" of {picked.steps:,} steps" if picked.steps else ""
+            raise UserError(f"study {asked.name} has no runs{of} in {index.store.root}")
         return _narrowed(Shown(asked, found), picked)
     stored = [
         (name, entry.seed, entry)
@@ -190,7 +193,8 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
         raise UserError(_nothing(index, asked))
     budgets = _by_budget(asked, stored)
     if picked.steps is None:
-        budget = _usual_budget(index, budgets)
+        having = {steps: runs for steps, runs in budgets.items() if _have(runs, picked.seeds)}
+        budget = _usual_budget(index, having or budgets)
     elif chosen := _of_budget(asked, stored, picked.steps):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
@@ -253,6 +257,10 @@ def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> i
         latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
         possible = [steps for steps in budgets if any(e.run_id == latest for *_, e in budgets[steps])]
     return max(possible, key=lambda steps: len(budgets[steps]))
+
+
+def _have(runs: Iterable[Stored], seeds: Sequence[int] | None) -> bool:
+    return seeds is None or any(seed in seeds for _, seed, _ in runs)
 
 
 def _published_words(runs: Iterable[Stored]) -> str:

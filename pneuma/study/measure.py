@@ -177,7 +177,7 @@ def stored_row(store: Store, name: str) -> Row:
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{folder}: its records make no sense ({error})") from None
     with suppress(UserError):  # a folder that cannot be written is still read
-        store.save_row(name, data, Identity(cells["config_id"], cells["seed"], cells["steps"]))
+        store.save_row(name, data, known or Identity(cells["config_id"], cells["seed"], cells["steps"]))
     return decode_row(data)
 
 
