@@ -21,7 +21,15 @@ from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Configurations, Selection, configure, round_up
-from pneuma.study.spec import Study, list_studies, load_study, read_study, run_command
+from pneuma.study.spec import (
+    Study,
+    find_file,
+    list_studies,
+    load_study,
+    read_study,
+    run_command,
+    studies_folder,
+)
 from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS
 
@@ -111,15 +119,11 @@ def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None =
     Raises:
         UserError: for an unknown study, world or condition, or fields that do not go together.
     """
-    listing = None if name in list_studies() or name.endswith(".toml") else index.listing(name)
-    if listing is not None:
+    of_file = name in list_studies() or name.endswith(".toml")
+    if not of_file and (listing := index.listing(name)) is not None:
         return _ask_listed(index, listing, picked)
-    try:
-        study = load_study(name, world)
-    except UserError:
-        if name.endswith(".toml") or name in list_studies() or not index.listings():
-            raise
-        raise unknown_name("study", name, [*list_studies(), *index.listings()]) from None
+    find_file("study", name, studies_folder(), () if of_file else index.listings())
+    study = load_study(name, world)
     asked = configure(study, picked.settings or {}, picked.conditions)
     fields = {name: _without_amount(as_fields(run)) for name, run in asked.runs.items()}
     narrowed = picked.conditions if {*asked.origins} < {*asked.study.conditions} else ()

@@ -49,7 +49,7 @@ FEW_EPISODES = 10
 
 def _tell_episodes(data: StudyData, outcomes: Iterable[str]) -> None:
     """Say how many runs' last returns average few episodes."""
-    counts = sorted(run.row.last_episodes for run in data.runs if run.row.last_episodes < FEW_EPISODES)
+    counts = sorted(run.row.last_episodes for run in data.runs if 0 < run.row.last_episodes < FEW_EPISODES)
     if counts and "final-return" in outcomes:
         between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
         say(f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}.")

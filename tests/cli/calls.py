@@ -74,7 +74,7 @@ def save_finished(store: Store, run: Run, **provenance: object) -> str:
     series = {"return": (steps, steps / run.steps + run.seed), "entropy": (steps, np.ones(10))}
     evaluations = [{"step": int(step), "share_killed": 0.5, "random_share_killed": 0.1} for step in steps]
     fields = json.loads(json.dumps(as_fields(run)))
-    measured = Measured(name, config_id(run), fields, "done", run.steps, series, evaluations, provenance)
+    measured = Measured(name, config_id(run), fields, "done", run.steps, series, evaluations, provenance, 0)
     files = {
         "run.json": run_document(run, name),
         "provenance.json": to_json(provenance),

@@ -12,8 +12,14 @@ from .calls import TINY, printed
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A results folder with two conditions of two seeds, which no test changes; it is read with `SETTINGS`."""
+    """A results folder with two conditions of two seeds, to read with `SETTINGS`; no test changes it."""
     results = tmp_path_factory.mktemp("trained") / "results"
     with training_here():
         printed("study", "run", "activation", *TINY, "--seeds", "2", "--quiet", "--results", results)
     return results
+
+
+@pytest.fixture
+def unshipped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Leave out Pneuma's own published tables, which take a second to read."""
+    monkeypatch.setattr("pneuma.study.store.shipped_tables", lambda: tmp_path / "unshipped")

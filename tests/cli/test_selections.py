@@ -1,131 +1,211 @@
-"""What is shown of a study that was run in several ways: variants apart, else the amount of most runs."""
+"""A study is a question: which stored and published runs answer it, and what is said of the others."""
 
 from __future__ import annotations
 
-import json
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pneuma.analysis.stored_studies import study_record
 
+from pneuma.analysis.asked import answer, ask
+from pneuma.analysis.run_index import RunIndex
 from pneuma.api import open_data
 from pneuma.config import ENGINE_VERSIONS
-from pneuma.study.execute import prepare
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Store
 
-from .calls import call, printed, refused
-
-
-def _run(store: Store, study: str = "activation", **selection: Any) -> list[str]:
-    """Plan and record some of a study as `study run` does, and have its runs end; return their ids."""
-    plan = make_plan(load_study(study), Selection(**{"conditions": ("tanh", "relu"), **selection}))
-    prepare(plan, store)
-    for cell in plan.cells:
-        store.save_run(cell.run_id, Status("done", cell.run.steps), {})
-    return [cell.run_id for cell in plan.cells]
+from .calls import Called, call, described, refused, save_finished
 
 
-def _shown(store: Store, name: str, *options: str) -> list[str]:
-    told = json.loads(printed("study", "status", name, *options, "--json", "--results", store.root))
-    return [run["run_id"] for run in told["runs"]]
+def _finish(store: Store, study: str = "activation", world: str | None = None, **selection: Any) -> list[str]:
+    """Store some runs of a study as done, as if they were trained now; return their ids."""
+    plan = make_plan(load_study(study, world), Selection(**{"conditions": ("tanh", "relu"), **selection}))
+    return [save_finished(store, cell.run) for cell in plan.cells]
 
 
-def test_a_variant_stands_under_its_own_name_and_beside_its_study(tmp_path: Path) -> None:
-    store, changed = Store(tmp_path), {"learning_rate": 0.001}
-    plain = _run(store, seeds=(0, 1), steps=512)
-    quick = _run(store, seeds=(0, 1), steps=512, settings=changed)
-    slow = _run(store, seeds=(0, 1, 2), steps=512, settings={"learning_rate": 1e-5}, variant="slow")
-    assert _shown(store, "activation") == plain
-    assert _shown(store, "activation+learning_rate=0.001") == quick
-    assert _shown(store, "activation+slow") == slow
-    head = printed("study", "status", "activation+slow", "--results", store.root)
-    assert head.startswith("activation+slow (learning_rate = 1e-05): 6 done")
-    again = ("study", "run", "activation", "--set", "gamma=0.5", "--as", "slow", "--results", store.root)
-    assert "learning_rate = 1e-05" in refused(*again)
-    assert "is a variant" in refused("study", "plan", "activation+slow", "--results", store.root)
+def _ask(store: Store, name: str, world: str | None = None, **selection: Any) -> tuple[list[str], str]:
+    """Return the ids of the runs that answer a question, and the sentence on what is shown."""
+    index, picked = RunIndex(store), Selection(**selection)
+    shown = answer(index, ask(index, name, picked, world), picked)
+    return [entry.run_id for *_, entry in shown.runs], shown.told()
 
 
-def test_most_finished_runs_are_shown_whatever_was_run_last(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    first = _run(store, seeds=(0, 1), steps=512)
-    other = _run(store, seeds=(0,), steps=1024)
-    code, out, told = call("study", "status", "activation", "--results", store.root)
-    assert (code, "4 done" in out) == (0, True)
-    assert "4 runs of 512 steps. Stored too: 2 runs of 1,024 steps (--steps 1024)" in told
-    assert _shown(store, "activation", "--steps", "1024") == other
-    assert [run.run_id for run in open_data("activation", tmp_path, steps=1024).runs] == other
-    more = _run(store, seeds=(2,), steps=512)
-    assert _shown(store, "activation") == [*first, *more]
-    record, data = study_record(store, "activation"), open_data("activation", tmp_path)
-    assert (record["selection"]["seeds"], record["runs"]) == ([0, 1, 2], data.record["runs"])
+# --- Budgets, fields and worlds --------------------------------------------------------------------
 
 
-def test_runs_of_another_version_are_kept_apart_and_the_latest_are_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.usefixtures("unshipped")
+def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(store: Store) -> None:
+    first = _finish(store, seeds=(0, 1), steps=512)  # rounded up to 1,024: whole updates of 4 x 256
+    other = _finish(store, seeds=(0,), steps=2048)
+    shown, told = _ask(store, "activation")
+    assert shown == other
+    assert ": 2 runs of 2,048 steps (trained here). Stored too: 4 runs of 1,024 steps (--steps 1024);" in told
+    assert _ask(store, "activation", steps=512)[0] == first
+    more = _finish(store, seeds=(2,), steps=512)
+    assert _ask(store, "activation")[0] == [*first, *more]
+    data = open_data("activation", store.root, seeds=[1, 2], conditions="tanh")
+    assert [run.run_id for run in data.runs] == [first[2], more[0]]
+    words = ("study", "status", "activation", "--results", store.root)
+    assert "--steps 4096: activation in the arena has runs of 1,024, 2,048 steps" in refused(
+        *words, "--steps", "4096"
+    )
+    assert "--seeds: activation in the arena has none of these; it has 0, 1, 2" in refused(
+        *words, "--seeds", "7,"
+    )
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_a_changed_field_is_another_question(store: Store) -> None:
+    plain = _finish(store, seeds=(0,), steps=1024)
+    changed = _finish(store, seeds=(0, 1), steps=1024, settings={"learning_rate": 0.001})
+    assert _ask(store, "activation")[0] == plain
+    shown, told = _ask(store, "activation", settings={"learning_rate": 0.001})
+    assert shown == changed
+    assert told.startswith("activation in the arena with learning_rate = 0.001: 4 runs of 1,024 steps")
+    words = ("study", "status", "activation", "--set", "gamma=0.5", "--results", store.root)
+    assert "has no runs in" in (told := refused(*words))
+    assert "run `pneuma study run activation --set=gamma=0.5` first" in told
+    assert "2 runs (--set gamma=0.99)" in told  # all else is as asked
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_a_world_without_runs_says_in_which_there_are_some(store: Store) -> None:
+    ids = _finish(store, "architecture", "text", seeds=(0,), steps=512, conditions=())
+    words = ("study", "status", "architecture", "--results", store.root)
+    assert f"{len(ids)} runs in the text's world (--world text)" in refused(*words)
+    told = described(*words, "--world", "text", "--json")
+    assert sorted(run["run_id"] for run in told["runs"]) == sorted(ids)
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_runs_of_another_version_are_not_those_of_the_study(
+    store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = Store(tmp_path)
-    old = _run(store, seeds=(0, 1), steps=512)
+    old = _finish(store, seeds=(0, 1), steps=512)
     monkeypatch.setitem(ENGINE_VERSIONS, "batched", 10**6)
-    other = _run(store, seeds=(0,), steps=512, conditions=("leaky-relu",))
-    assert _shown(store, "activation") == other  # though `old` had no such condition
-    new = [*_run(store, seeds=(0,), steps=512), *other]
-    assert _shown(store, "activation") == new and not {*old} & {*new}
-    told = call("study", "status", "activation", "--results", store.root)[2]
-    assert "4 runs of 512 steps with other settings or code" in told
+    new = _finish(store, seeds=(0,), steps=512)
+    assert _ask(store, "activation")[0] == new and not {*old} & {*new}
 
 
-def test_commands_at_the_same_time_record_the_seeds_of_all(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    with ThreadPoolExecutor() as pool:
-        ids = pool.map(lambda seed: _run(store, seeds=(seed,), steps=512), range(6))
-    assert {*_shown(store, "activation")} == {run_id for each in ids for run_id in each}
+def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
+    """With one slot, 2,000 steps are 2,048 with either horizon, and 1,500 are 1,536 with that of 256."""
+    study, one = "hyperparameters", {"slots": 1}
+    index, million = RunIndex(store), Selection(steps=1_000_000, settings=one)
+    published = answer(index, ask(index, study, million), million)
+    assert {entry.steps for *_, entry in published.runs} == {1_000_192, 1_001_472}  # of 2,048 a horizon
+    what = {"conditions": ("table-6-2", "horizon-2048"), "settings": one}
+    ids = {steps: _finish(store, study, seeds=(0,), steps=steps, **what) for steps in (1500, 2000)}
+    assert all(_ask(store, study, steps=steps, **what)[0] == ids[steps] for steps in ids)
+    with pytest.raises(Exception, match="has runs of 1,000,000, 1,536, 2,048 steps"):
+        _ask(store, study, steps=2049, **what)
 
 
-def test_steps_are_rounded_up_for_the_horizon_of_each_run(tmp_path: Path) -> None:
-    picked = Selection(steps=1_000_000)  # 1,000,192 with a horizon of 256, and 1,001,472 with one of 2048
-    study, store, both = "hyperparameters", Store(tmp_path), ("table-6-2", "horizon-2048")
-    assert len(study_record(store, study, picked, "arena")["runs"]) == 400
-    ids = {steps: _run(store, study, seeds=(0,), steps=steps, conditions=both) for steps in (1500, 2000)}
-    assert all(_shown(store, study, "--steps", str(steps)) == ids[steps] for steps in ids)
-    told = refused("study", "status", study, "--steps", "2049", "--results", store.root)
-    assert "has runs of 2,048, 1,536 steps" in told
+# --- Trained and published runs --------------------------------------------------------------------
 
 
-def test_several_values_of_a_field_make_conditions(tmp_path: Path) -> None:
+def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_option(store: Store) -> None:
+    quick = _finish(store, world="godot", seeds=(0, 1, 2), steps=50_000)
+
+    def compare(*options: str) -> tuple[str, set[str]]:
+        words = ("study", "compare", "activation", "tanh", "relu", "--world", "godot", *options)
+        code, out, err = call(*words, "--results", store.root)
+        (told,) = err.splitlines()
+        assert code == 0 and told.startswith("activation in the published code's world: ")
+        rows = [line for line in out.splitlines() if line.startswith("  final-share-killed")]
+        return told.partition("world: ")[2], {row.split("  ")[-2].strip() for row in rows}
+
+    told, runs = compare()
+    assert runs == {"3 and 3"}
+    assert told.startswith("6 runs of 50,000 steps (trained here). Stored too: 120 runs of 1,000,000 steps, ")
+    assert "published (--steps 1000000)" in told
+    assert compare("--steps", "1e6")[1] == {"70 and 50"}
+    told, runs = compare("--seeds", "100..149")
+    assert runs == {"50 and 50"} and told.startswith(
+        "100 runs of 1,000,000 steps (published). Stored too: 6 "
+    )
+    assert _ask(store, "activation", "godot")[0] == quick
+
+
+def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:
+    new = _finish(store, world="godot", seeds=(9000,), steps=1_000_000)
+    shown, told = _ask(store, "activation", "godot", conditions=("tanh", "relu"))
+    assert len(shown) == 122 and {*new} < {*shown}
+    assert "122 runs of 1,000,000 steps (120 of them published)." in told
+
+
+# --- Conditions with changed fields ----------------------------------------------------------------
+
+
+def test_several_values_of_a_field_make_conditions() -> None:
     study, several = load_study("activation"), {"learning_rate": [1e-4, 3e-4], "betas": [0.9, 0.9]}
     plan = make_plan(study, Selection(seeds=(0,), steps=512, conditions=("relu",), settings=several))
-    assert plan.conditions == ("learning_rate=1e-4, relu", "learning_rate=3e-4, relu")
+    assert plan.conditions == ("relu, learning_rate=1e-4", "relu, learning_rate=3e-4")
     set_ = [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells]
     assert set_ == [(1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9))]
     for key, values in {"gradient_limit": "none, 0.5", "reward": "thesis, kills"}.items():
         plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
-        assert plan.conditions == tuple(f"{key}={value}, relu" for value in values.split(", "))
+        assert plan.conditions == tuple(f"relu, {key}={value}" for value in values.split(", "))
 
 
-def test_a_study_that_was_run_in_another_world_alone_is_shown_there(tmp_path: Path) -> None:
-    prepare(plan := make_plan(load_study("architecture", "arena"), Selection(steps=512)), Store(tmp_path))
-    assert _shown(Store(tmp_path), "architecture") == [cell.run_id for cell in plan.cells]
-    assert "no runs" in refused("study", "status", "architecture", "--world", "godot", "--results", tmp_path)
+@pytest.mark.usefixtures("unshipped")
+def test_conditions_that_differ_in_the_engine_are_compared_with_a_note(store: Store) -> None:
+    pair = ("tanh, engine=batched", "tanh, engine=sb3")
+    _finish(store, seeds=(0,), steps=1024, conditions=pair)
+    called = call("study", "compare", "activation", *pair, "--results", store.root)
+    assert called.code == 0
+    assert "Note: trained by different engines (batched and sb3)." in called.out
+    assert (
+        _ask(store, "activation", conditions=("tanh",))[0]
+        == _ask(store, "activation", conditions=pair)[0][:1]
+    )
+    told = refused("study", "compare", "activation", "tanh", "tanh, engine=sb", "--results", store.root)
+    assert "did you mean sb3?" in told
 
 
-def test_a_study_that_was_run_by_its_path_is_found_by_its_name_and_world(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+# --- A file of one's own ---------------------------------------------------------------------------
+
+OWN = """
+title = "Own"
+base = "table-6-2"
+worlds = ["godot", "arena"]
+[conditions.a]
+gamma = 0.4
+[conditions.b]
+gamma = 0.5
+[presets.quick]
+seeds = 1
+steps = 512
+"""
+READERS = {
+    "status": "", "summary": "", "collapse": "", "effects": "", "publish": "", "plot": "",
+    "export": "--table curves --out x.csv", "robustness": "--contrast gamma=0.4:0.5", "compare": "a b",
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, store = tmp_path / "own.toml", Store(tmp_path / "results")
-    text = 'title = "Own"\nbase = "table-6-2"\nworlds = ["godot", "arena"]\n[conditions.a]\n'
-    file.write_text(text := text + "[presets.quick]\nseeds = 1\nsteps = 512\n")
-    plan = make_plan(load_study(str(file)), Selection())
-    prepare(plan, store)
-    monkeypatch.chdir(tmp_path.parent)
-    told = json.loads(printed("study", "plan", "own", "--json", "--results", store.root))
-    assert [run["run_id"] for run in told["runs"]] == [plan.cells[0].run_id]
-    assert _shown(store, "own", "--world", "godot") == [plan.cells[0].run_id]
-    for world in ("text", "arena"):
-        assert "no runs" in refused("study", "status", "own", "--world", world, "--results", store.root)
-        assert "No study" in printed("study", "status", "--world", world, "--results", store.root)
-    file.write_text(text + '[run]\nreward = "theirs:reward"\n')
-    assert f"give its file: {file}" in refused("study", "run", "own", "--results", store.root)
+    file = tmp_path / "own.toml"
+    file.write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+
+    def typed(verb: str, name: str = "own", *options: str) -> Called:
+        given = READERS.get(verb, "").split()
+        words = [*given, name] if given and given[0].startswith("-") else [name, *given]
+        return call("study", verb, *words, *options, "--results", store.root)
+
+    assert "2 to-train." in typed("plan").out
+    for verb in READERS:
+        code, out, told = typed(verb)
+        assert (code, out) == (2, ""), verb
+        assert f"has no runs in {store.root}: run `pneuma study run {file}` first" in told, verb
+    assert not store.root.exists() and [*tmp_path.iterdir()] == [file]
+    ids = _finish(store, "own", "godot", conditions=())
+    for name in ("own", "own.toml", str(file)):
+        assert [*_ask(store, name, "godot")[0]] == ids
+    assert "2 runs in the published code's world (--world godot)" in typed("status").err
+    store.save_listing("logs", {"title": "", "baseline": "", "runs": []})
+    assert "'logz' (did you mean logs?)" in typed("status", "logz").err
+    assert "study own is not run in the world text" in typed("status", "own", "--world", "text").err
