@@ -86,7 +86,6 @@ def is_gymnasium_id(env: object) -> bool:
 
 
 def _read_env(value: Any) -> str:
-    """Read one of Pneuma's ids, or any name in the form of a Gymnasium id."""
     if value in OWN_ENVIRONMENTS or is_gymnasium_id(value):
         return str(value)
     raise ValueError
@@ -105,7 +104,6 @@ def _read_arguments(value: Any) -> str:
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
-    """Read one module:Class, or a list of them."""
     names = tuple(value.split(",") if isinstance(value, str) and value else value)
     if not all(re.fullmatch(rf"({_MODULE}):\w+", name) for name in names):
         raise ValueError
@@ -219,7 +217,6 @@ class Run(EnvConfig):
 
     @property
     def updates(self) -> int:
-        """Number of updates in the budget."""
         return self.steps // self.steps_per_update
 
 
@@ -326,7 +323,6 @@ def _check_learner(run: Run) -> None:
 
 
 def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
-    """Return the fields that an environment, an algorithm and its optimizer read."""
     of_algorithm = ALGORITHM_FIELDS[algorithm]
     if algorithm in TABULAR:
         return frozenset(of_algorithm) | _READ_BY_ALL
@@ -357,12 +353,10 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def env_config(run: Run) -> EnvConfig:
-    """Return the environment's part of a run's fields."""
     return EnvConfig(**{key: getattr(run, key) for key in OF_WORLDS})
 
 
 def evaluation_config(run: Run) -> EnvConfig:
-    """Return the fields of the environment in which a run is evaluated: its own, or held-out levels."""
     config = env_config(run)
     if not run.held_out_levels:
         return config

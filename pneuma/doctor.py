@@ -61,7 +61,6 @@ class Finding:
 
 
 def examine(results: Path) -> Iterator[Finding]:
-    """Yield a finding for each part of the installation."""
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
     mend = "" if sound else "use Python 3.11 to 3.13"
     yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), mend)

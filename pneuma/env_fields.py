@@ -35,7 +35,6 @@ _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 
 
 def _read_codes(value: Any) -> tuple[int, ...]:
-    """Read one ground code, or a list."""
     codes = (value,) if type(value) is int else tuple(value)
     if not all(type(code) is int and 0 <= code < 2**28 for code in codes):
         raise ValueError
@@ -137,7 +136,6 @@ OBSERVATION_FIELDS = {
 
 
 def action_names(magic: bool, dash: bool) -> tuple[str, ...]:
-    """Name the actions of a world, in order."""
     return ACTION_NAMES + (SPELL_NAMES if magic else ()) + ((DASH,) if dash else ())
 
 
@@ -181,22 +179,18 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def is_own_level(name: str) -> bool:
-    """Return whether a level is a user's file, neither shipped nor random."""
     return bool(name) and name not in SHIPPED_LEVELS and not is_random_level(name)
 
 
 def is_random_level(name: str) -> bool:
-    """Return whether a level is a random one."""
     return name.startswith("random:")
 
 
 def are_own_characters(name: str) -> bool:
-    """Return whether characters come from a user's file."""
     return bool(name) and name not in SHIPPED_CHARACTERS
 
 
 def own_rewards(names: Iterable[str]) -> list[str]:
-    """Return the names of rewards that are a user's functions."""
     return [name for name in names if ":" in name]
 
 

@@ -139,7 +139,6 @@ def names_in(folder: Path) -> list[str]:
 
 
 def to_json(value: object) -> bytes:
-    """Return a value as indented JSON with a final newline."""
     return (json.dumps(value, indent=2) + "\n").encode()
 
 
@@ -159,7 +158,6 @@ def read_sealed(path: Path) -> dict[str, Any] | None:
 
 
 def checksum(data: bytes) -> str:
-    """Return the hexadecimal SHA-256 of some bytes."""
     return hashlib.sha256(data).hexdigest()
 
 

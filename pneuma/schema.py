@@ -124,7 +124,6 @@ class FieldsOf:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The fields that may be set."""
         return tuple(one.name for one in fields(self.owner) if one.name not in self.elsewhere)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -170,7 +169,6 @@ class TomlFile:
     data: dict[str, Any]
 
     def mistake(self, where: Where, message: str, key: str = "") -> UserError:
-        """Return an error that names the file, line and table, and what is wrong."""
         line = _line_of(self.text, (*where, key) if key else where)
         place = f"{self.path}, line {line}" if line else str(self.path)
         table = f"[{'.'.join(where)}] " if where else ""

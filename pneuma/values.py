@@ -100,7 +100,6 @@ def shown_level(value: object) -> str:
 
 
 def shown_settings(settings: Mapping[str, Any]) -> str:
-    """Return changed fields as text."""
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 
 

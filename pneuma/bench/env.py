@@ -44,7 +44,6 @@ def bench_env() -> list[dict[str, Any]]:
 
 
 def rate_of(step: Step) -> float:
-    """Return how many steps per second can be taken, measured for one round."""
     count, start = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - start) < SECONDS_PER_ROUND or not count:
         for i in range(200):

@@ -54,5 +54,4 @@ def make_evaluation(run: Run) -> Any:
 
 
 def slot_seeds(run: Run) -> list[int]:
-    """Return the seeds of the worlds in a run's slots."""
     return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]

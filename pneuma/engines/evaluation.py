@@ -81,8 +81,6 @@ class OwnAgent:
 
 
 class Evaluation:
-    """Evaluates the policies of one run."""
-
     def __init__(self, run: Run) -> None:
         self.run = run
         self.episodes = run.evaluation_episodes

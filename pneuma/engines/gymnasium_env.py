@@ -84,7 +84,6 @@ class Slots:
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
-        """Start the first episode of each slot."""
         for array in (self.returns, self.lengths, self.episodes):
             array[:] = 0
         self.steps = 0
@@ -96,7 +95,6 @@ class Slots:
             self._reset(slot)
 
     def reseed(self, seeds: Sequence[int]) -> None:
-        """Give each slot's next episode a seed."""
         self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # all environments take these
         self._seedings.append([self.steps, *self._seeds])  # type: ignore[list-item]
 
@@ -118,7 +116,6 @@ class Slots:
         return rewards, terminated, truncated
 
     def actions(self, actions: np.ndarray) -> Sequence[Any]:
-        """Return actions in the form that the environments take."""
         if isinstance(self.action_space, spaces.Discrete):
             first = int(self.action_space.start)
             return [first + action for action in actions.tolist()] if first else actions.tolist()
@@ -126,7 +123,6 @@ class Slots:
         return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
-        """Step one slot; return its reward, whether it terminated or was truncated, and its info."""
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
             observation, reward, ended, cut, info = self.envs[slot].step(action)
             self._see(slot, observation)
@@ -144,7 +140,6 @@ class Slots:
             raise ValueError("its observation is not finite")
 
     def _end(self, slot: int, ending: str) -> None:
-        """Record an ended episode and start the next."""
         self.terminal[slot] = self.observations[slot]
         self.finished.append(
             {
@@ -210,7 +205,6 @@ def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | space
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    """Return the function that flattens an observation."""
     if not space.is_np_flattenable:
         raise UserError(f"{run.env}: observations in {space} cannot be flattened: wrap it to have Box ones")
     if isinstance(space, spaces.Box):
@@ -223,7 +217,6 @@ def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
 
 
 def make_env(run: Run) -> gymnasium.Env[Any, Any]:
-    """Make a run's environment with its wrappers."""
     if run.env_module:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")

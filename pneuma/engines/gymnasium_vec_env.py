@@ -32,19 +32,15 @@ class GymnasiumVecEnv(WholeVecEnv):
 
     @property
     def finished(self) -> list[dict[str, Any]]:
-        """Episodes that ended since the list was last emptied."""
         return self.slots.finished
 
     def reset(self) -> np.ndarray:
-        """Start the first episodes and return all observations."""
         return self.slots.observations.copy()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Set the actions of the next step."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step all slots: observations, rewards, dones, infos."""
         rewards, terminated, truncated = self.slots.step(self._actions)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [
@@ -56,11 +52,9 @@ class GymnasiumVecEnv(WholeVecEnv):
         return self.slots.observations.copy(), rewards.astype(np.float32), dones, infos
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Copy everything that the next step depends on: arrays by name."""
         return self.slots.saved_state()
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Resume from `saved_state`; see `Slots.restore_state`."""
         self.slots.restore_state(saved)
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
@@ -69,6 +63,5 @@ class GymnasiumVecEnv(WholeVecEnv):
         return self.slots.observations.copy()
 
     def close(self) -> None:
-        """Close all."""
         for env in self.slots.envs:
             env.close()

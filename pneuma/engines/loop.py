@@ -81,7 +81,6 @@ class Trainer(ABC):
         return make_evaluation(self.run)
 
     def evaluate(self, step: int) -> Row:
-        """Evaluate the current policy; return a row of evaluations."""
         return self._evaluation.evaluate(self.policy(), step)
 
     @abstractmethod

@@ -138,7 +138,6 @@ def read_sound_policy(data: bytes) -> Policy:
 
 
 def _is_sound(policy: Policy) -> bool:
-    """Return whether the shapes of a policy's layers fit together."""
     networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
     inputs = {len(layers[0][0]) for layers in networks}
     fits = policy.activation in ACTIVATIONS and len(inputs) == 1
@@ -164,7 +163,6 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
 
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
-    """Check that a policy fits the worlds' observations and actions."""
     for what, trained, asked in (
         ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
         ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
@@ -196,7 +194,6 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
 
 
 def activate(activation: str, x: np.ndarray) -> np.ndarray:
-    """Apply an activation function."""
     if activation == "tanh":
         return np.tanh(x)
     if activation == "relu":

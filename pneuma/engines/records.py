@@ -79,7 +79,6 @@ class Records:
     evaluations: list[Row] = field(default_factory=list)
 
     def copy(self) -> Records:
-        """Return a copy that later rows do not change."""
         return Records(list(self.episodes), list(self.metrics), list(self.evaluations))
 
 

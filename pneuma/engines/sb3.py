@@ -54,8 +54,6 @@ VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES
 
 
 class Sb3Trainer(Trainer):
-    """Trains one run by a learner of Stable-Baselines3."""
-
     def __init__(self, run: Run) -> None:
         super().__init__(run)
         torch.set_num_threads(1)
@@ -81,7 +79,6 @@ class Sb3Trainer(Trainer):
         self._policy = extract_policy(model, run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Let the learner collect and train."""
         model, run = self._model, self.run
         with GradientNorms(model, run) as norms:
             if self._visited:
@@ -97,11 +94,9 @@ class Sb3Trainer(Trainer):
         return not overflows(self._policy, model._last_obs)
 
     def policy(self) -> Policy:
-        """Return the policy after the last update."""
         return self._policy
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy networks, optimizer, worlds and random generators."""
         return take_checkpoint(self._model, step, records)
 
 
@@ -185,7 +180,6 @@ class GradientNorms:
         self._hooks: tuple[Any, ...] = ()
 
     def __enter__(self) -> GradientNorms:
-        """Register the hooks."""
         if self._optimizer is not None:
             self._hooks = (
                 self._optimizer.register_step_pre_hook(self._clip_parts),

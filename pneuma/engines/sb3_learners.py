@@ -171,7 +171,6 @@ there."""
 
 
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
-    """Copy everything that the next update depends on."""
     env: Any = model.env
     kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     replayed, exploring = _replay_state(model) if isinstance(model, DQN) else ({}, {})
@@ -227,7 +226,6 @@ _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones",
 
 
 def _replay_state(model: DQN) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Copy DQN's replay buffer, schedules and stream of random actions."""
     buffer = model.replay_buffer
     assert buffer is not None
     numbers = {

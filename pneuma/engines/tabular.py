@@ -49,7 +49,6 @@ class TableTrainer(Trainer):
         self._finished: list[Row] = []
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Take one horizon of steps and learn from each."""
         steps = [self._step(taken) for taken in range(before, after)]
         records.metrics.append({**_metrics(self.run, steps), "step": after})
         records.episodes.extend(self._finished)
@@ -111,7 +110,6 @@ class TableTrainer(Trainer):
         return Policy(self.run.activation, (layer,), (), self.run.exploration)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy everything that the next step depends on."""
         numbers = {
             "actions": self._generator.bit_generator.state,
             "world": self.env.np_random.bit_generator.state,
@@ -120,7 +118,6 @@ class TableTrainer(Trainer):
         return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from a checkpoint."""
         try:
             if checkpoint.arrays["tables"].shape != self.tables.shape:
                 raise ValueError("it is of another number of tables")

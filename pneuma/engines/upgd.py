@@ -56,7 +56,6 @@ class UPGD(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> None:  # type: ignore[override]
-        """Update all parameters that have a gradient."""
         moving = [(p, group) for group in self.param_groups for p in group["params"] if p.grad is not None]
         for parameter, group in moving:
             self._take_in(parameter, group)

@@ -44,8 +44,6 @@ _Place = Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=2)]
 
 
 class _Body(Table):
-    """Keys that players and monsters share."""
-
     hp: _Hp
     speed: _Speed
     body: _Box
@@ -63,8 +61,6 @@ class _Body(Table):
 
 
 class Player(_Body):
-    """A player's class."""
-
     energy: _Points
     attack: _Points
     magic: _Points
@@ -91,8 +87,6 @@ class Reach(Table):
 
 
 class Weapon(Table):
-    """A weapon."""
-
     damage: _Points
     swing: _Lasting
     knock_back: _Speed
@@ -103,8 +97,6 @@ class Weapon(Table):
 
 
 class Heal(Table):
-    """The spell that heals."""
-
     strength: _Points
     cost: _Points
     cast: _Lasting
@@ -118,15 +110,11 @@ class Flame(Heal):
 
 
 class Spells(Table):
-    """All spells."""
-
     flame: Flame
     heal: Heal
 
 
 class Monster(_Body):
-    """A kind of monster."""
-
     code: Annotated[int, Field(ge=0, lt=2**28)]
     notice: _Points
     notice_at: _Place = (0.0, 0.0)
@@ -148,8 +136,6 @@ class Monster(_Body):
 
 
 class Characters(Table):
-    """All characters, weapons and spells."""
-
     players: dict[str, Player]
     weapons: dict[str, Weapon]
     spells: Spells

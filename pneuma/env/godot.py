@@ -103,7 +103,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         return self._ask(message, "step", self._read_step)
 
     def close(self) -> None:
-        """End the game."""
         if self._connection:
             with suppress(OSError):
                 send(self._connection, {"type": "close"})

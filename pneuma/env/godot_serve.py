@@ -102,7 +102,6 @@ class _Trainer:
         return kind, actions, seed
 
     def tell(self, answer: Mapping[str, Any]) -> None:
-        """Send an answer."""
         try:
             send(self._connection, answer)
         except OSError:
@@ -170,7 +169,6 @@ def _actions(message: Mapping[str, Any], envs: list[gymnasium.Env[Any, Any]]) ->
 
 
 def _step(env: gymnasium.Env[Any, Any], action: Any) -> dict[str, Any]:
-    """Step one copy, and reset it if its episode ends."""
     obs, reward, terminated, truncated, info = env.step(action)
     sent: dict[str, Any] = {
         key: value

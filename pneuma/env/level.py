@@ -181,7 +181,6 @@ def level_files(name: str) -> list[Path]:
 
 
 def _level_path(name: str) -> Path:
-    """Return the folder of a level that is not random."""
     if name in SHIPPED_LEVELS:
         return LEVELS / name
     path = Path(os.path.expanduser(name))

@@ -52,13 +52,11 @@ class MailmanEnv(gymnasium.Env[np.int64, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.int64, dict[str, Any]]:
-        """Begin a day at the post office."""
         super().reset(seed=seed)
         self.place = POST_OFFICE
         return np.int64(self.place), {}
 
     def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
-        """Go somewhere; see `gymnasium.Env.step`."""
         if not self.action_space.contains(action):
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if self.place == HOME:

@@ -177,7 +177,6 @@ def observation_space(
 
 
 def _scaled(settings: Any, axis: str, *places: float) -> tuple[float, ...]:
-    """Return positions on an axis as they are observed."""
     return tuple((place - settings[f"middle_{axis}"]) * settings[f"scale_{axis}"] for place in places)
 
 

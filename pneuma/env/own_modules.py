@@ -115,6 +115,5 @@ class _Imports(ModuleFinder):
 
 
 def _is_installed(folder: Path) -> bool:
-    """Return whether a folder belongs to installed packages or to Python itself."""
     paths = sysconfig.get_paths()
     return folder.resolve() in {Path(paths[key]).resolve() for key in ("stdlib", "purelib", "platlib")}

@@ -52,7 +52,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self._set_up_rendering(self.worlds, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Return what a player observes."""
         return self.worlds.spaces[self._index[agent]]
 
     def action_space(self, agent: str) -> spaces.Discrete:

@@ -114,7 +114,6 @@ class Hunter:
         return drowns
 
     def _begin_again(self, fresh: np.ndarray) -> None:
-        """Forget plans in worlds whose episodes have just started, (N,)."""
         if fresh.any():
             self._left_off[:, fresh], self._seen[:, fresh], self._detour[fresh] = np.nan, np.nan, 0
             self._plans = {key: plan for key, plan in self._plans.items() if not fresh[key[0]]}
@@ -184,7 +183,6 @@ def _place(worlds: Worlds, world: int, player: int) -> tuple[float, float]:
 
 
 def _reach(worlds: Worlds, player: int) -> float:
-    """Return how far a player walks in one step."""
     return float(worlds.player_stats["speed"][player]) * TICKS_PER_STEP
 
 

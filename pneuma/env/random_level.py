@@ -219,11 +219,9 @@ def _count_around(tiles: np.ndarray) -> np.ndarray:
 
 
 def _without_specks(tiles: np.ndarray, least: int) -> np.ndarray:
-    """Return the tiles of all regions with at least `least` tiles."""
     regions = walkable_regions(tiles)
     return (regions > 0) & (np.bincount(regions.ravel())[regions] >= least)
 
 
 def _largest(regions: np.ndarray) -> int:
-    """Return the number of the largest region."""
     return int(np.bincount(regions.ravel())[1:].argmax()) + 1 if regions.any() else 1

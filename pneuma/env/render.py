@@ -126,7 +126,6 @@ class Renderer:
         return _centre(sprites.enlarge(canvas, self._factor), self._size)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
-        """Return the art pixel of a place in the world."""
         level = self.worlds.level
         scale = sprites.TILE / level.tile
         return int((x - level.left) * scale // 1), int((y - level.top) * scale // 1)
@@ -187,7 +186,6 @@ class Renderer:
         yield Item(y, picture, x - width // 2, y + 1 - height)
 
     def _sword(self, player: Any, stats: Any) -> Item:
-        """Return a player's sword, centred at its hilt."""
         way, facing = player["facing"], FACINGS[player["facing"]]
         moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
         picture = sprites.sword_picture(facing, moment)
@@ -197,7 +195,6 @@ class Renderer:
         return Item(foot + (-0.2 if facing == "up" else 0.2), picture, x - width // 2, y - height // 2)
 
     def _bars(self, world: int) -> Iterator[Item]:
-        """Yield the HP bars of everyone who is hurt and alive, monsters first."""
         level = int(self.worlds.worlds["level"][world])
         groups = (
             (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 17),
@@ -244,12 +241,10 @@ class Renderer:
 
 
 def _filled_part(hp: float, full: float, width: int) -> int:
-    """Return how much of a bar is filled; anyone alive has at least a little."""
     return min(max(round(width * float(hp) / float(full)), int(hp > 0)), width)
 
 
 def _foot(body: Any, stats: Any) -> float:
-    """Return the lower edge of a body."""
     return float(body["y"] + stats["body_y"] + stats["half_height"])
 
 
@@ -263,7 +258,6 @@ def ground_kinds(level: Level) -> np.ndarray:
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
-    """Yield the obstacles' pictures, which depend on their ground."""
     kinds = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
     shadow = sprites.shadow_picture(14)
     for row, column in np.argwhere(solid).tolist():

@@ -22,11 +22,9 @@ class WholeVecEnv(VecEnv):
     """A vector environment whose attributes and methods apply to all slots at once."""
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute, the same for each slot."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute for all slots."""
         setattr(self, attr_name, value)
 
     def env_method(
@@ -39,7 +37,6 @@ class WholeVecEnv(VecEnv):
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """Return that no slot is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
@@ -123,13 +120,11 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Set the actions of the next step, shape (slots,)."""
         self._actions[:] = self.slots.checked(actions)
         if not self.slots.begun:
             raise ResetNeeded("no episode has begun: call reset first")
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step all slots: observations, rewards, dones, infos."""
         slots = self.slots
         slots.step(self._actions)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
@@ -145,7 +140,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return slots.observations, rewards, dones, infos
 
     def _end(self, slot: int) -> dict[str, Any]:
-        """Record an ended episode and return its info."""
         world, player = divmod(slot, self.slots.players)
         info = ending_info(self.state, world, player)
         length, total = int(self._lengths[slot]), float(self._returns[slot])
@@ -176,7 +170,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return {"layout": layout} | {name: as_bytes(array).copy() for name, array in self._state_arrays()}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Resume from `saved_state`, in this process or another."""
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for name, array in self._state_arrays():

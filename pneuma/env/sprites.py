@@ -74,7 +74,6 @@ def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") 
 
 @cache
 def obstacle_picture(name: str) -> np.ndarray:
-    """Return the picture of one of the `OBSTACLES`."""
     column = TILE * OBSTACLES.index(name)
     return _read_art("obstacles.png")[:, column : column + TILE]
 
@@ -142,12 +141,10 @@ def blend(canvas: np.ndarray, picture: np.ndarray, left: int, top: int) -> None:
 
 
 def enlarge(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Return a picture with each pixel as a square of `factor`."""
     return picture.repeat(factor, 1).repeat(factor, 0)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return the red, green and blue of six hexadecimal digits."""
     red, green, blue = bytes.fromhex(colour)
     return red, green, blue
 

@@ -261,7 +261,6 @@ def make_handle(state: State) -> np.ndarray:
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """Return a read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -146,7 +146,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self.slots.rewards.copy()
 
     def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Add every slot's action mask to the infos."""
         return {
             "action_mask": self.slots.masks,
             "_action_mask": np.ones(self.num_envs, np.bool_),

@@ -94,7 +94,6 @@ class Window:
         return {name for code, name in self._names.items() if held[code] or code in self._tapped}
 
     def close(self) -> None:
-        """Close the window; it may be closed twice."""
         if not self.closed:
             self._pygame.display.quit()
         self.closed = True
@@ -158,7 +157,6 @@ class Rendering:
         return tuple(self._frames()) if hasattr(self, "num_envs") else self._frame(0)
 
     def _frames(self) -> list[np.ndarray]:
-        """Return a frame for each slot, for recorders of vector environments."""
         return [self._frame(world, player) for world, player in np.ndindex(*self._drawn.players.shape)]
 
     def _frame(self, world: int, player: int = 0) -> np.ndarray:
@@ -167,7 +165,6 @@ class Rendering:
         return self._renderer.frame(world, player)
 
     def _show(self) -> None:
-        """Update the window, if there is one."""
         if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
         frame = self._frame(0)
@@ -176,7 +173,6 @@ class Rendering:
         self._window.show(frame, STEPS_PER_SECOND)
 
     def close(self, **keywords: Any) -> None:
-        """Close the window, if there is one."""
         if self._window is not None:
             self._window.close()
             self._window = None

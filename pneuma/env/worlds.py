@@ -115,17 +115,14 @@ class Worlds:
         return {name: value for name, value in vars(self).items() if name not in _ADDRESSES}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        """Take the copied arrays and store their addresses."""
         vars(self).update(kept)
         self._take_addresses()
 
     def _take_addresses(self) -> None:
-        """Store the addresses of the arrays, and views of them that are needed."""
         self.handle = state.make_handle(self._arrays)
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
     def __len__(self) -> int:
-        """Return the number of worlds."""
         return len(self.worlds)
 
     @property
@@ -284,7 +281,6 @@ class Worlds:
 
 
 def world_key(seed: int) -> int:
-    """Return the key of the random stream of the world with seed `seed`."""
     return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))
 
 

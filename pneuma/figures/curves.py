@@ -248,8 +248,6 @@ def _draw_conditions(figure: Figure, data: StudyData, curves: Curves, band: str)
 
 
 class Quantity(NamedTuple):
-    """The look of a quantity's panel: its title and vertical axis."""
-
     title: str
     label: str
     percent: bool = False

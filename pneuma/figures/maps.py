@@ -69,7 +69,6 @@ def draw_robustness(
     *,
     command: str = "",
 ) -> list[Path]:
-    """Draw maps of one outcome, one panel each; return the files written."""
     columns = min(len(maps), 2)
     rows = -(-len(maps) // columns)
     with house_style():

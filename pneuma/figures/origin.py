@@ -57,7 +57,6 @@ class Origin(BaseModel):
 
 
 def origin_of(command: str, *studies: StudyData) -> Origin:
-    """Return the origin of a figure that shows some studies."""
     samples = (
         sample(data.study, name, ids_of(runs), [run.seed for run in runs])
         for data in studies

@@ -44,7 +44,6 @@ RANDOM_PLAYER = "random player"
 
 
 def title_of(data: StudyData) -> str:
-    """Return a study's title, with changed fields and the world."""
     changed = shown_settings(data.changed)
     whole = data.title + (f" ({changed})" if changed else "")
     shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}

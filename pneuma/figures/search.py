@@ -119,7 +119,6 @@ def _lay_out(figure: Figure, name: str, parameters: int) -> None:
 
 
 def _caption(searched: RecordedSearch) -> str:
-    """Return a line on what was searched."""
     search, budget = searched.task.search, searched.task.budget
     states = [trial.state for trial in searched.trials]
     counts = ", ".join(

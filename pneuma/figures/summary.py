@@ -45,7 +45,6 @@ Colours = Mapping[str, str]
 
 
 def shown_outcome(data: StudyData) -> str:
-    """Return the outcome that is drawn."""
     if is_foreign(data) and data.evaluated:
         return primary(data)
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
@@ -54,7 +53,6 @@ def shown_outcome(data: StudyData) -> str:
 def draw_summary(
     data: StudyData, folder: Path, formats: tuple[str, ...] = ("png", "svg"), *, command: str = ""
 ) -> list[Path]:
-    """Draw the outcomes of each condition's runs; return the files written."""
     outcome = shown_outcome(data)
     table = summary_table(data, [outcome])
     table = table[table["outcome"] == outcome]
@@ -139,13 +137,11 @@ def draw_comparison(
 
 
 def _counts(table: pd.DataFrame, row: Mapping[Any, Any]) -> str:
-    """Return how many runs of each condition are compared, over all outcomes."""
     same = table[(table["a"] == row["a"]) & (table["b"] == row["b"])]
     return f"n = {panels.runs_told(same['seeds_a'])} and {panels.runs_told(same['seeds_b'])}"
 
 
 def _set_outcome(axes: Axes, outcome: str) -> None:
-    """Format a horizontal axis for the outcome."""
     axes.set_xlabel("Share killed" if outcome == PRIMARY else "Return of an episode")
     axes.xaxis.set_major_locator(panels.round_ticks(4))
     if outcome == PRIMARY:
@@ -173,7 +169,6 @@ def _draw_rows(axes: Axes, values: Values, table: pd.DataFrame, colours: Colours
 def _draw_interval(
     axes: Axes, row: Mapping[Any, Any], place: float, marker: str, face: str, mark: float, enough: bool = True
 ) -> None:
-    """Draw a row of the summary's table: its value, and its interval if there is one."""
     if enough:
         axes.plot([row["low"], row["high"]], [place, place], color=INK, linewidth=0.25 * mark)
     look: Any = {"color": INK, "markerfacecolor": face, "markeredgewidth": 0.8, "markersize": mark}

@@ -37,7 +37,6 @@ class Winner:
 
     @property
     def tuned(self) -> str:
-        """The name of the trial's condition."""
         return f"{self.name}-tuned"
 
 

@@ -84,7 +84,6 @@ class Parameter(Table):
         return self
 
     def __str__(self) -> str:
-        """Describe its values, and when it applies."""
         ends = f"{self.low} to {self.high}" + (", logarithmic" if self.log else "")
         values = "one of " + ", ".join(self.choices) if self.choices else ends
         when = " and ".join(
@@ -94,17 +93,14 @@ class Parameter(Table):
 
     @property
     def whole(self) -> bool:
-        """Return whether a range is of whole numbers."""
         return isinstance(self.low, int)
 
     @property
     def extremes(self) -> list[Any]:
-        """Return both ends of a range, or every choice."""
         return [*self.choices] or [self.low, self.high]
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Return its entry in a search's record."""
         numbers = {"low": self.low, "high": self.high, "log": self.log, "whole": self.whole}
         choices = {choice: {self.name: value} for choice, value in self.choices.items()}
         domain = {"settings_of": choices} if choices else numbers
@@ -112,7 +108,6 @@ class Parameter(Table):
 
     @property
     def written(self) -> dict[str, Any]:
-        """Return its table in a search's file."""
         numbers = {"low": self.low, "high": self.high, "log": self.log}
         return {**({"choices": [*self.choices.values()]} if self.choices else numbers), "when": self.when}
 
@@ -123,7 +118,6 @@ class Parameter(Table):
         return value if value is not None and self.low <= value <= self.high else None
 
     def counts(self, known: Mapping[str, Any]) -> bool:
-        """Return whether it applies, given the other parameters and fields."""
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
 
 
@@ -198,7 +192,6 @@ class Space:
 
     @property
     def keys(self) -> frozenset[str]:
-        """Return the fields of the run that parameters set."""
         return frozenset(parameter.name for parameter in self.parameters)
 
     def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
@@ -211,7 +204,6 @@ class Space:
         return params
 
     def all_values(self) -> dict[str, list[Any]]:
-        """Return all values that each field may take, except those in ranges."""
         return {
             **{key: [value] for key, value in self.fixed.items()},
             **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
@@ -238,7 +230,6 @@ class Space:
         return given
 
     def make_run(self, params: Mapping[str, Any], **over: Any) -> Run:
-        """Return the run of a trial, with some fields overridden."""
         return make_run({**join_fields(self.base, self.fields(params)), **over})
 
     def params_of(self, base: str) -> dict[str, Any]:

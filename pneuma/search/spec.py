@@ -180,7 +180,6 @@ class Search:
 
     @property
     def title(self) -> str:
-        """Return its title with its world."""
         return self.spec.title + (f" ({self.world})" if self.has_worlds else "")
 
     @property
@@ -235,7 +234,6 @@ class Search:
 
 
 def list_searches() -> list[str]:
-    """Return the names of the shipped searches."""
     return shipped_names(studies_folder() / "search")
 
 

@@ -72,7 +72,6 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTri
 
 
 def record_path(store: Store, name: str) -> Path:
-    """Return the path of a search's record."""
     return store.root / "searches" / f"{name}.json"
 
 
@@ -144,7 +143,6 @@ def trial_document(trial: EndedTrial, search: Search) -> dict[str, Any]:
 
 
 def _changed(identity: object, task: Task) -> list[str]:
-    """Return in what a recorded identity differs from a task's."""
     recorded = identity if isinstance(identity, dict) else {}
     return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
 

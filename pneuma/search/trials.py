@@ -78,7 +78,6 @@ class Task:
 
     @property
     def digest(self) -> str:
-        """Return a short hash of the identity."""
         text = json.dumps(self.identity, sort_keys=True, default=list)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -147,7 +146,6 @@ class Outcomes:
         return outcome(data, run, name)
 
     def diverged(self, cell: Cell) -> bool:
-        """Return whether a finished run diverged."""
         return self.store.status(cell.run_id).name == "diverged"
 
 

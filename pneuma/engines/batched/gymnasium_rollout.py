@@ -34,7 +34,6 @@ class GymnasiumCollector:
         return self.slots.observations
 
     def collect(self, actor: Layers) -> Rollout:
-        """Play one horizon."""
         slots, count, steps = self.slots, self._run.slots, self._run.horizon
         observations = np.zeros((count, steps, self.features), np.float32)
         actions = np.zeros((count, steps), np.int64)
@@ -61,18 +60,15 @@ class GymnasiumCollector:
         )  # fmt: skip
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        """Return and forget the episodes that ended since the last call."""
         rows = self.slots.finished.copy()
         self.slots.finished.clear()
         return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return everything that the next step depends on, except the generator: arrays by name."""
         slots = {f"worlds/{name}": array for name, array in self.slots.saved_state().items()}
         return {**slots, "worlds/begins": self._begins}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Resume from `saved_state`; see `Slots.restore_state`."""
         self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
         self._begins[:] = saved["worlds/begins"]
 

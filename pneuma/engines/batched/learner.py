@@ -56,11 +56,9 @@ class Learner:
         self._numbers = run_numbers(run)
 
     def policy(self) -> Policy:
-        """Return the networks as a stored policy."""
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
 
     def learn_from(self, rollout: Rollout) -> dict[str, float]:
-        """Take all gradient steps of an update; return its metrics."""
         run = self.run
         batch, values, dead = self._judge(rollout)
         count = len(batch["actions"])
@@ -119,14 +117,12 @@ class Learner:
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        """Return whether losses, gradient norms and all parameters are finite."""
         watched = [metrics[name] for name in ("policy_loss", "value_loss", "entropy", "grad_norm")]
         leaves = jax.tree.leaves(self.networks)
         return bool(np.isfinite(watched).all()) and all(bool(np.isfinite(leaf).all()) for leaf in leaves)
 
 
 def to_numpy(tree: Tree) -> Tree:
-    """Return a tree's arrays as NumPy arrays, without a copy if possible."""
     return jax.tree.map(np.asarray, tree)
 
 

@@ -29,7 +29,6 @@ MOMENTS = {
 
 
 def initial_state(optimizer: str, parameters: Tree) -> State:
-    """Return an optimizer's state before its first step."""
     zeros = jax.tree.map(jnp.zeros_like, parameters)
     count = jnp.int32 if optimizer == "upgd" else jnp.float32  # the counter that keys the noise is kept
     return {"steps": jnp.zeros((), count)} | dict.fromkeys(MOMENTS[optimizer], zeros)

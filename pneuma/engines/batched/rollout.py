@@ -115,7 +115,6 @@ class Collector:
         return self.worlds.observations.reshape(len(self.idle), self.features)
 
     def collect(self, actor: Layers) -> Rollout:
-        """Play one horizon."""
         steps, slots, features = self._run.horizon, len(self.idle), self.features
         rewards, starts = np.zeros((2, slots, steps), np.float32)
         tape = Tape(
@@ -138,7 +137,6 @@ class Collector:
         )  # fmt: skip
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        """Return a rollout's finished episodes as records, given the agent steps before it."""
         rows = [dict(zip(ENDED.names or (), row, strict=True)) for row in rollout.ended.tolist()]
         for row in rows:
             row |= {"step": first_step + row["step"] * len(self.idle), "ending": ENDINGS[row["ending"]]}
@@ -153,7 +151,6 @@ class Collector:
         }
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        """Resume from `saved_state`; raise ValueError if its shape differs."""
         for name, array in self.saved_state().items():
             if array.shape != saved[name].shape:
                 raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
@@ -161,7 +158,6 @@ class Collector:
         self.worlds.observe()
 
     def fork(self) -> None:
-        """Continue with random streams of the run's own, and with XP reset if asked for."""
         self.worlds.rekey(slot_seeds(self._run))
         if self._run.fork_reset == "xp":
             self.worlds.players["xp"] = 0.0

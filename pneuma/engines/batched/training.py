@@ -34,7 +34,6 @@ class BatchedTrainer(Trainer):
         self.learner = Learner(run, self.collector.features, self.collector.actions)
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Collect one horizon, and learn from it."""
         rollout = self.collector.collect(self.learner.networks["actor"])
         metrics = self.learner.learn_from(rollout)
         records.metrics.append({"step": after, **metrics})
@@ -45,11 +44,9 @@ class BatchedTrainer(Trainer):
         return not (is_last and overflows(self.policy(), self.collector.observations))
 
     def policy(self) -> Policy:
-        """Return the networks as a stored policy."""
         return self.learner.policy()
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        """Copy networks, optimizer, worlds and random streams."""
         arrays = {name: array.copy() for name, array in self.collector.saved_state().items()}
         numbers = {
             "layout": self.collector.layout,
