@@ -58,7 +58,6 @@ class ClaimRuns:
     damaged: Sequence[str]
 
     def found(self, condition: str) -> list[FinishedRun]:
-        """Return the finished runs of a condition, in the order of the seeds."""
         return self.data.of_condition(condition) if self.data else []
 
     def hindrance(self, outcome: str, names: Sequence[str]) -> str:
@@ -78,7 +77,6 @@ class ClaimRuns:
         return self._machines(names) if timed else ""
 
     def _missing(self, condition: str) -> str:
-        """Say which of a condition's fixed runs are missing."""
         cells, found = self.cells[condition], len(self.found(condition))
         if found == len(cells):
             return ""

@@ -72,7 +72,6 @@ class Asked:
 
     @property
     def ids(self) -> dict[str, str]:
-        """The configuration's id of each condition."""
         return {name: config_id(run) for name, run in self.runs.items()}
 
     @property
@@ -214,7 +213,6 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
 
 
 def _narrowed(shown: Shown, picked: Selection) -> Shown:
-    """Return the runs of the seeds that were asked for, in the order of seeds and conditions."""
     seeds = {seed for _, seed, _ in shown.runs}
     kept = seeds if picked.seeds is None else seeds & {*picked.seeds}
     if not kept:
@@ -347,7 +345,6 @@ def open_study(
 
 
 def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None) -> StudyData:
-    """Return the finished runs of an answer, with their rows."""
     from pneuma.analysis.frames import FinishedRun, StudyData
 
     rows = index.rows(entry for *_, entry in shown.runs)

@@ -146,7 +146,6 @@ class Claim(ClaimedRuns, Table):
         return "" if self.below is None else f"below {self.below:.15g}"
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
-        """Return, for each value of an outcome, whether it is the event that is counted."""
         return values > self.above if self.above is not None else values < np.array(self.below)
 
     @property
@@ -182,13 +181,10 @@ class Claim(ClaimedRuns, Table):
         )
 
     def contrasts_in(self, world: str) -> int:
-        """Return the number of the claim's contrasts in a world."""
         return len(self.outcome) * len(self.pairs) if world in self.worlds else 0
 
 
 class Defaults(Table):
-    """Values for claims that do not set them."""
-
     seeds: SeedsOf | None = None
     steps: StepsOf | None = None
     worlds: tuple[World, ...] | None = None

@@ -69,7 +69,6 @@ class Diagnosis:
 
 
 def diagnose(seen: RunView) -> Diagnosis:
-    """Diagnose a run as it stood at a step."""
     run = seen.run
     steps, shares, random = _played(seen)
     distance = _update_steps(run)

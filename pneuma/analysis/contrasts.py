@@ -119,7 +119,6 @@ def estimate(kind: str, a: np.ndarray, b: np.ndarray | float) -> tuple[float, Ca
 def _compare_shares(
     made: Contrast, a: np.ndarray, b: np.ndarray, value: float | None, margin: float | None
 ) -> Contrast:
-    """Return a contrast of shares with its exact p-values."""
     n, m, count, other = a.size, b.size, _count(a), _count(b)
     if value is not None:
         test = partial(pvalues.one_share_p_values, runs=n, value=value)
@@ -223,7 +222,6 @@ def _range_ends(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray, leve
 
 
 def undecided(reason: str, seeds: tuple[int, int] = (0, 0), effect: float = float("nan")) -> Contrast:
-    """Return a contrast that says nothing, with the reason."""
     return Contrast(effect, no_interval(), PValues(*[1.0] * 6), seeds, reason, (1.0, 1.0))
 
 
@@ -236,7 +234,6 @@ def _contrast(
 
 
 def _only(tested: ManyPValues) -> PValues[float]:
-    """Return the p-values of the only sample."""
     return PValues(*(float(of_sample[0]) for of_sample in tested))
 
 

@@ -318,14 +318,12 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
 
 
 def _settings(data: StudyData) -> dict[str, dict[str, Any]]:
-    """Return the fields of all conditions, including those without a finished run; lists as tuples."""
     return {
         name: {key: as_tuple(value) for key, value in fields.items()} for name, fields in data.fields.items()
     }
 
 
 def _levels(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Return the fields in which conditions differ, with their values in the study's order."""
     return {key: (*dict.fromkeys(of_key.values()),) for key, of_key in differing_fields(settings).items()}
 
 

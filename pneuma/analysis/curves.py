@@ -56,7 +56,6 @@ class Curve:
         return self._back(_mean(self._values))
 
     def band(self, name: str) -> Edges:
-        """Return both edges of a band of `BANDS`."""
         if name not in BANDS:
             raise unknown_name("band", name, BANDS)
         edges = BANDS[name].edges
@@ -147,7 +146,6 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
 
 
 def _groups(data: StudyData) -> list[list[FinishedRun]]:
-    """Return the finished runs of each condition that has any."""
     return [runs for condition in data.conditions if (runs := data.of_condition(condition))]
 
 

@@ -81,7 +81,6 @@ def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
 
 
 def arms_of(names: tuple[str, ...], value: float | None) -> str:
-    """Return the names of the arms on one side of a contrast, or the constant."""
     return ", ".join(names) if names else f"{value:g}"
 
 

@@ -42,7 +42,6 @@ class FinishedRun:
 
     @property
     def run_id(self) -> str:
-        """Its id."""
         return self.row.run_id
 
     @property
@@ -52,7 +51,6 @@ class FinishedRun:
 
     @property
     def status(self) -> str:
-        """'done' or 'diverged'."""
         return self.row.status
 
     @property
@@ -63,7 +61,6 @@ class FinishedRun:
 
     @property
     def budget(self) -> int:
-        """Agent steps that the run was to train."""
         return self.row.budget
 
     @property
@@ -73,11 +70,9 @@ class FinishedRun:
 
     @property
     def end(self) -> int:
-        """Agent steps trained; fewer than the budget if the run diverged."""
         return self.row.end
 
     def ends_before(self, step: float | None) -> bool:
-        """Return whether the run's budget ends before `step`."""
         return step is not None and self.budget * (1 + SLACK) < step
 
 
@@ -121,25 +116,21 @@ class StudyData:
         return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}"
 
     def _repr_html_(self) -> str:
-        """Return a notebook's view: the number of runs of each condition."""
         rows = [(name, len(self.of_condition(name))) for name in self.conditions]
         table = pd.DataFrame(rows, columns=["condition", "runs"])
         return f"<b>{escape(self.full_title)}</b>{table.to_html(index=False)}"
 
     @property
     def conditions(self) -> list[str]:
-        """The names of its conditions, in the study's order."""
         return [*self.fields]
 
     @property
     def full_title(self) -> str:
-        """Its title with its world and changed fields."""
         world = f" in {WORLDS[self.world].title}" if self.world else ""
         return f"{self.title}{world}" + (f" ({shown_settings(self.changed)})" if self.changed else "")
 
     @property
     def environments(self) -> list[str]:
-        """The environments of its conditions."""
         return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
 
     @property
@@ -153,7 +144,6 @@ class StudyData:
 
     @property
     def published(self) -> list[FinishedRun]:
-        """The runs that come from published tables."""
         return [run for run in self.runs if run.row.published]
 
     def engines(self, condition: str) -> set[str]:
@@ -178,7 +168,6 @@ class StudyData:
 
     @cached_property
     def evaluated(self) -> bool:
-        """Whether all runs were evaluated."""
         return all(run.row.evaluation_columns for run in self.runs)
 
     @property
@@ -253,7 +242,6 @@ class StudyData:
         return values if run.budget == self.budget else held_curve(run.row.grid, values, self.grid, run.end)
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        """Return whether all runs have the curve of a quantity in a window."""
         return all(window in run.row.windows_of(quantity) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
@@ -276,7 +264,6 @@ def figure_basename(data: StudyData, *parts: str) -> str:
 
 
 def table_name(data: StudyData) -> str:
-    """Return the name of a study's published table: the study, its world and changed fields."""
     return "-".join(filter(None, [data.study, data.world, settings_name(data.changed)]))
 
 
@@ -319,7 +306,6 @@ class RunView:
 
     @property
     def last_step(self) -> float:
-        """The last step that counts."""
         return self.until * (1 + SLACK)
 
     def evaluations(self, column: str) -> Series:

@@ -130,12 +130,10 @@ class Interval:
 
     @property
     def exists(self) -> bool:
-        """Whether it has ends."""
         return self.method != "none"
 
 
 def no_interval() -> Interval:
-    """Return an interval without bounds."""
     return Interval(float("nan"), float("nan"), "none")
 
 

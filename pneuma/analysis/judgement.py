@@ -94,7 +94,6 @@ class Verdict:
 
     @property
     def run_ids(self) -> list[str]:
-        """The ids of all runs that were read."""
         return list(dict.fromkeys(run_id for comparison in self.comparisons for run_id in comparison.run_ids))
 
     @property
@@ -238,7 +237,6 @@ def _compare(
     world: str,
     level: float,
 ) -> Contrast:
-    """Compare arms by the test of the claim's kind."""
     value = float(claim.of("value", outcome) or 0)
     margin = None if claim.counts_itself else claim.of("margin", outcome)
     if claim.kind == "range":

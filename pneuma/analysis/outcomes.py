@@ -94,17 +94,14 @@ def _tells_reward(run: FinishedRun) -> bool:
 
 
 def is_foreign(data: StudyData) -> bool:
-    """Return whether every run was trained in an environment that is not Pneuma's."""
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
 
 
 def without_monsters(data: StudyData) -> bool:
-    """Return whether no run had monsters: in environments that are not Pneuma's, and the mailman's."""
     return all((env := run.fields.get("env")) == MAILMAN or is_gymnasium_id(env) for run in data.runs)
 
 
 def primary(data: StudyData) -> str:
-    """Return a study's primary outcome."""
     return "evaluated-return" if is_foreign(data) else PRIMARY
 
 
@@ -131,7 +128,6 @@ def outcome_values(data: StudyData, condition: str, name: str, at_step: float | 
 
 
 def find_outcome(name: str) -> Outcome:
-    """Return an outcome by its name."""
     if name in OUTCOMES:
         return OUTCOMES[name]
     if sought := re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name):

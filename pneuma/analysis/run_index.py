@@ -39,7 +39,6 @@ class Entry(NamedTuple):
 
     @property
     def finished(self) -> bool:
-        """Whether it has a row."""
         return self.status in FINISHED
 
 
@@ -62,7 +61,6 @@ class RunIndex:
 
     @cached_property
     def entries(self) -> Mapping[str, Entry]:
-        """Every run, by its id."""
         here = {entry.run_id: entry for entry in self._entries_here()} if self._stored else {}
         published = {
             run_id: Entry(run_id, *named, "done", named[2], table.path)
@@ -81,7 +79,6 @@ class RunIndex:
 
     @cached_property
     def by_configuration(self) -> Mapping[str, list[Entry]]:
-        """The runs of each configuration, by its id."""
         found: dict[str, list[Entry]] = {}
         for entry in self.entries.values():
             found.setdefault(entry.config_id, []).append(entry)
@@ -103,7 +100,6 @@ class RunIndex:
         return listing
 
     def listings(self) -> list[str]:
-        """Return the names of the studies without a file."""
         published = (name for name, table in self.tables.items() if table.about.get("listing"))
         return sorted({*(self.store.listings() if self._stored else ()), *published})
 

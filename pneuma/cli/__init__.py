@@ -24,7 +24,6 @@ COMMANDS = ("study", "run", "search", "env", "report", "figure", "import", "benc
 
 class _Ordered(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands in the order of the help."""
         return [*COMMANDS]
 
 
@@ -87,7 +86,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run() -> None:
-    """Entry point of the `pneuma` command."""
     for stream in (sys.stdout, sys.stderr):  # a terminal of few characters shows the others as \\u…
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

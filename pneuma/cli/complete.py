@@ -48,7 +48,6 @@ def _study(typed: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _own_files(table: str) -> list[str]:
-    """Return the files in this folder that contain a table."""
     files = Path().glob("*.toml")
     return [path.name for path in files if table in path.read_text(encoding="utf-8", errors="ignore")]
 

@@ -133,7 +133,6 @@ def serve(
 
 
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
-    """Return one world at the beginning of an episode, with a scalar reward."""
     from pneuma.algorithms import MAILMAN
     from pneuma.env import REGISTERED
     from pneuma.env.worlds import Worlds
@@ -150,7 +149,6 @@ def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
 
 
 def _story(worlds: Any) -> str:
-    """Describe how the episode went."""
     from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
 
     count = worlds.monsters.shape[1]

@@ -42,7 +42,6 @@ def argument(metavar: str, help_text: str, offer: complete.Complete | None = Non
 
 
 def flag(name: str, help_text: str) -> Any:
-    """Return a flag."""
     return typer.Option(name, help=help_text)
 
 
@@ -89,7 +88,6 @@ def seeds(name: str, help_text: str, first: int = 0) -> Any:
 
 
 def _span(text: str) -> range:
-    """Read one seed, or a range of them."""
     first, dots, last = text.partition("..")
     seeds = range(int(first), int(last if dots else first) + 1)
     if len(seeds) > MOST_SEEDS:
@@ -209,8 +207,6 @@ Outcomes = Annotated[
 
 @dataclass(frozen=True)
 class Chosen:
-    """A selection of a study, its world, and the results folder."""
-
     selection: Selection
     world: str | None
     store: Store

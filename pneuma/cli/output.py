@@ -55,7 +55,6 @@ class Progress:
         self._next = time.monotonic() + self.EVERY_SECONDS
 
     def __call__(self, done: int, of: int) -> None:
-        """Take the number of those done, and of all."""
         if time.monotonic() >= self._next and done < of:
             self._next = time.monotonic() + self.EVERY_SECONDS
             print_aside(f"{done} of {of} {self._what}")
@@ -100,7 +99,6 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def _as_plain(value: Any) -> Any:
-    """Return a pandas table as its rows, and a NumPy number as Python's."""
     return rows_of(value) if hasattr(value, "to_dict") else value.item()
 
 
@@ -142,7 +140,6 @@ def check_file(out: Path, endings: Collection[str]) -> None:
 
 
 def write_file(out: Path, data: bytes) -> None:
-    """Write a file, whole or not at all, and create its folder if needed."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, data)
@@ -187,7 +184,6 @@ def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]
 
 
 def tell_written(files: Iterable[Path], json: bool = False) -> None:
-    """Say which figures were written."""
     if json:
         return print_json({"figures": list(files)})
     for path in files:

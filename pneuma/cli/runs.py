@@ -152,7 +152,6 @@ def export(
 
 
 def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
-    """Return the contents of the exported file."""
     from pneuma.engines import export as exports
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 

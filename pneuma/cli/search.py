@@ -267,7 +267,6 @@ def train(
 
 
 def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:
-    """Return the result of a search as JSON."""
     from pneuma.search.storage import trial_document
     from pneuma.search.trials import best_number
 
@@ -279,7 +278,6 @@ def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:
 
 
 def _value(trial: EndedTrial) -> str:
-    """Return a trial's value or values as text."""
     return "no value" if trial.state == "failed" else ", ".join(f"{value:.4g}" for value in trial.values)
 
 

@@ -36,7 +36,6 @@ COLUMNS = 3
 
 
 def _tell_step(data: StudyData) -> None:
-    """Print the step at which runs of different budgets are compared."""
     from pneuma.analysis.frames import common_step, step_words
 
     if step := common_step(data):

@@ -108,7 +108,6 @@ class RunCheckpoints:
         self._next = now + took + max(self._seconds, WRITE_SHARE * took)
 
     def finish(self) -> None:
-        """Remove the checkpoints that are not to be kept, once the run has ended."""
         self._keep_latest(0)
         folder = self._folder / CHECKPOINTS
         if folder.is_dir() and not any(folder.iterdir()):
@@ -133,7 +132,6 @@ class RunCheckpoints:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file, or a link or folder in its place."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -158,7 +156,6 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
 
 
 def file_name(step: int, data: bytes) -> str:
-    """Return the name of a checkpoint's file."""
     return f"{step:013}-{checksum(data)[:16]}.safetensors"
 
 

@@ -24,7 +24,6 @@ from pneuma.worlds import WORLDS
 
 
 def listed(value: object) -> object:
-    """Return a string as a list of one."""
     return (value,) if isinstance(value, str) else value
 
 
@@ -83,7 +82,6 @@ class ClaimedRuns(Table, extra="ignore"):
         return tuple(dict.fromkeys((*self.compared, *self.beside)))
 
     def seeds_in(self, world: str) -> dict[str, tuple[int, ...]]:
-        """Return the seeds of each condition in a world."""
         if world in self.seen:
             return dict.fromkeys(self.compared, self.seen[world])
         return self.seeds

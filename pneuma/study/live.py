@@ -56,7 +56,6 @@ class LiveLog:
         self._writer.flush()
 
     def close(self) -> None:
-        """Write the rest."""
         self._writer.close()
 
     def _new(self, table: str, rows: list[Row]) -> list[Row]:

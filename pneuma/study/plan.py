@@ -71,12 +71,10 @@ class Plan:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Names of the conditions, in the study's order."""
         return tuple(dict.fromkeys(cell.condition for cell in self.cells))
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """The seeds of every condition."""
         return tuple(dict.fromkeys(cell.seed for cell in self.cells))
 
 

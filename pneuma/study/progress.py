@@ -81,14 +81,12 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
 
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float:
-    """Return about how many seconds a run takes for `steps` agent steps."""
     settings = as_fields(run)
     pace = paces.get(_kind(settings)) or _usual(settings)
     return START_SECONDS + steps * pace
 
 
 def is_known(paces: Paces, run: Run) -> bool:
-    """Return whether a similar run has been timed."""
     return _kind(as_fields(run)) in paces
 
 
@@ -140,19 +138,16 @@ class ProgressDisplay:
         self._next_line = time.monotonic() + LINE_SECONDS
 
     def __enter__(self) -> ProgressDisplay:
-        """Start showing."""
         if self._live:
             self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the last state on the screen."""
         if self._live:
             with suppress(OSError):  # the terminal was closed
                 self._bar.stop()
 
     def update(self, cell: Cell, event: Event) -> None:
-        """Take one event of `execute`."""
         name, label, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
         if event["event"] in ("note", "passing"):
             if self._show or event["event"] == "note":

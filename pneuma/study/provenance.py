@@ -172,7 +172,6 @@ def _cpu() -> str:
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the processors or GPUs of all attempts, each once."""
     listed = origin.get("processors")
     if isinstance(listed, list) and listed:
         return tuple(sorted({str(name) for name in listed}))
@@ -184,6 +183,5 @@ def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return `processors` as a field if some attempt ran elsewhere than on `cpu`."""
     found = processors(origin)
     return {} if found == (str(origin.get("cpu")),) else {"processors": list(found)}

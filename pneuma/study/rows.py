@@ -175,11 +175,9 @@ class Published:
         return table
 
     def row(self, run_id: str) -> Row:
-        """Return the row of one of its runs."""
         return Row(self._rows, self.places[run_id], published=True)
 
     def rows(self) -> dict[str, Row]:
-        """Return the rows of all its runs, by id."""
         return {run_id: self.row(run_id) for run_id in self.places}
 
 
@@ -249,7 +247,6 @@ class Row:
 
     @cached_property
     def run_id(self) -> str:
-        """The run's id."""
         return str(self.cell("run_id"))
 
     @cached_property
@@ -259,7 +256,6 @@ class Row:
 
     @cached_property
     def seed(self) -> int:
-        """Its seed."""
         return int(self.cell("seed"))
 
     @cached_property
@@ -299,7 +295,6 @@ class Row:
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
-        """The quantities whose curves it has, of `TRAINING_QUANTITIES`."""
         return tuple(name for name in TRAINING_QUANTITIES if self.windows_of(name))
 
     def windows_of(self, quantity: str) -> tuple[str, ...]:
@@ -309,7 +304,6 @@ class Row:
 
     @property
     def windows(self) -> tuple[str, ...]:
-        """The windows of its returns."""
         return self.windows_of("return") or WINDOWS[:1]
 
     @cached_property
@@ -362,7 +356,6 @@ class Row:
 
     @property
     def evaluation_columns(self) -> tuple[str, ...]:
-        """The columns of its evaluations."""
         return tuple(self._evaluations)
 
     def evaluations(self, column: str) -> np.ndarray:
@@ -370,7 +363,6 @@ class Row:
         return self._evaluations.get(column, np.empty(0)).astype(float)
 
     def evaluations_table(self) -> pa.Table:
-        """Return its evaluations with the columns that it has."""
         return pa.table(dict(self._evaluations))
 
     def signs(self) -> dict[str, list[Stretch]]:

@@ -153,7 +153,6 @@ def modules_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
-    """Return those of `keys` that no run's algorithm or optimizer reads."""
     read = {key for run in runs for key in fields_read(run)}
     return [key for key in keys if key not in read]
 
@@ -168,7 +167,6 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 
 
 def studies_folder() -> Path:
-    """Return the folder of shipped studies, in an installed package or in a source tree."""
     try:
         return Path(next(iter(import_module("pneuma.studies").__path__)))
     except ModuleNotFoundError:
@@ -176,12 +174,10 @@ def studies_folder() -> Path:
 
 
 def shipped_names(folder: Path) -> list[str]:
-    """Return the names of the shipped studies or searches in a folder."""
     return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
 
 
 def list_studies() -> list[str]:
-    """Return the names of the shipped studies."""
     return shipped_names(studies_folder())
 
 
@@ -243,5 +239,4 @@ def asked_words(study: Study) -> list[str]:
 
 
 def run_command(study: Study) -> str:
-    """Return the command that trains a study in its world."""
     return shlex.join(["pneuma", "study", "run", *asked_words(study)])

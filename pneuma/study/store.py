@@ -86,7 +86,6 @@ class Status:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left to train."""
         return self.name in FINISHED
 
     @property
@@ -304,7 +303,6 @@ class Store:
             return {}
 
     def checksums(self, run_id: str) -> dict[str, str]:
-        """Return the checksums of the files that a run's status lists, by their names."""
         files: dict[str, str] = (self._manifest(run_id) or {"files": {}})["files"]
         return files
 
@@ -332,16 +330,13 @@ class Store:
         return found if fits(found, Listing) and found["study"] == study else None
 
     def listing_path(self, study: str) -> Path:
-        """Return the path of such a record."""
         return self.root / "studies" / f"{study}.json"
 
     def listings(self) -> list[str]:
-        """Return the names of the studies without a file."""
         names = names_in(self.root / "studies")
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
     def published_path(self, name: str) -> Path:
-        """Return the path of a published table of this folder."""
         return self.root / PUBLISHED / f"{name}{TABLE_SUFFIX}"
 
     def published(self, shipped: bool = True) -> list[Path]:
@@ -391,7 +386,6 @@ def read_checkpoint_name(name: str) -> tuple[int, str] | None:
 
 
 def shipped_tables() -> Path:
-    """Return the folder of published tables that come with Pneuma, in a package or a source tree."""
     try:
         return Path(next(iter(import_module("pneuma.published").__path__)))
     except ModuleNotFoundError:
@@ -399,12 +393,10 @@ def shipped_tables() -> Path:
 
 
 def run_identity(run: Run) -> Identity:
-    """Return what a run is a run of."""
     from pneuma.study.identity import config_id
 
     return Identity(config_id(run), run.seed, run.steps)
 
 
 def run_document(run: Run, run_id: str) -> bytes:
-    """Return the contents of run.json."""
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_fields(run)})

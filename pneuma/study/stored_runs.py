@@ -21,8 +21,6 @@ LONGEST_LISTED = 5
 
 @dataclass(frozen=True)
 class StoredRun:
-    """A stored run."""
-
     store: Store
     run_id: str
     status: Status
@@ -70,7 +68,6 @@ def stored_run(store: Store, text: str) -> StoredRun:
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default fields for a run's environment, algorithm and optimizer."""
     chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
         return as_fields(make_run(chosen))

@@ -101,8 +101,6 @@ class PresetTable(Table):
 
 
 class StudyFile(Table):
-    """The whole file."""
-
     title: Annotated[str, MinLen(1)]
     section: str = ""
     about: str = ""

@@ -86,11 +86,9 @@ class Reporter:
             self.send("step", name, step=step)
 
     def send(self, event: str, name: str, **about: Any) -> None:
-        """Send one event of a run."""
         self._events.write(json.dumps({"event": event, "run_id": name, **about}) + "\n")
 
     def end(self, name: str, status: Status, trained: bool = True, **about: Any) -> None:
-        """Send the end of a run."""
         self.send("end", name, status=status.name, step=status.step, trained=trained, **about)
 
 

@@ -152,10 +152,8 @@ def watch(
 
 
 def end_event(name: str, status: Status) -> Event:
-    """Return the event for the end of a trained run."""
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 
 def load_executor(how: Supervision) -> Executor:
-    """Load the module of an executor."""
     return cast(Executor, import_module(EXECUTORS[how.executor]))

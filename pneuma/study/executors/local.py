@@ -92,7 +92,6 @@ class Interrupts:
 
     @property
     def count(self) -> int:
-        """How many signals came."""
         return min(len(self.seen), self._most)
 
     def __enter__(self) -> Interrupts:
@@ -110,7 +109,6 @@ class Interrupts:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the signals back."""
         if self._before:
             for number, handler in self._before.items():
                 signal.signal(number, handler)
@@ -124,7 +122,6 @@ class Interrupts:
 
 
 def say_stopping() -> None:
-    """Tell the user that the first Ctrl-C was received."""
     print_aside("Stopping after this step; again to stop now.")
 
 
@@ -266,7 +263,6 @@ class Supervisor:
 
 
 def _reason(code: int) -> str:
-    """Describe how a process with this exit code ended."""
     if code >= 0:
         return f"the worker process ended with code {code}"
     name = signal.Signals(-code).name
@@ -322,7 +318,6 @@ class _Worker:
             self._orders.write(line.encode() + b"\n")
 
     def kill(self) -> None:
-        """End it at once."""
         self._process.kill()
 
     def bury(self) -> tuple[int, bytes]:

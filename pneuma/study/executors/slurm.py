@@ -107,7 +107,6 @@ class Training:
     how: Supervision
 
     def __call__(self) -> None:
-        """Train the runs."""
         prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
         cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
         shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
