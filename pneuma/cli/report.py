@@ -5,6 +5,7 @@ The folder may be untrusted. Study files that only a record names are not loaded
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -78,7 +79,8 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
     study = asked.study
     several = study is not None and len(study.worlds) > 1
     label = f"{asked.name} in {WORLDS[world].title}" if several and world else asked.name
-    part = Part(label, f"In {WORLDS[world].title}" if world else "")
+    words = shlex.join(spec.asked_words(study) if study else [asked.name])
+    part = Part(label, words, f"In {WORLDS[world].title}" if world else "")
     part.mend = spec.run_command(study) if study else ""
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
     environments = dict.fromkeys(str(fields.get("env")) for fields in asked.fields.values())
@@ -118,7 +120,7 @@ def _add_data(index: RunIndex, part: Part, shown: Shown) -> None:
         data = read_answer(index, shown)
         if step := common_step(data):
             part.notes.append(f"Budgets differ: numbers are those at step {step:,}.")
-        part.numbers = numbers_table(part.record, summary_table(data))
+        part.numbers = numbers_table(part.label, summary_table(data))
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
         part.pictures = study_pictures(data)

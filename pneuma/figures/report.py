@@ -48,6 +48,8 @@ class Part:
     """A study in one world, as the report shows it.
 
     Attributes:
+        label: the study, with its world if it has several.
+        words: the words of a command that ask for it.
         where: its heading: in which world its runs are played.
         notes: important sentences, shown first.
         mend: the command that trains what is missing.
@@ -58,7 +60,8 @@ class Part:
         origins: the provenance of runs: facts by name, and the number of runs for which they hold.
     """
 
-    record: str
+    label: str
+    words: str
     where: str
     notes: list[str] = field(default_factory=list)
     mend: str = ""
@@ -95,11 +98,11 @@ def report_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    run_places: dict[str, tuple[str, int]] = {}  # the record and row that show a run: the first
+    run_places: dict[str, tuple[str, int]] = {}  # the part and row that show a run: the first
     for study in studies:
         for part in study["parts"]:
             for row, (run_id, *_) in enumerate(part.runs):
-                run_places.setdefault(run_id, (part.record, row))
+                run_places.setdefault(run_id, (part.label, row))
     page = environment.get_template("report.html.j2").render(
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
         version=__version__, words=verdicts, places=verdicts.places_of(claims),

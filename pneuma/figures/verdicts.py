@@ -42,7 +42,7 @@ from pneuma.figures.origin import Origin, sample
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 from pneuma.files import write_whole
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS, in_world
+from pneuma.worlds import WORLDS
 
 MEANINGS = {
     "supported": "The test, corrected for all claims at once, finds a difference in the claimed direction; "
@@ -273,7 +273,7 @@ def _origin(claims: Verdicts, command: str) -> Origin:
     """Return the picture's origin: the runs read of each study in each world, without their seeds."""
     ids: dict[str, list[str]] = {}
     for one in (one for verdicts in claims.values() for one in verdicts.values()):
-        ids.setdefault(in_world(one.claim.study, one.place), []).extend(one.run_ids)
+        ids.setdefault(f"{one.claim.study} in {WORLDS[one.place].title}", []).extend(one.run_ids)
     runs = tuple(sample(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids)
     return Origin(command=command, runs=runs)
 
