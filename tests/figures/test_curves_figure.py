@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,9 +11,9 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis.run_index import open_study
+from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.figures.panels import FEW_RUNS
 
 from .hand_made import BUDGET, HandMade, legend, words
 
@@ -33,25 +34,25 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
         (second,) = study.draw(tmp_path / "second", formats=(form,))
         assert mpl.rcParams["lines.linewidth"] == 9.0  # and is left alone
     assert first.read_bytes() == second.read_bytes()
-    assert first.name == f"fig-mine.{form}"
+    assert first.name == f"mine.{form}"
 
 
 @pytest.mark.parametrize("quantity", ["return", "share_killed"])
 def test_every_run_of_another_study_is_drawn_beside(
     study: HandMade, tmp_path: Path, drawn: list[Figure], quantity: str
 ) -> None:
-    other = open_study(study.store, {**study.record, "study": "other", "title": "Another"})
+    other = replace(study.data, study="other", title="Another")
     study.draw(tmp_path, quantities=(quantity,))
     (path,) = study.draw(tmp_path, quantities=(quantity,), beside=other)
     alone, beside = (figure.axes[0] for figure in drawn)
-    assert path.stem == f"fig-mine-{quantity}-beside-other"
+    assert path.stem == f"mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
     assert "Another" in legend(drawn[1])
 
 
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
-    (path,) = study.draw(tmp_path, band="ci", formats=("png",))
+    (path,) = study.draw(tmp_path, formats=("png",))
     with Image.open(path) as image:
         assert image.width == 1400
     width, height = drawn[0].bbox.size
@@ -77,17 +78,28 @@ def test_lines_are_the_means_of_runs(study: HandMade, tmp_path: Path, drawn: lis
 
 def test_few_runs_are_drawn_themselves_and_no_band_sets_the_axis(tmp_path: Path, drawn: list[Figure]) -> None:
     few, enough = HandMade(tmp_path / "few"), HandMade(tmp_path / "enough")
-    for study, runs in ((few, FEW_RUNS - 1), (enough, FEW_RUNS)):
+    for study, runs in ((few, LEAST_RUNS - 1), (enough, LEAST_RUNS)):
         for seed in range(runs):
             study.add("tanh", seed, evaluations=(0.0, 0.1 + 0.8 * (seed == 0)), random=0.01)
-        study.draw(tmp_path, band="std")
+        study.draw(tmp_path)
     assert [len(figure.axes[0].collections) for figure in drawn] == [0, 1]
-    assert [_lines_of_runs(figure, 0) for figure in drawn] == [FEW_RUNS - 1, 0]
+    assert [_lines_of_runs(figure, 0) for figure in drawn] == [LEAST_RUNS - 1, LEAST_RUNS]
     assert drawn[0].axes[0].get_ylim()[1] < 1
-    assert "thin lines: runs" in words(drawn[0]) and "standard deviation" not in words(drawn[0])
-    assert "± 1 standard deviation" in words(drawn[1])
-    enough.draw(tmp_path, band="se")  # which covers the mean too rarely at five runs
-    assert _lines_of_runs(drawn[2], 0) == FEW_RUNS and len(drawn[2].axes[0].collections) == 1
+    assert "thin lines: runs" in words(drawn[0]) and "interval of the mean" not in words(drawn[0])
+    assert "95 % interval of the mean" in words(drawn[1])
+
+
+def test_a_band_that_was_asked_for_is_drawn_or_refused(tmp_path: Path, drawn: list[Figure]) -> None:
+    """Four runs have a deviation, but too few for an interval of their mean."""
+    study = HandMade(tmp_path)
+    for seed in range(4):
+        study.add("tanh", seed)
+    study.draw(tmp_path, band="std")
+    assert len(drawn[0].axes[0].collections) == 1 and _lines_of_runs(drawn[0], 0) == 4
+    assert "± 1 standard deviation" in words(drawn[0])
+    for band in ("ci", "se"):
+        with pytest.raises(UserError, match=f"--band {band}: tanh has 4 runs, and it needs 5"):
+            study.draw(tmp_path, band=band)
 
 
 def test_a_diverged_run_counts_and_ends_in_a_cross(

@@ -6,12 +6,19 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
-from pneuma.analysis.publishing import encode_study
 
+from pneuma.config import make_run
 from pneuma.figures import paper
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
+from pneuma.study.measure import stored_row
+from pneuma.study.plan import configure
+from pneuma.study.rows import encode_published
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
 
+from ..analysis.claim_files import save_run
+from ..analysis.published_runs import publish
 from .hand_made import HandMade
 
 
@@ -25,29 +32,31 @@ def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def published(study: HandMade, tmp_path: Path) -> Path:
-    """A results folder with two published studies alone."""
-    data = study.data
-    fresh = tmp_path / "fresh"
-    (fresh / "published").mkdir(parents=True)
-    for name in ("mine", "mine-godot"):
-        data.study = name
-        (fresh / "published" / study.store.published_path(name).name).write_bytes(encode_study(data))
-    return fresh
+    """A results folder with two published tables alone: of a shipped study, and of one without a file."""
+    fresh, trained = Store(tmp_path / "fresh"), Store(tmp_path / "trained")
+    publish(study.data, fresh)
+    conditions = configure(load_study("activation"), {}, ("tanh", "relu")).runs
+    for run in conditions.values():
+        for seed in (0, 1):
+            save_run(trained, make_run({**vars(run), "steps": run.steps_per_update, "seed": seed}), 0.5)
+    rows = [stored_row(trained, name) for name in trained.runs()]
+    about = {"study": "activation", "world": "arena", "settings": {}}
+    fresh.write(fresh.published_path("activation-arena"), encode_published(rows, about))
+    return fresh.root
 
 
-def test_every_study_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
-    beside = {"mine": "mine-godot", "mine-godot": "nothing published"}
+def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    written = paper.draw_all(folder, published, beside)
+    written = paper.draw_all(folder, published, {"activation": "mine"})
     assert {*written} == {path for path in folder.rglob("*") if path.is_file()}
     origins = {path.stem: read_origin(path) for path in written if path.suffix != ".md"}
     assert {origin.command for origin in origins.values()} == {"make figures"}
-    assert {"fig-mine-return-minmax-trailing-100", "fig-mine-godot-summary"} <= {*origins}
-    small = [(one.study, one.condition, one.seeds) for one in origins["fig-mine"].runs]
+    assert {"fig-6-5-arena-return-minmax-trailing-100", "fig-6-5-arena-summary"} <= {*origins}
+    small = [(one.study, one.condition, one.seeds) for one in origins["mine"].runs]
     assert small == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
     beside_another = [origin for origin in origins.values() if len({one.study for one in origin.runs}) > 1]
     assert len(beside_another) == 1  # in both formats, of one stem
-    assert {path.name for path in (folder / "tables").iterdir()} == {"mine.md", "mine-godot.md"}
+    assert {path.name for path in (folder / "tables").iterdir()} == {"mine.md", "activation-arena.md"}
     assert "| Judged in |" in (folder / "verdicts.md").read_text()
 
 

@@ -31,15 +31,15 @@ def _page(name: str = "tanh") -> bytes:
     }
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]], 1)
     part = Part(
-        f"activation {name}", "In the text's world", notes=[name], mend=name,
+        f"activation {name}", f"activation {name}", "In the text's world", notes=[name], mend=name,
         pictures=[{"source": PICTURE, "alt": name, "caption": name}], numbers=numbers,
         conditions={"differing": (name, (name,), [[name]], 1), "alike": {name: name}},
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],
     )  # fmt: skip
-    again = Part("again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
+    again = Part("again", "again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
     empty = Part(
-        "optimizer", "In the text's world", notes=["No runs yet."], mend="pneuma study run optimizer"
+        "optimizer", "optimizer", "In the text's world", ["No runs yet."], "pneuma study run optimizer"
     )
     studies = [
         {"study": f"activation {name}", "title": name, "section": "6.2", "about": name, "parts": [part]},

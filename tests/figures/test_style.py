@@ -7,7 +7,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from pneuma.analysis.run_index import open_study
 from pneuma.errors import plain
 from pneuma.figures.origin import Origin
 from pneuma.figures.panels import label_rows, looks_of
@@ -29,10 +28,9 @@ def test_table_6_2_has_one_colour_under_all_its_names() -> None:
 
 
 def test_a_part_of_a_study_keeps_its_colours(study: HandMade) -> None:
-    whole, runs = study.data, study.record["runs"]
-    last = [run for run in runs if run["condition"] == whole.conditions[-1]]
-    part = open_study(study.store, {**study.record, "runs": last, "every": whole.conditions})
-    assert len(last) < len(runs) and looks_of(part) == looks_of(whole)
+    whole = study.data
+    part = whole.of_conditions(whole.conditions[-1])
+    assert len(part.runs) < len(whole.runs) and looks_of(part) == looks_of(whole)
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:

@@ -28,10 +28,9 @@ def _points(axes: Axes, marker: str) -> list[float]:
 def five(tmp_path: Path) -> HandMade:
     """Of five runs each: tanh ends with 0.2, 0.3, 0.3, 0.5 and 0.7 killed, relu with 0.1 to 0.3."""
     study = HandMade(tmp_path)
-    study.record["baseline"] = "relu"
     for seed, (tanh, relu) in enumerate([(0.2, 0.1), (0.3, 0.1), (0.3, 0.2), (0.5, 0.3), (0.7, 0.3)]):
-        study.add("tanh", seed, evaluations=(0.0, tanh))
         study.add("relu", seed, evaluations=(0.0, relu))
+        study.add("tanh", seed, evaluations=(0.0, tanh))
     return study
 
 
@@ -40,16 +39,16 @@ def test_every_run_is_a_dot_beside_the_mean_and_the_profile_steps_down(
 ) -> None:
     draw_summary(five.data, tmp_path, ("svg",))
     runs, improvement, profile = drawn[0].axes
-    assert _points(runs, "o") == pytest.approx([0.2, 0.3, 0.3, 0.5, 0.7, 0.1, 0.1, 0.2, 0.3, 0.3])
-    assert _points(runs, "D") == pytest.approx([0.4, 0.2])
-    assert [label.get_text() for label in runs.get_yticklabels()] == ["tanh (n = 5)", "relu (n = 5)"]
+    assert _points(runs, "o") == pytest.approx([0.1, 0.1, 0.2, 0.3, 0.3, 0.2, 0.3, 0.3, 0.5, 0.7])
+    assert _points(runs, "D") == pytest.approx([0.2, 0.4])
+    assert [label.get_text() for label in runs.get_yticklabels()] == ["relu (n = 5)", "tanh (n = 5)"]
     # of relu's five 0.2 is above two and equal to one, 0.3 above three and equal to two
     assert _points(improvement, "o") == pytest.approx([(2.5 + 4 + 4 + 5 + 5) / 25])
-    levels, above = (np.asarray(part, float) for part in profile.get_lines()[0].get_data())
+    levels, above = (np.asarray(part, float) for part in profile.get_lines()[1].get_data())
     assert [above[np.searchsorted(levels, level)] for level in (0.1, 0.25, 0.6)] == pytest.approx(
         [1, 0.8, 0.2]
     )
-    assert "scripted hunter (50 %)" in legend(drawn[0]) and "The baseline is relu" in words(drawn[0])
+    assert "random player (4 %)" in legend(drawn[0]) and "The baseline is relu" in words(drawn[0])
 
 
 # --- Verdicts -------------------------------------------------------------------------------------
