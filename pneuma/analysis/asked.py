@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 ALL = Selection()
 Tell = Callable[[str], object]
 """Says something to the user."""
+Stored = tuple[str, int, Entry]
+"""Condition and seed of a run of a study, and where it is."""
 
 
 @dataclass(frozen=True)
@@ -180,18 +182,12 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
         UserError: when nothing is stored that is asked for.
     """
     if asked.study is None:
-        found = [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
-        if picked.steps:
-            found = [each for each in found if each[2].steps == picked.steps]
+        found = [run for run in stored_runs(index, asked) if picked.steps in (None, run[2].steps)]
         if not found:
             of = f" of {picked.steps:,} steps" if picked.steps else ""
             raise UserError(f"study {asked.name} has no runs{of} in {index.store.root}")
         return _narrowed(Shown(asked, found), picked)
-    stored = [
-        (name, entry.seed, entry)
-        for name, id_ in asked.ids.items()
-        for entry in index.by_configuration.get(id_, ())
-    ]
+    stored = stored_runs(index, asked)
     if not stored:
         raise UserError(_nothing(index, asked))
     budgets = _by_budget(asked, stored)
@@ -212,6 +208,17 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked)]), picked)
 
 
+def stored_runs(index: RunIndex, asked: Asked) -> list[Stored]:
+    """Return condition, seed and entry of every run of a study, of any budget."""
+    if asked.study is None:
+        return [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
+    return [
+        (name, entry.seed, entry)
+        for name, id_ in asked.ids.items()
+        for entry in index.by_configuration.get(id_, ())
+    ]
+
+
 def _narrowed(shown: Shown, picked: Selection) -> Shown:
     seeds = {seed for _, seed, _ in shown.runs}
     kept = seeds if picked.seeds is None else seeds & {*picked.seeds}
@@ -223,9 +230,6 @@ def _narrowed(shown: Shown, picked: Selection) -> Shown:
         asked = replace(asked, narrowed=[*asked.narrowed, "seeds", *map(str, sorted(kept))])
     runs = [run for run in shown.runs if run[1] in kept]
     return replace(shown, asked=asked, runs=sorted(runs, key=lambda run: (run[1], order.index(run[0]))))
-
-
-Stored = tuple[str, int, Entry]
 
 
 def _by_budget(asked: Asked, stored: Sequence[Stored]) -> dict[int, list[Stored]]:

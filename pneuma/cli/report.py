@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.asked import Shown, answer, ask, read_answer, studies_here
+from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs, studies_here
 from pneuma.analysis.frames import FinishedRun, common_step
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
@@ -85,11 +85,10 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
     environments = dict.fromkeys(str(fields.get("env")) for fields in asked.fields.values())
     part.where = ", ".join(titles.get(env, env) for env in environments)
-    try:
-        shown = answer(index, asked)
-    except UserError:
+    if not stored_runs(index, asked):
         part.notes = ["No runs yet."]
         return part
+    shown = answer(index, asked)
     part.notes = [
         f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in asked.same
     ]
