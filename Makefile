@@ -26,7 +26,7 @@ study: install  ## Run the activation study (thesis Fig. 6.5) in the arena at it
 	$(BIN)/pneuma study plot activation --world arena
 
 figures: install  ## Draw everything in paper_figures/, the verdicts among it
-	$(BIN)/python -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
+	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
 	  --beside published-logs-sb3=author-logs
 
 # --- The reproduction ---------------------------------------------------------------------------
