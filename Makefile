@@ -4,8 +4,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+PIP = $(BIN)/pip install --quiet --disable-pip-version-check
 
-.PHONY: help install study figures docs test storm test-all lint clean
+.PHONY: help install constraints study figures docs test storm test-all lint clean
 .PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
@@ -14,19 +15,29 @@ help:            ## Say what each target does
 
 install: $(INSTALLED)  ## Build .venv with everything
 
-$(INSTALLED): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml constraints.txt hashes.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Pneuma needs Python 3.11 to 3.13; this is %d.%d. Name another: make PYTHON=python3.12 ..." % v)'
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps godot-rl==0.8.2  # for tests; it pins an old Gymnasium
+	$(PIP) --no-deps --require-hashes --requirement hashes.txt
+	$(PIP) --no-build-isolation --constraint constraints.txt --editable '.[dev]'
 	@touch $@
+
+PINS = --constraint constraints.txt
+COMPILE = $(BIN)/uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate --no-header
+
+# uv asks the index for all files of a version. godot-rl is for tests, and pins an old Gymnasium: hence alone.
+constraints: install  ## Write constraints.txt and hashes.txt anew; PINS= takes the newest versions
+	$(PIP) uv
+	$(COMPILE) --python-version 3.11.5 --extra dev $(PINS) pyproject.toml --output-file build/all.txt
+	echo godot-rl | $(COMPILE) --no-deps $(PINS) - --output-file build/alone.txt
+	.ci/pins build/all.txt build/alone.txt
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
 	$(BIN)/pneuma study run activation
 	$(BIN)/pneuma study plot activation
 
 figures: install  ## Draw everything in paper_figures/, the verdicts among it
-	$(BIN)/python -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
+	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
 	  --beside published-logs-sb3=author-logs
 
 # --- The reproduction ---------------------------------------------------------------------------

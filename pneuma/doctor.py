@@ -64,7 +64,7 @@ def examine(results: Path) -> Iterator[Finding]:
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
     mend = "" if sound else "use Python 3.11 to 3.13"
     yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), mend)
-    command, path = [sys.executable, "-c", TRIAL], one_thread_environment()["PYTHONPATH"]
+    command, path = [sys.executable, "-P", "-c", TRIAL], one_thread_environment()["PYTHONPATH"]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path})
     last = (done.stderr if done.returncode else done.stdout).strip().rpartition("\n")[2]
     if done.returncode:

@@ -21,6 +21,8 @@ from pneuma.errors import UserError
 SCHEMA = 1
 _SEAL = "sha256"
 
+MADE_BY = "made by pneuma"
+"""Words in a report and in an exported policy, by which a command knows what it may replace."""
 LARGEST_BYTES = 512 * 2**20
 """Most bytes of a file that is read whole."""
 LARGEST_TEXT = 2**20
@@ -60,9 +62,13 @@ def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, even if the process is killed meanwhile.
 
-    Links are followed. A pipe, a terminal or the like is written to directly.
+    A link is refused. A pipe, a terminal or the like is written to directly.
+
+    Raises:
+        OSError: when it cannot be written.
     """
-    path = path.resolve()
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "is a link; name the file itself")
     if path.exists() and not path.is_file():
         path.write_bytes(data)
         return

@@ -77,7 +77,7 @@ def main() -> None:
     begun, failed, stopped = time.monotonic(), [], []
     signal.signal(signal.SIGINT, lambda *_: stopped.append(True))  # Ctrl-C ends the command, then this
     for words in commands(asked.part, asked.command, asked.studies, worlds, asked.steps, options):
-        code = subprocess.run([sys.executable, "-m", "pneuma", *words]).returncode
+        code = subprocess.run([sys.executable, "-P", "-m", "pneuma", *words]).returncode
         if stopped:
             sys.exit(130)
         if code == goes_on:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.run_index import open_study
+from pneuma.doctor import GOOD, examine
 from pneuma.errors import UserError
 from pneuma.files import read_json, read_whole
 from pneuma.study.store import Status, Store
@@ -149,3 +151,30 @@ def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     assert len(open_study(store, ONE).runs) == 1
     with pytest.raises(UserError, match="mine.parquet: is no"):
         open_study(store, RECORD)
+
+
+# --- The working folder ------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_untrusted_every_python_that_is_started_leaves_the_working_folder_off_its_path() -> None:
+    started = []
+    for path in [*(ROOT / "pneuma").rglob("*.py"), *(ROOT / "studies").glob("*.py")]:
+        tree = [*ast.walk(ast.parse(path.read_text()))]
+        lists = [[ast.unparse(item) for item in node.elts] for node in tree if isinstance(node, ast.List)]
+        started += [own[1] == "'-P'" for own in lists if own and own[0] == "sys.executable"]
+        started += ["-P" in ast.unparse(node) for node in tree
+                    if isinstance(node, ast.JoinedStr) and "sys.executable" in ast.unparse(node)]  # fmt: skip
+    assert len(started) == 4 and all(started)
+
+
+@pytest.mark.slow
+def test_untrusted_the_doctor_imports_nothing_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("gymnasium", "numpy"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w')\n")
+    trial = {finding.check: finding.state for finding in examine(tmp_path / "results")}
+    assert trial["a trial"] == GOOD and not (tmp_path / "mark").exists()

@@ -7,6 +7,7 @@ Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, 
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -80,12 +81,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.close()  # the reader of our output has gone, as in `pneuma … | head`
         return 0
+    except RuntimeError as error:  # pathlib's, before Python 3.13
+        if not str(error).startswith("Symlink loop"):
+            raise
+        return _refuse(f"{error}: a link that leads to itself")
     except OSError as error:  # a folder that may not be read, a name too long, a full disk
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error) or repr(error))
     return code if isinstance(code, int) else 0
 
 
 def run() -> None:
+    for name in ("stdin", "stdout", "stderr"):  # one that is closed takes and gives nothing
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):  # a terminal of few characters shows the others as \\u…
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -23,12 +23,13 @@ def report(
     names: Annotated[
         list[str] | None, opt.argument("NAME", "Studies; left out: all that are shipped or were run.")
     ] = None,
+    force: opt.Force = False,
     results: opt.Results = opt.RESULTS,
     quiet: opt.Quiet = False,
     json: opt.Json = False,
 ) -> None:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
-    check_file(out, (".html", ".htm"))
+    check_file(out, (".html", ".htm"), force)
     store = Store(results)
     if lacking := nothing_yet(store):
         say(f"Note: {lacking}.", aside=True, quiet=quiet)

@@ -139,6 +139,7 @@ Results = Annotated[
 ]
 Json = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
+Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
 Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 Preset = Annotated[

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.files import write_whole
+from pneuma.files import MADE_BY, read_whole, write_whole
 from pneuma.study.spec import read_head, shipped_names
 from pneuma.study.store import Store
 
@@ -130,13 +130,21 @@ def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
 # --- Files ----------------------------------------------------------------------------------------
 
 
-def check_file(out: Path, endings: Collection[str]) -> None:
-    """Refuse an output file that is a folder or has another ending, before any work is done."""
+def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
+    """Refuse an output file before any work is done.
+
+    It must have one of the endings and be no folder, and no link. Without `force` it may replace only what a
+    command like it has made.
+    """
     if out.suffix.lower() not in endings:
         hint = nearest_name(out.suffix, endings) if out.suffix else ""
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")
+    if out.is_symlink():
+        raise UserError(f"--out {out}: is a link; name the file itself")
+    if not force and out.is_file() and MADE_BY.encode() not in read_whole(out):
+        raise UserError(f"--out {out}: is there already and not made by Pneuma; --force replaces it")
 
 
 def write_file(out: Path, data: bytes) -> None:

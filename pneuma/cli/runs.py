@@ -132,11 +132,12 @@ def export(
     name: opt.RunName,
     out: Annotated[Path, opt.option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
     trust: opt.Trust = False,
+    force: opt.Force = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    check_file(out, (".zip", ".onnx"))
+    check_file(out, (".zip", ".onnx"), force)
     store = Store(results)
     run = stored_runs.stored_run(store, name)
     try:

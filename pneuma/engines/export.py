@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from zipfile import ZipFile
 
 import gymnasium
 import numpy as np
@@ -29,6 +30,7 @@ from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import REWARDS, action_names, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
+from pneuma.files import MADE_BY
 
 IN_ZIP = ("ppo", "a2c")
 """Algorithms whose policies Stable-Baselines3 can load."""
@@ -79,6 +81,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
                 module.bias.copy_(torch.from_numpy(bias.copy()))
     file = io.BytesIO()
     model.save(file)
+    with ZipFile(file, "a") as archive:
+        archive.comment = MADE_BY.encode()
     return file.getvalue()
 
 
@@ -142,7 +146,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
         outputs.append(helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]))
     inputs = [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])]
     graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
-    made = {"producer_name": "pneuma", "ir_version": ONNX_IR_VERSION}
+    made = {"producer_name": "pneuma", "doc_string": MADE_BY, "ir_version": ONNX_IR_VERSION}
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
     known = action_names(magic=actions >= 7, dash=actions % 2 == 0)  # a world of Pneuma's has 5 to 8
     known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else known

@@ -32,6 +32,7 @@ from pneuma.figures.curves import MOST_CURVES, draw_study
 from pneuma.figures.maps import contrast_word, draw_robustness, study_maps
 from pneuma.figures.style import clean, shrink
 from pneuma.figures.summary import draw_summary
+from pneuma.files import MADE_BY
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics in the first table of a study's numbers."""
@@ -104,6 +105,7 @@ def report_page(
             for row, (run_id, *_) in enumerate(part.runs):
                 run_places.setdefault(run_id, (part.label, row))
     page = environment.get_template("report.html.j2").render(
+        made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
         version=__version__, words=verdicts, places=verdicts.places_of(claims),
         counts=verdicts.standings_of(claims), run_places=run_places, anchor=_anchor,

@@ -13,7 +13,7 @@ import os
 import signal
 import socket
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import chdir, suppress
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
@@ -154,13 +154,15 @@ def join(address: str | None) -> None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
         code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
-        ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
+        with chdir(CODE.parent):  # Ray lets its processes import from the current folder
+            ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
     else:
         host, _, port = address.rpartition(":")
         try:  # or Ray would try for minutes
             socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
             code = {"py_modules": [str(CODE)], "excludes": ["__pycache__"]}
-            ray.init(address, runtime_env=code, **quiet)
+            with chdir(CODE.parent):
+                ray.init(address, runtime_env=code, **quiet)
         except Exception as error:  # Ray raises many kinds of errors
             raise UserError(
                 f"--address {address}: no cluster can be joined there ({error}); give the address that "

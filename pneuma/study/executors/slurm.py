@@ -18,6 +18,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
@@ -228,7 +229,9 @@ def _executor(folder: Path, name: str, how: Supervision) -> Any:
     cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
     setup = [path, cores, str(options.pop("setup", ""))]
     try:
-        executor = import_module("submitit").SlurmExecutor(folder, max_num_timeout=MOST_REQUEUES)
+        executor = import_module("submitit").SlurmExecutor(
+            folder, max_num_timeout=MOST_REQUEUES, python=f"{shlex.quote(sys.executable)} -P"
+        )
     except ImportError:
         raise UserError(f"--executor slurm needs submitit: {install_extra('slurm')}") from None
     except RuntimeError as error:

@@ -1,0 +1,74 @@
+"""What commands write: never through a link, over no file of another's, and nowhere if output is closed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import as_fields, make_run
+from pneuma.engines.policy import POLICY_FILE
+from pneuma.files import to_json
+from pneuma.study.store import Status, Store
+
+from .calls import call, policy_of, printed
+
+RUN = "a0" * 8
+
+
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("words", ["study list", "study list --json", "run show nothing"])
+def test_untrusted_closed_output_is_no_traceback(tmp_path: Path, words: str, closed: str) -> None:
+    command = f"{sys.executable} -m pneuma {words} {closed}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True)
+    assert done.returncode == (2 if "nothing" in words else 0)
+    assert done.stdout == "" and done.stderr.count("\n") == ("nothing" in words and "2>" not in closed)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    run = to_json({"run": as_fields(make_run({}))})
+    store.save_run(RUN, Status("done", 512), {"run.json": run, POLICY_FILE: policy_of().to_bytes()})
+    return store
+
+
+COMMANDS = [(("run", "export", RUN), ".zip"), (("run", "export", RUN), ".onnx"), (("report",), ".html")]
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+@pytest.mark.parametrize("link", ["itself", "theirs", "nothing"])
+@pytest.mark.parametrize(("words", "ending"), COMMANDS)
+def test_untrusted_nothing_is_written_through_a_link(
+    store: Store, tmp_path: Path, words: tuple[str, ...], ending: str, link: str, force: tuple[str, ...]
+) -> None:
+    (tmp_path / "theirs").write_text("precious")
+    out = tmp_path / f"out{ending}"
+    out.symlink_to(out if link == "itself" else tmp_path / link)
+    code, _, err = call(*words, "--out", out, *force, "--results", store.root)
+    assert code == 2 and err == f"pneuma: --out {out}: is a link; name the file itself\n"
+    assert (tmp_path / "theirs").read_text() == "precious" and not (tmp_path / "nothing").exists()
+
+
+@pytest.mark.parametrize(("words", "ending"), COMMANDS)
+def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(
+    store: Store, tmp_path: Path, words: tuple[str, ...], ending: str
+) -> None:
+    out, words = tmp_path / f"out{ending}", (*words, *(["tabular"] if words == ("report",) else []))
+    out.write_text("precious")
+    code, _, err = call(*words, "--out", out, "--results", store.root)
+    assert code == 2 and "--force replaces it" in err and out.read_text() == "precious"
+    printed(*words, "--out", out, "--force", "--results", store.root)
+    whole = out.read_bytes()
+    printed(*words, "--out", out, "--results", store.root)
+    assert out.read_bytes()[:8] == whole[:8] != b"precious"
+
+
+def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(store: Store, tmp_path: Path) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    for words in (("study", "plot", "tabular"), ("search", "plot", "ppo")):
+        code, _, err = call(*words, "--out", loop, "--results", store.root)
+        assert code == 2 and err.count("\n") == 1
