@@ -7,61 +7,63 @@ from pathlib import Path
 
 import pytest
 
-from .calls import TINY, Called, as_it_stands, call, printed, refused
+from .calls import SETTINGS, TINY, Called, call, printed
 
-pytestmark = pytest.mark.usefixtures("trains_here")
+pytestmark = pytest.mark.usefixtures("trains_here", "unshipped")
+
+READ = ("activation", *SETTINGS)
 
 
 @pytest.fixture
 def results(trained: Path, tmp_path: Path) -> Path:
     """A copy of its own, published."""
     results = Path(shutil.copytree(trained, tmp_path / "results"))
-    printed("study", "publish", "activation", "--results", results)
+    printed("study", "publish", *READ, "--condition", "tanh", "--condition", "relu", "--results", results)
     return results
 
 
-def _publish(results: Path, *options: str, of: str = "activation") -> Called:
-    return call("study", "publish", of, *options, "--results", results)
+def _table(results: Path) -> Path:
+    (path,) = (results / "published").iterdir()
+    return path
 
 
-def test_nothing_published_leaves_the_table(results: Path) -> None:
-    """Neither runs, nor what a table that cannot be read may have held."""
-    path = results / "published" / "activation.parquet"
+def _publish(results: Path, *options: str) -> Called:
+    return call("study", "publish", *READ, *options, "--results", results)
+
+
+def test_what_is_published_stays_in_the_table_and_the_same_runs_give_the_same_bytes(results: Path) -> None:
+    path = _table(results)
     whole = path.read_bytes()
-    told = refused("study", "publish", "activation", "--condition", "relu", "--results", results)
-    assert "has runs that are not of this selection" in told
-    assert path.read_bytes() == whole
+    called = _publish(results, "--condition", "relu", "--seeds", "1,")
+    assert "1 runs from here, 3 as they were published before" in called.out
+    assert "other numbers" not in called.err
+    assert path.read_bytes() == whole and path.name.startswith("activation-arena-horizon=64-slots=1-")
+    shutil.rmtree(results / "runs")
+    called = _publish(results)
+    assert called.code == 2 and "nothing is new to publish" in called.err and path.read_bytes() == whole
+
+
+def test_a_damaged_table_is_told_and_published_anew(results: Path) -> None:
+    path = _table(results)
+    whole = path.read_bytes()
     path.write_bytes(whole[:-9])
-    assert "damaged" in refused("study", "publish", "activation", "--results", results)
-    assert path.read_bytes() == whole[:-9]
-    path.unlink()
-    assert _publish(results).code == 0 and path.read_bytes() == whole
+    called = _publish(results)
+    assert called.code == 0 and f"{path}: cannot be read (damaged)" in called.err
+    assert path.read_bytes() == whole
 
 
-def test_runs_that_another_study_has_published_are_found_in_its_table(results: Path) -> None:
+def test_runs_read_the_same_from_a_table_that_another_study_published(results: Path) -> None:
     """Tanh is Table 6.2, which other studies have as a condition of their own."""
-    tiny = [part for part in TINY if part not in ("--condition", "tanh", "relu")]
-    ours = ["--condition", "table-6-2", "--condition", "lambda-1", "--seeds", "2", *tiny]
+    other = ("study", "summary", "policy-gradient", "--condition", "table-6-2", *SETTINGS, "--all")
+    before = call(*other, "--results", results)
+    assert "2 runs of 256 steps (trained here)." in before.err
     shutil.rmtree(results / "runs")
-    for words in (("run", "--unpublished"), ("plan", "--unpublished")):
-        called = call("study", words[0], "policy-gradient", *ours, *words[1:], "--results", results)
-        assert called.code == 0
-    as_it_stands(results, "policy-gradient")
-    assert called.out.splitlines()[-1] == "2 published, 2 stored."
-    summary = call("study", "summary", "policy-gradient", "--results", results)
-    assert summary.err == "Note: 2 of 4 runs of policy-gradient are not here, but published.\n"
-    assert _publish(results, of="policy-gradient").code == 0
-    shutil.rmtree(results / "runs")
-    again = call("study", "summary", "policy-gradient", "--results", results)
-    assert again.out == summary.out
-    assert again.err == "Note: 4 of 4 runs of policy-gradient are not here, but published.\n"
-    (results / "published" / "activation.parquet").write_bytes(b"PAR1")
-    again = call("study", "summary", "policy-gradient", "--results", results)
-    assert "Note: 2 of 4 runs of policy-gradient are not here, not finished or damaged" in again.err
+    after = call(*other, "--results", results)
+    assert (after.code, after.out) == (0, before.out) and "2 runs of 256 steps (published)." in after.err
 
 
 def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> None:
-    table = results / "published" / "activation.parquet"
+    table = _table(results)
     shutil.rmtree(results / "runs")
     rest = ["activation", *TINY, "--unpublished", "--results", str(results)]
     called = call("study", "run", *rest, "--seeds", "2", "--json")
@@ -73,4 +75,4 @@ def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> 
     ]  # fmt: skip
     assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
     table.write_bytes(table.read_bytes()[:-9])
-    assert "activation.parquet: damaged" in call("study", "plan", *rest).err
+    assert f"{table.name}: cannot be read (damaged)" in call("study", "plan", *rest).err
