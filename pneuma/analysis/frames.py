@@ -147,7 +147,6 @@ class StudyData:
         return [run for run in self.runs if run.row.published]
 
     def engines(self, condition: str) -> set[str]:
-        """Return the engines that trained a condition's runs, as far as known."""
         return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
 
     @cached_property
@@ -322,7 +321,6 @@ class RunView:
         return self._finite(self.run.row.grid, self.run.row.curve(quantity))
 
     def peaks(self, quantity: str) -> Series:
-        """Return, for each point, the extreme value of an update since the previous point."""
         return self._finite(self.run.row.grid, self.run.row.peaks(quantity))
 
     def statistic(self, quantity: str, name: str) -> float:

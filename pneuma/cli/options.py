@@ -329,7 +329,6 @@ def selecting_words(selection: Selection) -> list[str]:
 
 
 def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:
-    """Return the command that draws a study's figure again: its words, and options with their values."""
     chosen = [*selecting_words(picked.selection), *(["--world", picked.world] if picked.world else [])]
     options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
     return shlex.join(["pneuma", "study", *words, *chosen, *options])

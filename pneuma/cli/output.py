@@ -61,7 +61,6 @@ class Progress:
 
 
 def command(*words: object) -> str:
-    """Return a command of Pneuma, quoted for the shell."""
     return plain(shlex.join(["pneuma", *map(str, words)]))
 
 
@@ -108,7 +107,6 @@ def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
 
 
 def print_rows(many: str, rows: Sequence[Mapping[str, Any]], json: bool) -> None:
-    """Print one or more rows as JSON, or as a table with their keys as headings."""
     if json:
         return print_json({many: rows})
     return print_table([*rows[0]], [[_shown(value) for value in row.values()] for row in rows])
@@ -119,7 +117,6 @@ def _shown(value: object) -> str:
 
 
 def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
-    """Print the names, titles, sections and figures of shipped files."""
     rows = []
     for name in shipped_names(folder):
         head = read_head(name, folder)

@@ -114,7 +114,6 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
 
 
 def _add_data(index: RunIndex, part: Part, shown: Shown) -> None:
-    """Add figures, numbers and provenance of the finished runs."""
     try:
         data = read_answer(index, shown)
         if step := common_step(data):
@@ -149,14 +148,12 @@ def _conditions(name: str, resolved: Mapping[str, Mapping[str, Any]]) -> dict[st
 
 
 def _value(value: Any) -> str:
-    """Return a field or a fact as text."""
     several = isinstance(value, dict)
     shown = ", ".join(f"{key} {part}" for key, part in value.items()) if several else shown_value(value)
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
 def _facts(run: FinishedRun) -> dict[str, str]:
-    """Return a run's provenance as text."""
     found = run.row.provenance
     facts = {key: _value(found[key]) for key in ORIGIN_FACTS if found.get(key) is not None}
     return facts or {"provenance": "missing or damaged"}

@@ -90,7 +90,6 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    """Return a condition's name and its number of runs."""
     runs = data.of_condition(condition)
     longest = max(run.budget for run in runs)  # other conditions may go further
     at_end = sum(run.status == "done" and run.end >= longest for run in runs)

@@ -111,19 +111,16 @@ def judged_claims(
 
 
 def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
-    """Return the claim of some verdicts."""
     return next(iter(verdicts.values())).claim
 
 
 def write_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
-    """Write all verdicts as a picture and as a page of tables; return both files."""
     page = folder / f"{STEM}.md"
     write_whole(page, _tables(claims).encode())
     return [*draw_verdicts(claims, folder, command), page]
 
 
 def places_of(claims: Verdicts) -> dict[str, str]:
-    """Return the places where claims are judged, with their titles."""
     judged = {place for verdicts in claims.values() for place in verdicts}
     return {place: title for place, title in PLACES.items() if place in judged}
 
@@ -222,7 +219,6 @@ def _told(verdict: Verdict | None) -> str:
 
 
 def draw_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
-    """Draw all verdicts; return the files written."""
     rows: list[tuple[str, Mapping[str, Verdict]]] = []
     by_section = sorted(claims.values(), key=lambda verdicts: claim_of(verdicts).section)
     for section, group in groupby(by_section, key=lambda verdicts: claim_of(verdicts).section):

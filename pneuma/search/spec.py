@@ -170,7 +170,6 @@ class Search:
 
     @property
     def label(self) -> str:
-        """Return its name and world, which name its record."""
         return f"{self.name}-{self.world}" if self.has_worlds else self.name
 
     @property
@@ -184,12 +183,10 @@ class Search:
 
     @property
     def objectives(self) -> tuple[Objective, ...]:
-        """Return the objectives, the first of which leads."""
         return tuple(self.spec.objectives.values())
 
     @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
-        """Return the first trials, from `start`, as far as the space contains them."""
         return tuple(self.space.params_of(base) for base in self.spec.start)
 
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:

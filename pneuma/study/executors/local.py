@@ -313,7 +313,6 @@ class _Worker:
         self.tell(json.dumps(job))
 
     def tell(self, line: str) -> None:
-        """Send the worker a line: the job, or `stop`."""
         with suppress(BrokenPipeError):  # it has ended; reading from it will show that
             self._orders.write(line.encode() + b"\n")
 
