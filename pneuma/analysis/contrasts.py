@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import permutations
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy import special
 from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.intervals import Interval, finite, no_interval
 from pneuma.analysis.pvalues import ManyPValues, PValues
+from pneuma.config import stream_seed
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,6 @@ def compare(
     a: ArrayLike,
     b: ArrayLike | float,
     margin: float | None,
-    generator: np.random.Generator,
     level: float = intervals.LEVEL,
 ) -> Contrast:
     """Compare arm a with arm b or with a constant.
@@ -68,7 +68,6 @@ def compare(
         b: the values of the other arm, or a number in a's unit, or a share of runs.
         margin: smaller differences count as none; in the outcome's unit, or as a share of runs. None for no
             margin.
-        generator: draws relabelings or sign flips if there are too many to enumerate.
         level: of the simultaneous interval.
 
     Raises:
@@ -86,15 +85,27 @@ def compare(
         tested = pvalues.spread_p_values(first[None], second[None], margin)
         smallest = 0.0
     elif value is not None:
-        ways = pvalues.sign_flips(n, generator)
+        ways = _sign_flips(n)
         tested = pvalues.one_mean_p_values((first - value)[None], margin, ways)
         smallest = 1 / len(ways)
     else:
-        ways = pvalues.relabel(n, m, generator)
+        ways = _relabelings(n, m)
         tested = pvalues.mean_p_values(first[None], second[None], margin, ways)
         smallest = 1 / len(ways)
     made = _contrast(effect, make, level, seeds)
     return replace(made, p=_only(tested), smallest=(smallest,) * 2, margin=margin)
+
+
+@lru_cache(maxsize=4)  # 50 MB for 30 runs against 30
+def _relabelings(size_a: int, size_b: int) -> np.ndarray:
+    """Return relabelings of arms of these sizes, the same for all contrasts."""
+    generator = np.random.default_rng(stream_seed("relabelings", f"{size_a}/{size_b}"))
+    return pvalues.relabel(size_a, size_b, generator)
+
+
+@lru_cache(maxsize=4)
+def _sign_flips(runs: int) -> np.ndarray:
+    return pvalues.sign_flips(runs, np.random.default_rng(stream_seed("sign flips", str(runs))))
 
 
 def estimate(kind: str, a: np.ndarray, b: np.ndarray | float) -> tuple[float, Callable[[float], Interval]]:

@@ -311,7 +311,7 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
     blank = int(np.isnan(a).sum() + np.isnan(b).sum())
     if blank:
         return undecided(f"{counted(blank, 'run')} without a value", (a.size, b.size))
-    return compare("mean", a, b, None, np.random.default_rng(stream_seed("robustness", better)))
+    return compare("mean", a, b, None)
 
 
 # --- Both ------------------------------------------------------------------------------------------

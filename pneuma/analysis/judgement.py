@@ -28,7 +28,6 @@ from pneuma.analysis.design import arms_of, not_admitted
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.pvalues import one_share_p_values
 from pneuma.analysis.run_index import RunIndex
-from pneuma.config import stream_seed
 from pneuma.errors import counted
 from pneuma.study.store import Store
 
@@ -212,7 +211,7 @@ def _judge_contrast(
         sizes = [counted.values.size for counted in tested.values()] + [0, 0]
         contrast = undecided(reason, (sizes[0], sizes[1]))
     else:
-        contrast = _compare(claim, outcome, a, b, arms, runs.world, 1 - alpha / factor)
+        contrast = _compare(claim, outcome, a, b, arms, 1 - alpha / factor)
     verdict, p = decide(contrast, claim.direction, factor, alpha)
     if verdict == INCONCLUSIVE:  # equivalence may need fewer runs than a difference
         smallest = smallest_p(contrast, claim.direction)
@@ -234,7 +233,6 @@ def _compare(
     a: tuple[str, ...],
     b: tuple[str, ...],
     arms: Mapping[str, Arm],
-    world: str,
     level: float,
 ) -> Contrast:
     value = float(claim.of("value", outcome) or 0)
@@ -244,10 +242,8 @@ def _compare(
         places = [names.index(name) for name in b] if b else value
         values = [arm.values for arm in arms.values()]
         return compare_ranges(values, [names.index(name) for name in a], places, margin, level)
-    purpose = f"{a[0]}/{arms_of(b, value)}"
-    generator = np.random.default_rng(stream_seed(f"{claim.name}/{world}", purpose))
     against = arms[b[0]].values if b else value
-    return compare(claim.kind, arms[a[0]].values, against, margin, generator, level)
+    return compare(claim.kind, arms[a[0]].values, against, margin, level)
 
 
 def _not_ill(claim: Claim, outcome: str, arms: Mapping[str, Arm]) -> str:
