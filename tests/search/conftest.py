@@ -79,6 +79,6 @@ def make_task(tmp_path: Path) -> MakeTask:
     def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
         path = tmp_path / "formula.toml"
         path.write_text(SPACE.format(more=more, second=second, start=start))
-        return Task(load_search(str(path)), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
+        return Task(load_search(str(path), "text"), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
 
     return make

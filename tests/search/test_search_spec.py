@@ -9,10 +9,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.search.space import Parameter
-from pneuma.search.spec import (
-    Search,
-    load_search,
-)
+from pneuma.search.spec import Search, load_search
 
 Load = Callable[[str], Search]
 
@@ -62,7 +59,7 @@ def write(tmp_path: Path) -> Load:
     def load(text: str) -> Search:
         path = tmp_path / "mine.toml"
         path.write_text(text)
-        return load_search(str(path))
+        return load_search(str(path), "text")
 
     return load
 
@@ -119,12 +116,31 @@ def test_mistakes_are_refused_by_name(write: Load, old: str, new: str, told: str
 
 def test_a_search_in_the_published_codes_world(write: Load) -> None:
     there = write(GOOD).in_world("godot")
-    assert there.name == "mine-godot"
+    assert (there.name, there.label, there.title) == ("mine", "mine-godot", "A search (godot)")
     assert there.space.fixed == {  # the search sets the actor itself
         "gradient_limit": 0.5, "env": "pneuma/PneumaGodot-v0", "clip_range": 0.2,
     }  # fmt: skip
-    with pytest.raises(UserError, match="the name ppo-godot stands for the world godot"):
-        load_search("ppo-godot", "text")
-    in_cartpole = write(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
-    with pytest.raises(UserError, match="--world arena: search mine is in CartPole-v1 alone"):
-        in_cartpole.in_world("arena")
+
+
+def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in_the_arena(
+    write: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(GOOD)
+    with pytest.raises(UserError, match="unknown search 'mine'; known are"):
+        load_search("mine")
+    monkeypatch.chdir(tmp_path)
+    found = [load_search(name) for name in ("mine", "mine.toml", str(tmp_path / "mine.toml"))]
+    assert [search.label for search in found] == ["mine-arena"] * 3
+    assert found[0].space == found[1].space == found[2].space
+    assert (load_search("ppo").label, load_search("ppo", "text").label) == ("ppo-arena", "ppo-text")
+    (tmp_path / "ppo.toml").write_text(GOOD)
+    assert load_search("ppo").spec.title != "A search"
+    with pytest.raises(UserError, match="a shipped search is called ppo"):
+        load_search("ppo.toml")
+
+
+def test_a_search_of_another_environment_has_no_world(write: Load) -> None:
+    search = write(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
+    assert (search.label, search.title) == ("mine", "A search")
+    with pytest.raises(UserError, match="--world arena: search mine is in one environment alone"):
+        search.in_world("arena")

@@ -16,7 +16,7 @@ from .conftest import MakeTask, solve
 
 def save(store: Store, task: Task, told: list[EndedTrial]) -> RecordedSearch:
     save_record(store, task, told)
-    return read_record(store, "formula")
+    return read_record(store, task.search.file, "text")
 
 
 def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) -> None:
@@ -25,9 +25,11 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
     over = {"betas": (0.9, 0.95)}
     task = replace(task, search=task.search.with_settings(over), over=over)
     assert save(store, task, solve(task)) == RecordedSearch(task, tuple(solve(task)))
-    make_task(8)  # writes the file anew
+    file = make_task(8).search.file  # writes it anew
     with pytest.raises(UserError, match="the search had other .*space.* than its file has now"):
-        read_record(store, "formula")
+        read_record(store, file, "text")
+    with pytest.raises(UserError, match="search formula-arena was not run in"):
+        read_record(store, file)
 
 
 def test_a_replay_loses_nothing(make_task: MakeTask, store: Store) -> None:

@@ -23,6 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.measure import stored_row
+from pneuma.study.store import ROW_FILE, Store
 
 STUDY = """\
 title = "Storm"
@@ -42,6 +44,7 @@ steps = {steps}
 COMPARED = (
     "run.json", "episodes.parquet", "metrics.parquet", "evaluations.parquet", "policy.safetensors",
 )  # fmt: skip
+"""Byte by byte. Rows are compared as they are read, without their provenance."""
 DAMAGES = ("cut short", "bit flipped", "emptied", "removed")
 ORPHAN_SECONDS = 2.0
 
@@ -87,6 +90,9 @@ class Storm:
                 own = self.folder / results / "runs" / run.name / name
                 if not own.is_file() or own.read_bytes() != (run / name).read_bytes():
                     self.found.append(f"{run.name}/{name} differs")
+            rows = [stored_row(Store(self.folder / each), run.name) for each in ("reference", results)]
+            if not rows[0].same_numbers(rows[1]):
+                self.found.append(f"{run.name}: its row differs")
         return told
 
     def strike(self, parent: subprocess.Popen[bytes]) -> bool:
@@ -153,16 +159,19 @@ def damage_sweep(engine: str, steps: int, seed: int = 0, every: int = 1) -> Stor
             damage(disturbed / file, how, storm.dice)
             storm.kills[how] += 1
             told = storm.run_whole("disturbed")
-            if "damaged" not in told and how != "removed" and file.parts[0] == "runs":
+            unsaid = "damaged" not in told and how != "removed"
+            if unsaid and file.name != ROW_FILE:  # which is made again from the other files
                 storm.found.append(f"{file} {how}: went unsaid")
     return storm
 
 
 def _cases(results: Path) -> list[tuple[Path, str]]:
-    """Return every file of the first run, its folder, and the study's record, with every damage."""
-    run = next(path for path in sorted((results / "runs").iterdir()) if any(path.glob("[!.]*")))
-    files = [path for path in sorted(run.rglob("*")) if path.is_file() and not path.name.startswith(".")]
-    files += sorted((results / "studies").glob("*.json"))
+    """Return every file of the run that has most, and its folder, with every damage."""
+    folders = [
+        [path for path in run.rglob("[!.]*") if path.is_file()] for run in (results / "runs").iterdir()
+    ]
+    files = sorted(max(folders, key=len))
+    run = next(path.parent for path in files if path.name == "status.json")
     cases = [(path.relative_to(results), how) for path in files for how in DAMAGES]
     return [*cases, (run.relative_to(results), "removed"), (Path("runs"), "removed")]
 

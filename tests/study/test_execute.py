@@ -5,26 +5,22 @@ One tiny study is trained once for the whole module, in two folders by two ways.
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from pneuma.analysis.stored_studies import study_record
 
-from pneuma.errors import UserError
-from pneuma.study.execute import (
-    CellResult,
-    OnProgress,
-    execute,
-    prepare,
-)
+from pneuma.study.execute import CellResult, OnProgress, execute, prepare
 from pneuma.study.executors.base import Supervision
-from pneuma.study.plan import Plan, Selection, make_plan
-from pneuma.study.spec import load_study
-from pneuma.study.store import Store
+from pneuma.study.measure import stored_row
+from pneuma.study.plan import Plan
+from pneuma.study.rows import decode_row
+from pneuma.study.store import Status, Store, run_identity
 
 from .begun import outcome
-from .tiny import TINY, tiny_plan
+from .tiny import tiny_plan
 
 
 @dataclass(frozen=True)
@@ -75,6 +71,16 @@ def test_one_configuration_is_trained_once_for_two_conditions(together: Executed
     assert together.store.runs() == sorted({*names})
 
 
+def test_a_row_that_is_lost_is_made_again_as_the_worker_wrote_it(together: Executed, tmp_path: Path) -> None:
+    shutil.copytree(together.store.root, tmp_path / "copy")
+    store = Store(tmp_path / "copy")
+    file = store.run_folder(store.runs()[0]) / "row.arrow"
+    written = file.read_bytes()
+    file.unlink()
+    assert stored_row(store, store.runs()[0]).same_numbers(decode_row(written))
+    assert file.read_bytes() == written  # and it is there for the next who reads
+
+
 # --- The same run, the same bits ---------------------------------------------------------------------
 
 
@@ -84,7 +90,7 @@ def test_a_run_ends_with_the_same_bits_alone_in_company_and_with_any_number_of_w
     """In the other folder seed 1 was trained alone, and seed 0 by a single worker."""
     files = outcome(together.store.root)
     assert files == outcome(alone[1].store.root)
-    assert len({*files.values()}) == len(files) == 2 * 5  # no file is as the other seed's
+    assert len({*files.values()}) == len(files) == 2 * 6  # no file is as the other seed's
 
 
 # --- What is trained, and when -----------------------------------------------------------------------
@@ -99,21 +105,15 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
 
 
-def test_files_of_one_name_do_not_share_their_records(tmp_path: Path) -> None:
-    """The record is kept by the file's name alone, and would show one file's runs for the other's."""
-    paths = [tmp_path / folder / "mine.toml" for folder in ("a", "b", "searches", "results/searches")]
-    for path in paths:
-        path.parent.mkdir(parents=True)
-        path.write_text(TINY)
-    first, second = (make_plan(load_study(str(path)), Selection()) for path in paths[:2])
-    store = Store(tmp_path / "results")
-    prepare(first, store)
-    prepare(first, store)
-    with pytest.raises(UserError, match="are of .*a/mine.toml; give the file another name"):
-        prepare(second, store)
-    store.check_same_file({"path": str(paths[2])}, paths[3])  # of a search's winners, in a copied folder
-    with pytest.raises(UserError, match="are of .*a/mine.toml"):
-        study_record(store, str(paths[1]))
-    paths[0].rename(tmp_path / "moved.toml")  # or it was this one all along
-    prepare(second, store)
-    assert study_record(store, str(paths[1]))["path"] == str(paths[1])
+def test_a_planned_run_says_what_it_is_and_a_study_with_a_file_leaves_nothing_else(tmp_path: Path) -> None:
+    """The runs are found again by these; planning once more does not undo what a run has come to."""
+    plan, store = tiny_plan(tmp_path), Store(tmp_path / "results")
+    for _ in range(2):
+        todo, _ = prepare(plan, store)
+        assert {name: store.identity(name) for name in todo} == {n: run_identity(r) for n, r in todo.items()}
+    assert {store.status(name).name for name in todo} == {"planned"}
+    assert os.listdir(store.root) == ["runs"]
+    first = plan.cells[0].run_id
+    store.save_run(first, Status("done", 256), {})
+    assert store.identity(first) == run_identity(plan.cells[0].run)
+    assert first not in prepare(plan, store)[0] and store.status(first).finished

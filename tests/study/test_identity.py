@@ -12,7 +12,7 @@ from pneuma.config import OF_GYMNASIUM, Run, make_run
 from pneuma.env.level import LEVELS
 from pneuma.errors import UserError
 from pneuma.study import identity
-from pneuma.study.identity import run_id
+from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
@@ -30,8 +30,17 @@ UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64, 
 
 
 def test_the_shipped_studys_runs_keep_their_names() -> None:
-    cells = make_plan(load_study("activation"), Selection(preset="quick", seeds=(0,))).cells
+    selection = Selection(preset="quick", seeds=(0,), settings={"slots": 1})
+    cells = make_plan(load_study("activation", "text"), selection).cells
     assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_QUICK_SEED_0
+
+
+def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
+    run = make_run({})
+    assert {config_id(replace(run, seed=seed, steps=steps)) for seed in (0, 1) for steps in (512, 1024)} == {
+        config_id(run)
+    }
+    assert config_id(replace(run, horizon=512)) != config_id(run) != run_id(run)
 
 
 def test_every_field_that_is_read_changes_the_name() -> None:

@@ -12,8 +12,6 @@ from pneuma.study.claimed import claims_preset
 from pneuma.study.plan import Selection, differing_fields, make_plan
 from pneuma.study.spec import Preset, Study, load_study
 
-from ..analysis.claim_files import write_files
-
 STUDY = """\
 title = "Optimizers"
 base = "table-6-2"
@@ -116,8 +114,24 @@ seeds = 9
 """
 
 
+CLAIMED = """title = "Mine"
+base = "table-6-2"
+[conditions.low]
+epochs = 5
+[conditions.middle]
+epochs = 6
+[conditions.high]
+epochs = 7
+[presets.quick]
+seeds = 3
+steps = 1024
+"""
+
+
 def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
-    return load_study(str(write_files(folder, claims).with_name("mine.toml")), world)
+    (folder / "claims.toml").write_text(claims)
+    (folder / "mine.toml").write_text(CLAIMED)
+    return load_study(str(folder / "mine.toml"), world)
 
 
 def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:

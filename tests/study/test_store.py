@@ -13,11 +13,12 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.files import replace_files, to_json, write_whole
 from pneuma.study.locks import run_lock
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Identity, Status, Store
 from pneuma.study.tables import from_parquet, to_parquet
 
 NAME = "0123456789abcdef"
-RECORD = {"title": "A", "figure": "a", "baseline": "a", "same": [], "selection": {}, "runs": []}
+MINE = Identity("a" * 16, 3, 512)
+LISTING = {"title": "A", "baseline": "a", "runs": [{"run_id": NAME, "condition": "a", "seed": 0}]}
 FILES = {"run.json": b"{}\n", "episodes.parquet": bytes(range(256))}
 CRASH = {"run.json": b"{}", "error.txt": b"why"}
 
@@ -144,21 +145,38 @@ def test_only_checkpoints_by_name_tell_how_far_a_run_is_and_a_lock_that_it_runs(
     assert not (store.run_folder(NAME) / ".lock").exists()
 
 
-# --- Studies and the folder ----------------------------------------------------------------------
+def test_a_row_is_added_to_a_finished_run_alone_and_its_loss_damages_nothing(store: Store) -> None:
+    """It is made from the other files again; a planned run has nothing to make one of."""
+    store.save_row(NAME, b"row", MINE)
+    assert store.read_file(NAME, "row.arrow") == b"row" and store.identity(NAME) == MINE
+    (store.run_folder(NAME) / "row.arrow").unlink()
+    assert store.status(NAME) == Status("done", 512)
+    for name in (other := "f" * 16), "e" * 16:
+        store.plan_run(other, MINE)
+        store.save_row(name, b"row", MINE)
+    assert store.status(other) == Status("planned") and store.identity(other) == MINE
+    assert store.runs() == [NAME, other] and os.listdir(store.run_folder(other)) == ["status.json"]
 
 
-def test_the_latest_selection_of_a_study_comes_back_unless_it_is_damaged(store: Store) -> None:
-    cell = {"run_id": NAME, "condition": "a", "seed": 0, "run": {"env": "a", "slots": 1, "steps": 512}}
-    latest = {**RECORD, "study": "one", "runs": [cell]}
-    store.save_selection("one", {**RECORD, "study": "one"})
-    store.save_selection("two", {**RECORD, "study": "two"})
-    store.save_selection("one", latest)
-    assert store.selection("one") == {"schema": 1, **latest}
-    assert store.studies() == ["one", "two"]
-    assert store.selection("activation") is None and Store(store.root / "nowhere").studies() == []
-    for text in ("", "{", "[]", '{"schema": 2, "runs": []}'):
-        store.selection_path("one").write_text(text)
-        assert store.selection("one") is None
+def test_planning_leaves_what_is_stored(store: Store) -> None:
+    store.plan_run(NAME, MINE)
+    assert store.status(NAME) == Status("done", 512)
+
+
+# --- Studies without a file ----------------------------------------------------------------------
+
+
+def test_the_runs_of_a_study_without_a_file_come_back_unless_its_record_is_damaged(store: Store) -> None:
+    store.save_listing("one", {**LISTING, "title": "first"})
+    store.save_listing("two", LISTING)
+    store.save_listing("one", LISTING)
+    assert store.listing("one") == {"schema": 1, "study": "one", **LISTING}
+    assert store.listings() == ["one", "two"]
+    assert store.listing("activation") is None and Store(store.root / "nowhere").listings() == []
+    whole = store.listing_path("two").read_bytes()
+    for text in (b"", b"{", b"[]", b'{"schema": 2, "runs": []}', whole, whole.replace(b'"a"', b'"b"')):
+        store.listing_path("one").write_bytes(text)
+        assert store.listing("one") is None
 
 
 # --- Record tables --------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from .readers import DEEDS, storm_of_readers
 from .storm import ORPHAN_SECONDS, damage_sweep, kill_storm
 
 
@@ -20,3 +21,11 @@ def test_a_damaged_study_ends_with_the_same_bits() -> None:
     storm = damage_sweep("batched", steps=12_800, every=25)
     assert len(storm.kills) >= 2
     assert storm.found == []
+
+
+@pytest.mark.slow
+def test_readers_and_trainers_of_one_study_lose_nothing() -> None:
+    """`python -m tests.study.readers` does it for five minutes."""
+    reading = storm_of_readers(seconds=5)
+    assert {*reading.done} == {*DEEDS}
+    assert reading.found == []

@@ -22,17 +22,13 @@ from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_c
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, Supervision
 from pneuma.study.identity import run_id
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Identity, Status, Store
 
 from ..cli.calls import call
 
 NAME = "0123456789abcdef"
-SETTINGS: dict[str, object] = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 512}
-CELL: dict[str, object] = {"run_id": NAME, "condition": "a", "seed": 0, "run": SETTINGS}
-RECORD: dict[str, object] = {
-    "study": "mine", "title": "Mine", "figure": "mine", "baseline": "a", "same": [], "runs": [],
-    "selection": {},
-}  # fmt: skip
+LISTED: dict[str, object] = {"run_id": NAME, "condition": "a", "seed": 0}
+LISTING: dict[str, object] = {"study": "mine", "title": "Mine", "baseline": "a", "runs": [LISTED]}
 PACKAGE = Path(pneuma.__file__).parent
 
 
@@ -62,7 +58,7 @@ def test_a_link_in_a_files_place_is_replaced_and_its_target_left_alone(store: St
     (store.root / "studies").mkdir()
     for link in (store.root / "studies" / "mine.json", store.run_folder(NAME) / "error.txt"):
         link.symlink_to(target)
-    store.save_selection("mine", RECORD)
+    store.save_listing("mine", LISTING)
     store.save_run(NAME, Status("done", 1024), {"run.json": b"{}\n", "error.txt": b"now a file"})
     assert target.read_text() == "mine"
     assert not (store.root / "studies" / "mine.json").is_symlink()
@@ -107,22 +103,23 @@ def test_no_module_can_unpickle() -> None:
 
 def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
     change: Any
-    for change in ({"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"status": ["done"]}):
+    for change in (
+        {"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"status": ["done"]}, {"seed": "0"},
+    ):  # fmt: skip
         manifest = {"status": "done", "step": 512, "files": {}, **change}
         (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
         assert store.status(NAME).name == "damaged", change
     (store.root / "studies").mkdir()
-    (store.root / "studies" / "mine.json").write_bytes(seal(RECORD))
-    assert store.selection("mine") is not None
+    (store.root / "studies" / "mine.json").write_bytes(seal(LISTING))
+    assert store.listing("mine") is not None
     records: list[Any] = [
-        {"runs": 5}, {"runs": [5]}, {"selection": None}, {"same": [3]}, {"same": [[3]]},
-        *({"runs": [{**CELL, **own}]} for own in ({"run_id": "../.."}, {"condition": 3}, {"seed": "0"})),
-        *({"runs": [{**CELL, "run": own}]} for own in (None, *({**SETTINGS, key: []} for key in SETTINGS))),
-        *({key: 3} for key in ("study", "title", "figure", "baseline", "same")),
+        {"runs": 5}, {"runs": [5]}, {"runs": []}, {"study": "../mine"}, {"study": "other"},
+        *({"runs": [{**LISTED, **own}]} for own in ({"run_id": "../.."}, {"condition": 3}, {"seed": "0"})),
+        *({key: 3} for key in ("study", "title", "baseline")),
     ]  # fmt: skip
     for change in records:
-        (store.root / "studies" / "mine.json").write_bytes(seal({**RECORD, **change}))
-        assert store.selection("mine") is None, change
+        (store.root / "studies" / "mine.json").write_bytes(seal({**LISTING, **change}))
+        assert store.listing("mine") is None, change
 
 
 @pytest.mark.usefixtures("trains_here")
@@ -207,8 +204,9 @@ def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
 
 def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:
     wild = "\x1b]0;owned\x07"
-    cell = {**CELL, "condition": f"a{wild}"}
-    store.save_selection("mine", {**RECORD, "title": f"T{wild}", "baseline": f"b{wild}", "runs": [cell]})
+    run = {**LISTED, "condition": f"a{wild}", "run_id": "f" * 16}
+    store.plan_run("f" * 16, Identity(NAME, 0, 512))
+    store.save_listing("mine", {"title": f"T{wild}", "baseline": f"b{wild}", "runs": [run]})
     for words in (["show", "mine"], ["status", "mine"], ["status", "mine", "--condition", "c"]):
         code, out, told = call("study", *words, "--results", store.root)
         told += out

@@ -21,7 +21,8 @@ from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.identity import run_id
-from pneuma.study.store import Status, Store
+from pneuma.study.rows import decode_row
+from pneuma.study.store import Status, Store, run_identity
 from pneuma.study.tables import from_parquet
 
 RUNS = [make_run({"seed": seed, "steps": 512}) for seed in (0, 1)]
@@ -68,9 +69,16 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
     ]
     assert read_sound_policy(store.read_file(FIRST, "policy.safetensors")).activation == "tanh"
     files = {path.name for path in store.run_folder(SECOND).iterdir()}
-    assert files == {*TABLES, "run.json", "provenance.json", "status.json"}
+    assert files == {*TABLES, "run.json", "provenance.json", "row.arrow", "status.json"}
     (row,) = from_parquet(store.read_file(SECOND, "metrics.parquet")).to_pylist()
     assert (row["step"], row["policy_loss"]) == (256, 0.5)
+    assert [store.identity(run_id(run)) for run in RUNS] == [run_identity(run) for run in RUNS]
+    rows = [decode_row(store.read_file(name, "row.arrow")) for name in (FIRST, SECOND)]
+    assert [(row.run_id, row.status, row.seed, row.budget, row.end) for row in rows] == [
+        (FIRST, "done", 0, 512, 512),
+        (SECOND, "diverged", 1, 512, 256),
+    ]
+    assert {row.config_id for row in rows} == {run_identity(RUNS[0]).config_id}
 
 
 def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
