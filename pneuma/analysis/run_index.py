@@ -7,7 +7,7 @@ Of a run that is in several places, the one in the results folder counts if it h
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,24 +126,23 @@ class RunIndex:
             )
 
     def _read_row(self, run_id: str) -> Row | None:
-        entry = self.entries[run_id]
-        published = self._published(run_id, [entry.table] if entry.table else ())
-        if entry.table:
-            return published
+        if table := self.entries[run_id].table:
+            return next((row for _, row in self._published(run_id, table)), None)
         try:
             row = stored_row(self.store, run_id)
         except UserError as error:
             self.problems.append(str(error))
-            return self._published(run_id)
-        if (other := self._published(run_id)) is not None and not other.same_numbers(row):
-            self.problems.append(f"run {run_id} has other numbers here than published; those here are used")
+            return next((row for _, row in self._published(run_id)), None)
+        for path, other in self._published(run_id):
+            if not other.same_numbers(row):
+                self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
         return row
 
-    def _published(self, run_id: str, paths: Collection[Path] = ()) -> Row | None:
+    def _published(self, run_id: str, alone: Path | None = None) -> Iterator[tuple[Path, Row]]:
+        """Yield the rows of a run in published tables, or in one of them."""
         for table in self.tables.values():
-            if (not paths or table.path in paths) and run_id in table.places:
+            if run_id in table.places and alone in (None, table.path):
                 try:
-                    return table.row(run_id)
+                    yield table.path, table.row(run_id)
                 except ValueError as error:
                     self.problems.append(f"{table.path}: {error}")
-        return None

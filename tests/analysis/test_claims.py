@@ -36,8 +36,8 @@ def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
 
 def test_the_digest_is_of_the_file_and_of_the_code_that_judges(tmp_path: Path) -> None:
     path = write_files(tmp_path)
-    judges = [Path(import_module(f"pneuma.analysis.{name}").__file__ or "") for name in claims_module.JUDGES]
-    both = path.read_bytes() + b"".join(judge.read_bytes() for judge in judges)
+    judges = [import_module(f"pneuma.{name.replace('/', '.')}") for name in claims_module.JUDGES]
+    both = path.read_bytes() + b"".join(Path(judge.__file__ or "").read_bytes() for judge in judges)
     assert load_claims(path).digest == hashlib.sha256(both).hexdigest()
 
 

@@ -287,7 +287,7 @@ REASONS: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = 
     ),
     "two budgets": (
         {}, [("steps = 1024", "steps = { high = 1024, low = 512 }"), ("seeds = 8", "seeds = [1, 9]")],
-        "--preset claims --steps 512 && pneuma study run",
+        "--preset claims --world text --steps 512 && pneuma study run",
     ),
     "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
     "few seeds": (

@@ -55,5 +55,5 @@ def test_the_document_has_every_claim_in_its_worlds(
     assert (missing["effect"], missing["interval"]) == (None, None)
     assert missing["reason"] == (
         "no runs: middle, 8 seeds of 1,024 steps; "
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims"
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims --world text"
     )

@@ -1,0 +1,255 @@
+"""Rows: the same from a run and from its published table, made anew when one is missing, and damage told."""
+
+from __future__ import annotations
+
+import builtins
+import errno
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pneuma.analysis.asked import open_study
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.run_index import RunIndex
+from pneuma.errors import UserError
+from pneuma.study.measure import _rounded, stored_row
+from pneuma.study.rows import Published
+from pneuma.study.series import GRID_POINTS
+from pneuma.study.store import ROW_FILE, Status, Store
+from pneuma.study.tables import from_ipc
+
+from .. import hand_made
+from .published_runs import CELLS, publish, republished, save_run
+
+RUN = "a0" * 8
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "results")
+    for (_, seed), run_id in CELLS.items():
+        save_run(store, run_id, seed)
+    return store
+
+
+def outcomes_of(data: StudyData, at_step: float | None = None) -> bytes:
+    """Return every outcome of every run, to the bit."""
+    return np.array([[outcome(data, run, name, at_step) for name in OUTCOMES] for run in data.runs]).tobytes()
+
+
+# --- One run, one row -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_step", [None, 500])
+def test_a_run_and_its_published_row_give_the_same_bits(
+    store: Store, tmp_path: Path, at_step: int | None
+) -> None:
+    save_run(store, "b1" * 8, 1, end=600, status="diverged")
+    data = hand_made.study_of(store, CELLS)
+    again = republished(data, tmp_path)
+    assert [run.row.published for run in again.runs] == [True] * 4 and again.runs == data.runs
+    assert outcomes_of(again, at_step) == outcomes_of(data, at_step)
+    for run, other in zip(data.runs, again.runs, strict=True):
+        assert other.row.same_numbers(run.row) and other.fields == run.fields
+        for quantity in data.quantities:
+            for window in run.row.windows_of(quantity) or ("",):
+                curves = [each.row.curve(quantity, window).tobytes() for each in (run, other)]
+                assert curves[0] == curves[1], quantity
+
+
+def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:
+    """Of a run alone, and of the same beside one of five times its budget."""
+    store = Store(tmp_path / "results")
+    save_run(store, RUN, 0)
+    alone = hand_made.study_of(store, {("a", 0): RUN})
+    own = outcomes_of(alone)
+    rows = [{"step": 5000, "return": 1.0}], [{"step": 5000}], [{"step": 5000, "share_killed": 0.5}]
+    hand_made.save_run(store, "b0" * 8, *rows, 5000, fields={"steps": 5000})
+    beside = hand_made.study_of(store, {("a", 0): RUN, ("b", 0): "b0" * 8})
+    assert (alone.budget, beside.budget) == (1000, 5000)
+    assert outcomes_of(beside)[: len(own)] == own
+
+
+# --- A row that is no good --------------------------------------------------------------------------
+
+
+def _another_schema(data: bytes) -> bytes:
+    table, sink = from_ipc(data), pa.BufferOutputStream()
+    table = table.set_column(table.schema.get_field_index("end"), "end", pa.array(["1000"]))
+    with pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table)
+    return bytes(sink.getvalue())
+
+
+BAD: dict[str, Callable[[bytes], bytes]] = {
+    "damaged": lambda data: data[:500] + bytes([data[500] ^ 1]) + data[501:],
+    "cut short": lambda data: data[:-100],
+    "empty": lambda data: b"",
+    "of another schema": _another_schema,
+}
+
+
+@pytest.mark.parametrize("kind", ["missing", *BAD])
+def test_a_row_that_is_no_good_is_made_anew_from_its_run(store: Store, kind: str) -> None:
+    whole, path = stored_row(store, RUN), store.run_folder(RUN) / ROW_FILE
+    first = path.read_bytes()
+    if kind == "missing":
+        path.unlink()
+    elif kind == "damaged":
+        path.write_bytes(BAD[kind](first))
+    else:  # the run's status lists its checksum all the same
+        files = {name: store.read_file(RUN, name) for name in store.checksums(RUN)}
+        store.save_run(RUN, Status("done", 1000), {**files, ROW_FILE: BAD[kind](first)})
+    assert store.status(RUN).finished
+    assert stored_row(store, RUN).same_numbers(whole)
+    assert path.read_bytes() == first == store.read_file(RUN, ROW_FILE)
+
+
+def test_a_row_whose_run_is_damaged_is_used_and_without_it_nothing_is_made_up(store: Store) -> None:
+    first = stored_row(store, RUN)
+    (store.run_folder(RUN) / "episodes.parquet").write_bytes(b"damaged")
+    assert stored_row(store, RUN).same_numbers(first)
+    (store.run_folder(RUN) / ROW_FILE).unlink()
+    with pytest.raises(UserError, match="episodes.parquet: missing or damaged"):
+        stored_row(store, RUN)
+
+
+def test_a_folder_on_a_read_only_disk_can_be_read(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs without rows, and a disk that takes nothing: rows are made, and not kept."""
+    hand_made.save_listing(store, CELLS)
+    written: list[str] = []
+
+    def refuse(*what: Any, **_: Any) -> None:
+        written.append(str(what))
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    def read_only(file: Any, mode: str = "r", *more: Any, **options: Any) -> Any:
+        return refuse(file) if {*mode} & {*"wxa+"} else whole(file, mode, *more, **options)
+
+    whole = open
+    monkeypatch.setattr(builtins, "open", read_only)
+    for name in ("replace", "link", "mkdir", "unlink"):
+        monkeypatch.setattr(os, name, refuse)
+    data = open_study(RunIndex(store, shipped=False), "mine")
+    assert len(data.runs) == 4 and np.isfinite(outcome(data, data.runs[0], "final-return"))
+    assert written and not (store.run_folder(RUN) / ROW_FILE).exists()
+
+
+# --- Published tables -------------------------------------------------------------------------------
+
+
+def test_the_same_runs_give_the_same_bytes_and_other_programs_can_read_them(
+    store: Store, tmp_path: Path
+) -> None:
+    """A curve is a list of 200 numbers: at step 50, point 10, a mean of the one episode that ended."""
+    path = publish(data := hand_made.study_of(store, CELLS), store)
+    again = publish(data, Store(tmp_path / "again"))
+    assert path.read_bytes() == again.read_bytes()
+    frame = pq.read_table(path).to_pandas()
+    assert frame["run_id"].tolist() == [*CELLS.values()]
+    assert frame["return budget-5%"][2][9] == pytest.approx(2 / 3, rel=0.01)
+    assert len(frame["entropy"][0]) == GRID_POINTS
+    assert frame["evaluations"][0][3]["share_killed"] == 4 / 11
+    assert json.loads(frame["fields"][1]) == {**hand_made.FIELDS, "seed": 0}
+
+
+def test_only_the_curves_that_are_named_are_published_but_all_outcomes(store: Store, tmp_path: Path) -> None:
+    data = hand_made.study_of(store, CELLS)
+    few = republished(data, tmp_path, "entropy")
+    assert few.quantities == ["entropy"]
+    for name in ("final-return", "median-grad-norm", "max-grad-norm", "mean-kl", "final-share-killed"):
+        assert outcome(few, few.runs[0], name) == outcome(data, data.runs[0], name), name
+
+
+def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -> None:
+    """Runs of DQN have two columns of evaluations more, and counts may be whole in one row alone."""
+    save_run(store, "b0" * 8, 0, valued=True, played=50.5)
+    again = republished(data := hand_made.study_of(store, CELLS), tmp_path)
+    assert outcomes_of(again) == outcomes_of(data)
+    assert all(run.row.same_numbers(own.row) for run, own in zip(again.runs, data.runs, strict=True))
+    assert "q_estimate" in again.runs[1].row.evaluation_columns
+    assert "q_estimate" not in again.runs[0].row.evaluation_columns
+
+
+def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
+    path = publish(hand_made.study_of(store, CELLS), store)
+    data = path.read_bytes()
+    broken = [
+        data[:place] + bytes([data[place] ^ (1 << place % 8)]) + data[place + 1 :]
+        for place in range(0, len(data), 1001)
+    ]
+    for wrong in (*broken, *(data[:size] for size in (0, 1, 100, -1))):
+        with pytest.raises(ValueError, match="damaged"):
+            Published(path, wrong)
+        path.write_bytes(wrong)
+        index = RunIndex(store, shipped=False)
+        assert len(open_study(index, "mine").runs) == 4  # all of them are here
+        (problem,) = index.problems
+        assert problem.startswith(f"{path}: cannot be read (damaged); take it from version control again")
+
+
+def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
+    values = np.array([np.nan, 0.0, 1e-3, 1.0, 1e6, 3e6])
+    kept = _rounded(values, "entropy")
+    assert np.isnan(kept[0]) and kept[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
+    assert _rounded(kept, "entropy").tolist()[1:] == kept.tolist()[1:]
+    assert _rounded(np.array([-1e-5, 0.25, 1.0]), "return").tolist() == [
+        -(2.0**-8),
+        0.25,
+        1.0,
+    ]  # a sign stays
+    for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
+        assert np.array_equal(_rounded(np.array(odd), "return"), odd, equal_nan=True)
+
+
+# --- Where a run is in several places ---------------------------------------------------------------
+
+
+def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wins(
+    store: Store, tmp_path: Path
+) -> None:
+    other = Store(tmp_path / "other")
+    save_run(other, RUN, 5)
+    publish(hand_made.study_of(other, {("a", 0): RUN}, name="elsewhere"), store)
+    publish(hand_made.study_of(store, CELLS), store)
+    index = RunIndex(store, shipped=False)
+    told: list[str] = []
+    hand_made.save_listing(store, CELLS)
+    data = open_study(index, "mine", tell=told.append)
+    path = store.published_path("elsewhere")
+    assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
+    assert not any(run.row.published for run in data.runs)
+    assert outcome(data, data.runs[0], "best-return") == pytest.approx(20 / 3)
+
+
+def test_runs_here_and_published_ones_are_one_sample(store: Store) -> None:
+    """Two of four runs are lost, and one is broken: the published rows stand in for all three."""
+    whole = hand_made.study_of(store, CELLS)
+    before = outcomes_of(whole)
+    publish(whole, store)
+    for name in ("b0" * 8, "a1" * 8):
+        shutil.rmtree(store.run_folder(name))
+    store.save_run("b1" * 8, Status("crashed", 100), {})
+    data = open_study(RunIndex(store, shipped=False), "mine")
+    assert [run.row.published for run in data.runs] == [False, True, True, False]
+    assert data.runs == whole.runs and outcomes_of(data) == before
+    assert data.what == "the results folder with the published table"
+
+
+def test_a_table_lends_its_runs_to_other_studies_and_their_longer_grid(store: Store, tmp_path: Path) -> None:
+    """On the longer grid a point has the last value up to it, and none beyond the run's end."""
+    own = republished(hand_made.study_of(store, CELLS), tmp_path)
+    longer = replace(own, budget=2000)
+    for quantity in ("return", "entropy"):
+        curve, held = own.curve(own.runs[0], quantity), longer.curve(own.runs[0], quantity)
+        np.testing.assert_array_equal(held, [*curve[1::2], *[np.nan] * 100])
