@@ -103,6 +103,17 @@ def shown_settings(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 
 
+def setting_words(settings: Mapping[str, Any]) -> list[str]:
+    """Return changed fields as words of a command."""
+
+    def plain(value: Any) -> str:
+        if value is None or isinstance(value, bool):
+            return shown_value(value)
+        return str(list(value) if isinstance(value, tuple) else value)
+
+    return [f"--set={key}={plain(value)}" for key, value in settings.items()]
+
+
 LONGEST_NAME = 100
 
 

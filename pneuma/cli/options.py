@@ -19,7 +19,7 @@ from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supe
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
-from pneuma.values import read_value, shown_seeds
+from pneuma.values import read_value, setting_words, shown_seeds
 from pneuma.worlds import WORLDS
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -325,7 +325,7 @@ def selecting_words(selection: Selection) -> list[str]:
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
     words += ["--steps", str(selection.steps)] if selection.steps is not None else []
     words += [word for name in selection.conditions for word in ("--condition", name)]
-    return words + [f"--set={key}={value}" for key, value in (selection.settings or {}).items()]
+    return words + setting_words(selection.settings or {})
 
 
 def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:

@@ -19,6 +19,7 @@ from typing import Any
 from pneuma.config import BASES, Run, fields_read
 from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
+from pneuma.values import setting_words
 from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
@@ -234,8 +235,7 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 def asked_words(study: Study) -> list[str]:
     """Return a command's words for a study as it is: its name or file, world and changed fields."""
     asked = study.name if study.own_path is None else study.own_path
-    changed = [f"--set={key}={value}" for key, value in study.settings.items()]
-    return [asked, *world_option(study.world, study.worlds), *changed]
+    return [asked, *world_option(study.world, study.worlds), *setting_words(study.settings)]
 
 
 def run_command(study: Study) -> str:

@@ -12,11 +12,10 @@ import numpy as np
 from pneuma.cli import main
 from pneuma.config import Run, as_fields
 from pneuma.engines.policy import Policy
-from pneuma.files import to_json
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.measure import Measured, row_cells
-from pneuma.study.rows import encode_row
-from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
+from pneuma.study.store import Store
+
+from ..hand_made import save_run
 
 _CHANGED = ("horizon=64", "slots=1", "minibatch=32", "epochs=1", "evaluation_episodes=2", "episode_steps=50")
 SETTINGS = [part for setting in _CHANGED for part in ("--set", setting)]
@@ -69,18 +68,19 @@ def refused(*arguments: object) -> str:
 
 
 def save_finished(store: Store, run: Run, **provenance: object) -> str:
-    """Store a run that was never trained as done, with ten returns and evaluations; return its id."""
-    name, steps = run_id(run), np.linspace(run.steps / 10, run.steps, 10)
-    series = {"return": (steps, steps / run.steps + run.seed), "entropy": (steps, np.ones(10))}
-    evaluations = [{"step": int(step), "share_killed": 0.5, "random_share_killed": 0.1} for step in steps]
-    fields = json.loads(json.dumps(as_fields(run)))
-    measured = Measured(name, config_id(run), fields, "done", run.steps, series, evaluations, provenance, 0)
-    files = {
-        "run.json": run_document(run, name),
-        "provenance.json": to_json(provenance),
-        ROW_FILE: encode_row(row_cells(measured)),
-    }
-    store.save_run(name, Status("done", run.steps), files, run_identity(run))
+    """Store a run that was never trained as done, with ten episodes; return its id."""
+    name, steps = run_id(run), [run.steps * k // 10 for k in range(1, 11)]
+    save_run(
+        store,
+        name,
+        [{"step": step, "return": step / run.steps + run.seed} for step in steps],
+        [{"step": run.steps}],
+        [{"step": run.steps, "share_killed": 0.5, "random_share_killed": 0.1}],
+        run.steps,
+        fields=as_fields(run),
+        config_id=config_id(run),
+        **provenance,
+    )
     return name
 
 

@@ -7,65 +7,54 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.files import to_json
-from pneuma.study.execute import selection_record
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Store
 
-from .calls import described, policy_of, printed
+from .calls import described, printed, save_finished
 
-ALONE = "00aa000000000000"
-"""A run that no study holds."""
-ALIKE = "00aa111111111111"
-"""Another, with the same first digits."""
-
-MACHINE = {"wall_seconds": 12.5, "packages": {"pneuma": "0.1.0", "torch": "2.13.0"}, "cpu": "A processor"}
-
-
-def save(store: Store, run_id: str, run: Run) -> None:
-    contents = {
-        "run.json": run_document(run, run_id),
-        "provenance.json": to_json(MACHINE),
-        "policy.safetensors": policy_of(run.activation).to_bytes(),
-    }
-    store.save_run(run_id, Status("done", run.steps), contents)
+MACHINE = {
+    "wall_seconds": 12.5,
+    "python": "3.11",
+    "packages": {"pneuma": "0.1.0", "torch": "2.13.0"},
+    "cpu": "A processor",
+}
 
 
 @pytest.fixture
 def plan() -> Plan:
-    """Of the activation study, tanh and ReLU, one seed."""
-    settings = {"horizon": 64, "episode_steps": 50}
-    return make_plan(
-        load_study("activation"),
-        Selection(seeds=(7,), steps=640, conditions=("tanh", "relu"), settings=settings),
-    )
+    """Of the activation study, ReLU, which no other study has, and leaky ReLU, one seed."""
+    picked = Selection(seeds=(7,), steps=640, conditions=("relu", "leaky-relu"))
+    return make_plan(load_study("activation", "text"), picked)
 
 
 @pytest.fixture
-def store(plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
-    """The results of that plan, and two runs of no study."""
-    monkeypatch.setenv("PNEUMA_RESULTS", str(tmp_path / "results"))
-    store = Store(tmp_path / "results")
-    store.save_selection(plan.study.name, selection_record(plan))
+def store(plan: Plan, store: Store, monkeypatch: pytest.MonkeyPatch, unshipped: None) -> Store:
+    """The results of that plan."""
+    monkeypatch.setenv("PNEUMA_RESULTS", str(store.root))
     for cell in plan.cells:
-        save(store, cell.run_id, cell.run)
-    for name in (ALONE, ALIKE):
-        save(store, name, make_run({"seed": 3, "steps": 256}))
+        save_finished(store, cell.run, **MACHINE)
     return store
 
 
-# --- list and show ---------------------------------------------------------------------------------
+@pytest.fixture
+def alone(store: Store) -> str:
+    """A run that no study asks for."""
+    return save_finished(store, make_run({"seed": 3, "steps": 256, "gamma": 0.123}), **MACHINE)
 
 
-def test_list_tells_studies_first_and_every_run_once(store: Store, plan: Plan, tmp_path: Path) -> None:
-    tanh, relu = (cell.run_id for cell in plan.cells)
-    assert [line.split()[0] for line in printed("run", "list").splitlines()] == [tanh, relu, ALONE, ALIKE]
-    (store.run_folder(ALONE) / "policy.safetensors").unlink()
+def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
+    store: Store, alone: str, plan: Plan, tmp_path: Path
+) -> None:
+    relu, leaky = (cell.run_id for cell in plan.cells)
+    assert [line.split()[0] for line in printed("run", "list").splitlines()] == sorted([relu, leaky, alone])
+    (store.run_folder(leaky) / "provenance.json").unlink()
     documents = {row.pop("run_id"): row for row in described("run", "list", "--json")["runs"]}
-    held = [{"study": plan.study.name, "condition": "tanh", "seed": 7}]
-    assert documents[tanh] == {"status": "done", "step": 640, "seed": 7, "studies": held}
-    assert (documents[ALONE]["status"], documents[ALIKE]["status"]) == ("damaged", "done")
+    held = {"study": "activation", "world": "text", "condition": "relu", "seed": 7}
+    told = documents[relu]
+    assert (told["status"], told["step"], told["seed"]) == ("done", 1024, 7) and held in told["studies"]
+    assert documents[alone] == {"status": "done", "step": 256, "seed": 3, "studies": []}
+    assert documents[leaky]["status"] == "damaged"
     assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")
 
 
@@ -76,24 +65,21 @@ def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
     assert sorted(fields) == sorted(Run.__dataclass_fields__)
     document = described("run", "show", cell.run_id, "--json")
     assert make_run(document["settings"]) == cell.run
-    assert document["defaults"]["horizon"] == 256 and "gamma" not in document["defaults"]
+    assert document["defaults"]["activation"] == "tanh" and "gamma" not in document["defaults"]
     assert document["provenance"] == MACHINE
     assert {file["state"] for file in document["files"]} == {"sound"}
 
 
-def test_show_says_which_file_is_not_what_was_written(store: Store) -> None:
-    folder = store.run_folder(ALONE)
+def test_show_says_which_file_is_not_what_was_written(store: Store, alone: str) -> None:
+    folder = store.run_folder(alone)
     data = bytearray((folder / "run.json").read_bytes())
     data[len(data) // 2] ^= 1
     (folder / "run.json").write_bytes(bytes(data))
     (folder / "provenance.json").unlink()
     (folder / "more.txt").write_text("mine")
-    document = described("run", "show", ALONE, "--json")
+    document = described("run", "show", alone, "--json")
     assert document["status"] == "damaged"
-    assert {file["name"]: file["state"] for file in document["files"]} == {
-        "run.json": "damaged",
-        "provenance.json": "missing",
-        "policy.safetensors": "sound",
-        "more.txt": "unlisted",
-    }
-    assert "Fields" in printed("run", "show", ALONE)
+    states = {"run.json": "damaged", "provenance.json": "missing", "metrics.parquet": "sound"}
+    found = {file["name"]: file["state"] for file in document["files"]}
+    assert found.items() >= {**states, "more.txt": "unlisted"}.items()
+    assert "Fields" in printed("run", "show", alone)

@@ -6,6 +6,7 @@ import io
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -15,9 +16,9 @@ from pneuma.cli.options import Chosen, grouped, selecting_words
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
-from .calls import TINY, Called, call, printed
+from .calls import SETTINGS, TINY, Called, call, printed
 
-# Design section 2, word for word.
+# docs/studies.md, word for word.
 EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
 METRICS = (
     "condition, seed, run_id, step, policy_loss, value_loss, entropy, approx_kl, clip_fraction, grad_norm, "
@@ -56,7 +57,7 @@ def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path)
 
 def _export(results: Path, table: str, out: Path, *selection: str) -> bytes:
     how = ("--table", table, "--out", out, *selection, "--results", results)
-    printed("study", "export", "activation", *how)
+    printed("study", "export", "activation", *SETTINGS, *how)
     return out.read_bytes()
 
 
@@ -112,15 +113,18 @@ def test_a_copy_of_any_shipped_study_plans_the_same_runs(
 
 
 @pytest.mark.parametrize(
-    ("selection", "words"),
+    ("given", "words"),
     [
-        (Selection(), ""),
-        (Selection(seeds=(0, 1, 2)), "--seeds 3"),
-        (Selection(seeds=(4,), steps=512), "--seeds 4, --steps 512"),
-        (Selection(conditions=("tanh", "relu")), "--condition tanh --condition relu"),
+        ({}, ""),
+        ({"seeds": (0, 1, 2)}, "--seeds 3"),
+        ({"seeds": (4,), "steps": 512}, "--seeds 4, --steps 512"),
+        ({"conditions": ("tanh", "relu, gamma=0.5")}, "--condition tanh --condition relu, gamma=0.5"),
+        ({"settings": {"gamma": 0.5, "magic": True}}, "--set=gamma=0.5 --set=magic=true"),
+        ({"settings": {"actor": [64, 64], "reward": "none"}}, "--set=actor=[64, 64] --set=reward=none"),
     ],
 )
-def test_a_selection_is_told_in_the_words_that_make_it(selection: Selection, words: str) -> None:
+def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], words: str) -> None:
+    selection = Selection(**{"settings": {}, **given})
     told, app, read = selecting_words(selection), typer.Typer(), []
 
     @app.command()
