@@ -43,7 +43,6 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
         "evaluation": {
             "share_killed": 0.0, "return": -36.535, "length": 40.0, "died": 0.0,
             "argmax_share_killed": 0.0, "argmax_return": -37.235, "random_share_killed": 0.0178571,
-            "hunter_share_killed": 0.125,
         },
     },
     ("batched, shared", 3): {
@@ -59,7 +58,6 @@ GOLDEN: dict[tuple[str, int], dict[str, Any]] = {
         "evaluation": {
             "share_killed": 0.0178571, "return": -36.5325, "length": 40.0, "died": 0.0,
             "argmax_share_killed": 0.0, "argmax_return": -35.695, "random_share_killed": 0.0178571,
-            "hunter_share_killed": 0.125,
         },
     },
     ("tabular", 1): {

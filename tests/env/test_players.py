@@ -1,4 +1,4 @@
-"""The two players that anchor every scale, the random one and the hunter, and the ways that it finds."""
+"""The random player and the hunter, and the ways that the hunter finds."""
 
 from __future__ import annotations
 
