@@ -308,8 +308,8 @@ def _changed(index: RunIndex, asked: Asked) -> list[str]:
     for entries in index.by_configuration.values():
         finished = next((entry for entry in entries if entry.finished), None)
         row = index.row(finished.run_id) if finished else None
+        kept = _without_amount(row.fields) if row else {}
         for fields in asked.fields.values() if row else ():
-            kept = _without_amount(row.fields)
             unlike = [key for key in {**fields, **kept} if _plain(fields.get(key)) != kept.get(key)]
             if len(unlike) == 1:
                 option = f"--set {unlike[0]}={shown_value(kept.get(unlike[0]))}"

@@ -63,9 +63,9 @@ class RunIndex:
     def entries(self) -> Mapping[str, Entry]:
         here = {entry.run_id: entry for entry in self._entries_here()} if self._stored else {}
         published = {
-            run_id: Entry(run_id, *named, "done", named[2], table.path)
+            named[0]: Entry._make((*named, table.path))
             for table in self.tables.values()
-            for run_id, *named in table.index
+            for named in table.index
         }
         finished = {name: entry for name, entry in here.items() if entry.finished}
         return {**here, **published, **finished}
@@ -95,7 +95,7 @@ class RunIndex:
         if listing is None and name in self.tables:
             from pneuma.study.documents import Listing, fits  # pydantic: not for `--help`
 
-            published = self.tables[name].about.get("listing")
+            published = self.tables[name].about.get("listing") or {}
             listing = published if fits(published, Listing) and published["study"] == name else None
         return listing
 

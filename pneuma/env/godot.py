@@ -198,7 +198,9 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
 
     def _seen(self, sent: Any) -> np.ndarray:
         """Return an observation, sent by its name or as its numbers alone."""
-        return numbers(sent["obs"] if isinstance(sent, Mapping) else sent, *self.observation_space.shape)
+        return numbers(
+            sent["obs"] if isinstance(sent, Mapping) else sent, *(self.observation_space.shape or ())
+        )
 
     def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
         try:

@@ -153,7 +153,7 @@ class Published:
     Attributes:
         path: its file.
         about: what `encode_published` was told.
-        index: id, configuration's id, seed and steps of each run.
+        index: id, configuration's id, seed, steps, status and end of each run.
         places: the place of each run, by id.
 
     Raises:
@@ -165,7 +165,7 @@ class Published:
             raise ValueError("damaged")
         self.path = path
         self._data = data
-        index = from_parquet(data, ["run_id", "config_id", "seed", "steps"])
+        index = from_parquet(data, ["run_id", "config_id", "seed", "steps", "status", "end"])
         self.about = parse_json((index.schema.metadata or {}).get(b"pneuma", b""))
         if self.about.get("schema") != 3:
             raise ValueError("of another version of Pneuma")
