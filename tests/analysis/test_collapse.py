@@ -8,24 +8,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis import series
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, view
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.run_index import open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.study import series
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
-from ..hand_made import BUDGET, collapse_record, healthy, learning, one_action, save_collapse, write_events
+from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events
 
 
 def diagnosed(
     folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: Any
 ) -> Diagnosis:
+    """Return the diagnosis of a run as it stood at a step; `more` as `save_collapse` takes it."""
     store = Store(folder / "results")
     save_collapse(store, "a0" * 8, updates, shares, **more)
-    data = open_study(store, collapse_record({("a", 0): "a0" * 8}))
-    return diagnose(data, data.runs[0], at_step)
+    data = study_of(store, {("a", 0): "a0" * 8})
+    return diagnose(view(data, data.runs[0], at_step))
 
 
 def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.ndarray:
@@ -145,10 +147,8 @@ def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_nev
 def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
     tmp_path: Path, first: float, xp_scope: str
 ) -> None:
-    store, drift = Store(tmp_path / "results"), first - 20.0 * np.arange(100)
-    save_collapse(store, "a0" * 8, healthy(), np.full(20, 0.4), returns=drift)
-    data = open_study(store, collapse_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": xp_scope}}))
-    assert not diagnose(data, data.runs[0]).collapsed
+    drift = first - 20.0 * np.arange(100)
+    assert not diagnosed(tmp_path, healthy(), np.full(20, 0.4), returns=drift, xp_scope=xp_scope).collapsed
 
 
 # --- Recovery -------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def data(tmp_path: Path) -> StudyData:
         save_collapse(store, run_id, healthy(), learning())
     save_collapse(store, "a0" * 8, one_action(61), after(learning(), 13, 0.05))
     save_collapse(store, "a1" * 8, one_action(31, 50), after(learning(), 7, 0.05, 10))
-    return open_study(store, collapse_record(cells))
+    return study_of(store, cells)
 
 
 def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
@@ -201,8 +201,8 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(store, store.selection("logs") or {})
-    found = diagnose(data, data.runs[0])
+    data = open_study(RunIndex(store), "logs")
+    found = diagnose(view(data, data.runs[0]))
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
     assert found.unseen == ("one action", "dead units", "fall", "return below zero")
     assert found.relearned is None
@@ -212,9 +212,8 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
 def test_a_run_of_which_actions_alone_are_known_is_no_healthy_one(tmp_path: Path) -> None:
     store, updates = Store(tmp_path / "results"), one_action(61)
     updates[:, 0] = np.nan  # its entropy
-    save_collapse(store, "a0" * 8, updates, np.empty(0))
-    record = collapse_record({("a", 0): "a0" * 8}, {"a": {"xp_scope": "episode"}})
-    data = open_study(store, record)
+    save_collapse(store, "a0" * 8, updates, np.empty(0), xp_scope="episode")
+    data = study_of(store, {("a", 0): "a0" * 8})
     (row,) = incidence(data, diagnoses(data)).to_dict("records")
     assert (row["runs"], row["collapsed"], row["unknown"]) == (0, 0, 1)
 

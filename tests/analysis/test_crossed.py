@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from pneuma.analysis.crossed import (
     study_effects,
 )
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import open_study
 from pneuma.figures.maps import draw_robustness
+from pneuma.figures.origin import read_origin
+from pneuma.study.measure import stored_row
 from pneuma.study.store import Store
 
 from ..cli.calls import printed, refused
-from ..hand_made import collapse_record, healthy, learning, save_collapse
+from ..hand_made import healthy, learning, save_collapse, study_of
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
 """Effects of a 2 × 2 design coded as -1 and 1, and how far both runs of a cell lie from its mean."""
@@ -36,13 +38,11 @@ Conditions = dict[str, tuple[dict[str, Any], Sequence[float]]]
 def stored(folder: Path, conditions: Conditions) -> StudyData:
     store = Store(folder / "results")
     cells: dict[tuple[str, int], str] = {}
-    for name, (_, finals) in conditions.items():
+    for name, (settings, finals) in conditions.items():
         for seed, final in enumerate(finals):
             cells[name, seed] = f"{len(cells):016x}"
-            save_collapse(store, cells[name, seed], healthy(), learning(final))
-    record = collapse_record(cells, {name: settings for name, (settings, _) in conditions.items()})
-    store.save_selection("mine", record)
-    return open_study(store, record)
+            save_collapse(store, cells[name, seed], healthy(), learning(final), **settings)
+    return study_of(store, cells)
 
 
 def two_by_two() -> Conditions:
@@ -145,17 +145,18 @@ def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_p
 def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> None:
     """What is not trained yet makes no map robust, nor the others' p-values smaller."""
     whole = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2)
-    record = {**whole.record, "runs": [dict(run) for run in whole.record["runs"]]}
-    store = Store(tmp_path / "results")
-    for run in record["runs"]:
-        if run["condition"] == "relu 0.001 raw":
-            run["run_id"] = run["run_id"][::-1]
-    part = mapped(open_study(store, record))
+    part = mapped(replace(whole, runs=[run for run in whole.runs if run.condition != "relu 0.001 raw"]))
     assert part.cells["label"].tolist() == ["holds", "holds", "holds", "open"]
     assert (part.label, part.cells["reason"][3]) == ("partial", "an arm has no runs")
     assert part.cells["p"][:3].tolist() == pytest.approx([4 * 2 / 924] * 3)
-    save_collapse(store, whole.runs[0].run_id, healthy(), learning(), end=100)  # before any evaluation
-    assert mapped(open_study(store, whole.record)).cells["reason"][0] == "1 run without a value"
+    first = whole.runs[0]
+    store = Store(tmp_path / "results")
+    save_collapse(
+        store, first.run_id, healthy(), learning(), end=100, **first.fields
+    )  # before any evaluation
+    blank = replace(first, row=stored_row(store, first.run_id))
+    without = mapped(replace(whole, runs=[blank, *whole.runs[1:]]))
+    assert without.cells["reason"][0] == "1 run without a value"
 
 
 def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
@@ -165,8 +166,9 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
     told = printed(*contrast, "activation=tanh:relu", *at, "--out", tmp_path / "drawn", "--format", "svg")
     assert told.splitlines()[0].endswith("activation tanh against relu, final-share-killed: conditional")
     (drawn,) = (tmp_path / "drawn").iterdir()
-    (again,) = draw_robustness(data, [mapped(data)], tmp_path, "again", ("svg",))
-    assert drawn.name == "fig-mine-activation-tanh-relu.svg" and drawn.read_bytes() == again.read_bytes()
+    command = read_origin(drawn).command
+    (again,) = draw_robustness(data, [mapped(data)], tmp_path, "again", ("svg",), command=command)
+    assert drawn.name == "mine-activation-tanh-relu.svg" and drawn.read_bytes() == again.read_bytes()
     for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
         assert "must be KEY=A:B" in refused(*contrast, wrong, *at)
 

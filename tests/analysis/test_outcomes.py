@@ -1,25 +1,24 @@
-"""Outcomes by hand, and the same from runs and from their published table."""
+"""Outcomes by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData, common_step, step_words
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values, reason
-from pneuma.analysis.run_index import open_study
+from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
 from .. import hand_made
-from ..hand_made import record_of, write_events
-from .published_runs import republished
+from ..hand_made import study_of, write_events
 
 BUDGET = 1000
 SHARES = (0.2, 0.6, 0.4, 0.5)
@@ -45,7 +44,12 @@ def evaluation(k: int, share: float) -> dict[str, Any]:
 
 
 def save(
-    store: Store, run_id: str, shares: Sequence[float] = SHARES, end: int = BUDGET, **more: Sequence[float]
+    store: Store,
+    run_id: str,
+    shares: Sequence[float] = SHARES,
+    end: int = BUDGET,
+    fields: dict[str, Any] | None = None,
+    **more: Sequence[float],
 ) -> None:
     """Store a run that ended at `end`; `more` are further columns of its evaluations."""
     rows = [
@@ -54,21 +58,20 @@ def save(
     ]
     episodes, updates = [episode(k) for k in range(1, 21)], [update(k) for k in range(1, 11)]
     status = "done" if end >= BUDGET else "diverged"
-    hand_made.save_run(store, run_id, episodes, updates, rows, end, status, processor_share=0.5)
+    hand_made.save_run(store, run_id, episodes, updates, rows, end, status, fields)
 
 
 CELLS = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8, ("b", 0): "b0" * 8}
-ONE = {("a", 0): "a0" * 8}
 
 
 @pytest.fixture
 def data(tmp_path: Path) -> StudyData:
-    """Two runs of `a`, of which the second diverged at step 600, and one of `b` that learns steadily."""
+    """Of seed 0 a run of `a` and one of `b` that learns steadily; of seed 1 one of `a` diverged at 600."""
     store = Store(tmp_path / "results")
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.2, 0.6), end=600)
     save(store, "b0" * 8, (0.1, 0.2, 0.3, 0.4))
-    return open_study(store, record_of(CELLS))
+    return study_of(store, CELLS)
 
 
 # --- Values by hand -------------------------------------------------------------------------------
@@ -131,7 +134,7 @@ def test_a_done_runs_outcome(data: StudyData, name: str, expected: float) -> Non
 def test_a_diverged_run_counts_with_its_last_recorded_values(
     data: StudyData, name: str, expected: float
 ) -> None:
-    assert outcome(data, data.runs[1], name) == pytest.approx(expected)
+    assert outcome(data, data.runs[2], name) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +152,9 @@ def test_a_diverged_run_counts_with_its_last_recorded_values(
     ],
 )
 def test_a_run_as_it_stood_at_a_step(data: StudyData, name: str, expected: float) -> None:
-    assert outcome(data, data.runs[0], name, at_step=500) == pytest.approx(float(expected), rel=1e-6)
+    """Of a curve, which is rounded: returns to 1/64, their range being 6.3, entropies to 1/512."""
+    tolerance = 1 / 128 if "return" in name else 1 / 1024 if "entropy" in name else 1e-9
+    assert outcome(data, data.runs[0], name, at_step=500) == pytest.approx(float(expected), abs=tolerance)
 
 
 def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_path: Path) -> None:
@@ -157,10 +162,8 @@ def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_pa
     store = Store(tmp_path / "results")
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.3,), end=300)
-    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), end=2000, step=(500, 1000, 1500, 2000))
-    unlike = record_of(CELLS)
-    unlike["runs"][2] = {**unlike["runs"][2], "run": {**unlike["runs"][2]["run"], "steps": 2000}}
-    data = open_study(store, unlike)
+    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), 2000, {"steps": 2000}, step=(500, 1000, 1500, 2000))
+    data = study_of(store, CELLS)
     found = [outcome(data, run, "auc-share-killed", common_step(data)) for run in data.runs]
     assert found == pytest.approx([0.475, 0.3, 0.3])
     assert outcome(data, data.runs[0], "auc-share-killed") == pytest.approx(0.45)
@@ -169,7 +172,7 @@ def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_pa
 def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save(store, "a0" * 8, q_estimate=(1, 2, 3, 9.5), q_true=(1, 1, 1, 2))
-    data = open_study(store, record_of(ONE))
+    data = study_of(store, {("a", 0): "a0" * 8})
     assert outcome(data, data.runs[0], "q-overestimation") == 7.5
 
 
@@ -182,32 +185,16 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
         points = [("rollout/ep_rew_mean", step, float(step + seed)) for step in (10, end)]
         write_events(tmp_path / "logs" / f"a_{seed}" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(store, store.selection("logs") or {})
+    data = open_study(RunIndex(store), "logs")
     at_step = common_step(data)
     assert at_step == 980
-    np.testing.assert_array_equal(
-        outcome_values(data, "a", "final-return", at_step), [1000, 1001, 1002, 983, np.nan, np.nan]
-    )
+    found = outcome_values(data, "a", "final-return", at_step)
+    np.testing.assert_allclose(found, [1000, 1001, 1002, 983, np.nan, np.nan], atol=1)  # in steps of 2
     assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
     assert step_words(data).endswith("(left out, as they end before: a 4, a 5)")
 
 
 # --- Laws -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("at_step", [None, 500])
-def test_the_published_table_gives_the_same_numbers(
-    data: StudyData, tmp_path: Path, at_step: int | None
-) -> None:
-    """Of an earlier step those that are taken from evaluations and signs, which are kept whole."""
-    again = republished(data, tmp_path)
-    for name in (*OUTCOMES, "steps-to:0.5"):
-        source = find_outcome(name).source
-        is_whole = source in ("evaluations", "signs") or (at_step is None and source != "times")
-        for condition in data.conditions if is_whole else ():
-            ours = outcome_values(data, condition, name, at_step)
-            theirs = outcome_values(again, condition, name, at_step)
-            np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
@@ -220,19 +207,10 @@ def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
         assert np.isnan(values).all() == (name in none_has), name
 
 
-def test_a_clone_knows_the_times_from_the_file_beside_the_table(data: StudyData, tmp_path: Path) -> None:
-    again = republished(data, tmp_path / "without", times=False)
-    assert np.isnan(outcome(again, again.runs[0], "wall-seconds"))
-    timed = republished(data, tmp_path)
-    for name in ("wall-seconds", "steps-per-second"):
-        assert outcome_values(timed, "a", name).tolist() == outcome_values(data, "a", name).tolist()
-    assert [run.records.processor_share for run in timed.runs] == [0.5] * len(timed.runs)
-
-
-def test_a_forks_time_is_of_the_steps_after_it(data: StudyData) -> None:
-    whole = data.runs[0]
-    fork = replace(whole, fields={**whole.fields, "fork_step": whole.end // 2})
-    seconds = whole.records.wall_seconds
-    assert seconds and outcome(data, fork, "wall-seconds") == pytest.approx(seconds)
-    assert outcome(data, fork, "steps-per-second") == pytest.approx((whole.end - fork.begun) / seconds)
-    assert outcome(data, fork, "wall-seconds", fork.begun) == 0
+def test_a_forks_time_is_of_the_steps_after_it(tmp_path: Path) -> None:
+    """8 seconds for the 500 steps from its fork at 500."""
+    save(store := Store(tmp_path / "results"), "a0" * 8, fields={"fork_step": 500})
+    data = study_of(store, {("a", 0): "a0" * 8})
+    assert outcome(data, data.runs[0], "wall-seconds") == pytest.approx(8)
+    assert outcome(data, data.runs[0], "steps-per-second") == pytest.approx(62.5)
+    assert outcome(data, data.runs[0], "wall-seconds", 500) == 0

@@ -14,14 +14,14 @@ from scipy import stats
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import RESAMPLES, shown_with_interval
-from pneuma.analysis.run_index import open_study
 from pneuma.analysis.summaries import _improvement_interval, compare_conditions, summary_table
 from pneuma.study.store import Store
 
 from ..cli.calls import printed
-from ..hand_made import collapse_record, healthy, learning, save_collapse
+from ..hand_made import healthy, learning, save_collapse, study_of
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
+ARMS = {"a": (0.2, 0.4, 0.5, 0.9, 0.5), "b": (0.1, 0.3, 0.3, 0.45, 0.35)}
 
 
 def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
@@ -30,7 +30,7 @@ def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
     cells = {(c, i): f"{c}{i}" * 8 for c, values in finals.items() for i in range(len(values))}
     for (condition, seed), run_id in cells.items():
         save_collapse(store, run_id, healthy(), learning(finals[condition][seed]), returns=np.arange(100.0))
-    return open_study(store, collapse_record(cells))
+    return study_of(store, cells)
 
 
 def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict
 
 @pytest.fixture
 def data(tmp_path: Path) -> StudyData:
-    return study(tmp_path, {"a": FINALS["a"], "b": FINALS["b"]})
+    return study(tmp_path, FINALS)
 
 
 @pytest.mark.parametrize(
@@ -55,9 +55,8 @@ def test_what_four_runs_come_to(data: StudyData, statistic: str, expected: float
     assert row["runs"] == 4
 
 
-def test_the_probability_of_improvement_is_over_the_baseline(tmp_path: Path) -> None:
+def test_the_probability_of_improvement_is_over_the_baseline(data: StudyData) -> None:
     """Of sixteen pairs b is above in four, at 0.3 over 0.2; the baseline itself has none."""
-    data = study(tmp_path, FINALS)
     assert value(data, "b", "final-share-killed", "improvement")["value"] == 4 / 16
     table = summary_table(data)
     assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
@@ -82,27 +81,42 @@ def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData)
     assert value(data, "a", "steps-to:0.1", "median")["value"] < np.inf
 
 
-@pytest.mark.parametrize("finals", [{"a": (0.4,)}, {"a": (0.4, 0.4)}, {"a": (0.4, 0.5), "b": (0.1,)}])
+@pytest.mark.parametrize("finals", [{"a": (0.4,)}, {"a": (0.4, 0.4)}, {**FINALS, "c": (0.1,)}])
 def test_too_few_runs_have_estimates_without_intervals_and_no_warning(
     tmp_path: Path, finals: dict[str, Sequence[float]]
 ) -> None:
+    """Up to four; counts of runs have exact intervals all the same."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         table = summary_table(study(tmp_path, finals))
     bare = table[table["interval"] == "none"]
-    assert len(bare) and bare[["low", "high"]].isna().all(axis=None)
+    assert bare[["low", "high"]].isna().all(axis=None)
+    assert {*table["interval"]} == {"none", "Clopper-Pearson"}
+    assert {*table[table["interval"] != "none"]["statistic"]} <= {"share", "reached"}
 
 
-def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(data: StudyData) -> None:
-    markdown = encode_table(data, "summary", "markdown")[0].decode().splitlines()
+def test_intervals_of_five_runs_stay_within_what_their_outcome_can_be(tmp_path: Path) -> None:
+    """Means 0.06 and 0.94 with standard errors of 0.06: Student's quantile of 4 degrees is 2.776, of 8 2.306."""
+    data = study(tmp_path, {"a": (0.0, 0.0, 0.0, 0.0, 0.3), "b": (1.0, 1.0, 1.0, 1.0, 0.7)})
+    low, high = (value(data, name, "final-share-killed", "mean") for name in "ab")
+    assert (low["low"], low["high"]) == (0, pytest.approx(0.06 + 0.06 * 2.776445))
+    assert (high["low"], high["high"]) == (pytest.approx(0.94 - 0.06 * 2.776445), 1)
+    (row,) = compare_conditions(data, "b", "a", ["final-share-killed"]).to_dict("records")
+    assert (row["low"], row["high"]) == (pytest.approx(0.88 - 0.06 * 2**0.5 * 2.306004), 1)
+
+
+def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(store: Store) -> None:
+    """The standard error is the root of 0.065 / 5, of which 2.776 are 0.317."""
+    data = study(store.root.parent, {"a": ARMS["a"]})
+    markdown = encode_table(data, "summary", "markdown", store)[0].decode().splitlines()
     assert markdown[:2] == [
         "| condition | outcome | statistic | value | low | high | interval | runs |",
         "| --- | --- | --- | ---: | ---: | ---: | --- | ---: |",
     ]
-    (mean,) = [line for line in markdown if "final-share-killed | mean" in line and line.startswith("| a")]
-    assert mean == "| a | final-share-killed | mean | 0.50 | 0.03 | 0.97 | t | 4 |"
-    latex = encode_table(data, "summary", "latex")[0].decode()
-    assert r"a & final-share-killed & mean & 0.50 & 0.03 & 0.97 & t & 4 \\" in latex
+    (mean,) = [line for line in markdown if "final-share-killed | mean" in line]
+    assert mean == "| a | final-share-killed | mean | 0.50 | 0.18 | 0.82 | t | 5 |"
+    latex = encode_table(data, "summary", "latex", store)[0].decode()
+    assert r"a & final-share-killed & mean & 0.50 & 0.18 & 0.82 & t & 5 \\" in latex
 
 
 def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
@@ -110,7 +124,7 @@ def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
     cells = {(name, 0): f"{place:016x}" for place, name in enumerate(names)}
     for own in cells.values():
         save_collapse(store, own, healthy(), learning())
-    store.save_selection("mine", collapse_record(cells))
+    study_of(store, cells)
     out = tmp_path / "summary.csv"
     printed("study", "export", "mine", "--table", "summary", "--out", out, "--results", store.root)
     told = dict.fromkeys(line.split(",")[0] for line in out.read_text().splitlines()[1:])
@@ -136,20 +150,23 @@ def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) ->
 
 # --- Two conditions ---------------------------------------------------------------------------------
 
-ARMS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.1, 0.3, 0.3, 0.45)}
-
 
 def test_means_their_difference_and_who_is_better(tmp_path: Path) -> None:
     (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).to_dict("records")
     welch = stats.ttest_ind(ARMS["a"], ARMS["b"], equal_var=False).confidence_interval(0.95)
-    assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.2875))
-    assert row["difference"] == pytest.approx(0.2125)
+    assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.3))
+    assert row["difference"] == pytest.approx(0.2)
     assert (row["low"], row["high"]) == (pytest.approx(welch.low), pytest.approx(welch.high))
-    assert row["p_better"] == pytest.approx((1 + 3 + 4 + 4) / 16)  # how many of b each of a's runs beats
-    assert (row["seeds_a"], row["seeds_b"], row["without_value"]) == (4, 4, 0)
+    assert row["p_better"] == pytest.approx((1 + 4 + 5 + 5 + 5) / 25)  # how many of b each of a's runs beats
+    assert (row["seeds_a"], row["seeds_b"], row["without_value"]) == (5, 5, 0)
 
 
-def test_steps_that_never_end_have_no_mean_but_an_order(tmp_path: Path) -> None:
-    (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["steps-to:0.5"]).to_dict("records")
-    assert row["mean_b"] == float("inf") and row["difference"] != row["difference"]
-    assert row["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
+def test_four_runs_have_a_difference_without_an_interval_and_steps_without_end_an_order(
+    data: StudyData,
+) -> None:
+    killed, steps = compare_conditions(data, "a", "b", ["final-share-killed", "steps-to:0.5"]).to_dict(
+        "records"
+    )
+    assert killed["difference"] == pytest.approx(0.2) and np.isnan([killed["low"], killed["high"]]).all()
+    assert steps["mean_b"] == float("inf") and np.isnan(steps["difference"])
+    assert steps["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
