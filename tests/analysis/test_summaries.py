@@ -96,7 +96,7 @@ def test_too_few_runs_have_estimates_without_intervals_and_no_warning(
 
 
 def test_intervals_of_five_runs_stay_within_what_their_outcome_can_be(tmp_path: Path) -> None:
-    """Means 0.06 and 0.94 with standard errors of 0.06; Student's quantiles are 2.776 (4 degrees) and 2.306 (8)."""
+    """Means 0.06 and 0.94 with errors of 0.06; Student's quantile is 2.776 for 4 degrees, 2.306 for 8."""
     data = study(tmp_path, {"a": (0.0, 0.0, 0.0, 0.0, 0.3), "b": (1.0, 1.0, 1.0, 1.0, 0.7)})
     low, high = (value(data, name, "final-share-killed", "mean") for name in "ab")
     assert (low["low"], low["high"]) == (0, pytest.approx(0.06 + 0.06 * 2.776445))
