@@ -401,4 +401,5 @@ class Row:
         evaluated = {*self._evaluations} & {*other._evaluations}
         pairs += [(self.evaluations(name), other.evaluations(name)) for name in evaluated]
         curves = all(np.array_equal(one, two, equal_nan=True) for one, two in pairs)
-        return curves and all(self.cell(name) == other.cell(name) for name in names - lists)
+        scalars = names - lists  # as text, in which NaN is NaN
+        return curves and all(repr(self.cell(name)) == repr(other.cell(name)) for name in scalars)
