@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-import torch
 
 from pneuma.config import make_run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.records import Checkpoint, CheckpointError
-from pneuma.study.checkpoints import (
-    decode,
-    encode,
-)
+from pneuma.study.checkpoints import encode
 
-from .trained import bits, train, train_once
+from .trained import bits, check_that_it_goes_on, train, train_once
 
 SMALL: dict[str, object] = {
     "horizon": 64,
@@ -43,13 +38,7 @@ BESIDE = [("sb3", "upgd"), ("batched", "upgd"), ("batched", "players")]
 
 @pytest.mark.parametrize(("engine", "name"), TRAINED)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str, engine: str) -> None:
-    run = make_run({**SMALL, **CASES[name], "engine": engine})
-    whole, taken = train_once(run)
-    for checkpoint in (taken[0], taken[3], taken[-1]):
-        np.random.seed(1)
-        torch.manual_seed(1)  # whatever other runs drew meanwhile
-        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
-        assert bits(resumed) == bits(whole), checkpoint.step
+    check_that_it_goes_on(make_run({**SMALL, **CASES[name], "engine": engine}), 0, 3, -1)
 
 
 @pytest.mark.parametrize(("engine", "name"), BESIDE)
@@ -84,6 +73,3 @@ def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], eng
     _, taken = train_once(make_run({**SMALL, "engine": engine}))
     with pytest.raises(CheckpointError, match="cannot go on from step 64"):
         train(make_run({**SMALL, **settings, "engine": engine}), taken[0])
-
-
-# --- As files --------------------------------------------------------------------------------------

@@ -13,9 +13,8 @@ from pneuma.config import BASES, Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
-from pneuma.study.checkpoints import decode, encode
 
-from .trained import bits, train, train_once
+from .trained import bits, check_that_it_goes_on, train, train_once
 
 SMALL = {
     "actor": [16], "critic": [24], "horizon": 64, "minibatch": 32, "epochs": 2,
@@ -51,13 +50,7 @@ def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> N
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
-    run = run_of(case)
-    whole, taken = train_once(run)
-    for checkpoint in (taken[0], taken[1], taken[-1]):
-        np.random.seed(1)
-        torch.manual_seed(1)  # whatever other runs drew meanwhile
-        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
-        assert bits(resumed) == bits(whole), checkpoint.step
+    check_that_it_goes_on(run_of(case), 0, 1, -1)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import numpy as np
+import torch
+
 from pneuma.config import Run
 from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import Checkpoint
-from pneuma.study.checkpoints import TABLES
+from pneuma.study.checkpoints import TABLES, decode, encode
 from pneuma.study.tables import to_parquet
 
 
@@ -33,3 +36,14 @@ def bits(result: Result) -> tuple[object, ...]:
     assert result.policy is not None
     tables = [to_parquet(getattr(result.records, name), columns) for name, columns in TABLES.items()]
     return result.status, result.step, tables, result.policy.to_bytes()
+
+
+def check_that_it_goes_on(run: Run, *places: int) -> None:
+    """Check that a run that goes on from a checkpoint, as a file, ends as if it had never stopped."""
+    whole, taken = train_once(run)
+    assert whole.status == "done"
+    for checkpoint in (taken[place] for place in places):
+        np.random.seed(1)
+        torch.manual_seed(1)  # whatever other runs drew meanwhile
+        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        assert bits(resumed) == bits(whole), checkpoint.step

@@ -6,15 +6,13 @@ import warnings
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as gymnasiums_check
 from stable_baselines3.common.env_checker import check_env as sb3s_check
 
 from pneuma.env import MO_ENVIRONMENTS, REGISTERED
 from pneuma.env.parallel import parallel_env
-from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
+from pneuma.env_fields import ENVIRONMENTS
 
 CYCLES = 400
 each_world = pytest.mark.parametrize("env_id", ENVIRONMENTS)
@@ -40,18 +38,3 @@ def test_pettingzoos(env_id: str) -> None:
         from pettingzoo.test import parallel_api_test, parallel_seed_test
     parallel_api_test(parallel_env(env_id=env_id, players=3), num_cycles=CYCLES)
     parallel_seed_test(lambda: parallel_env(env_id=env_id, players=3), num_cycles=CYCLES)
-
-
-@each_world
-@pytest.mark.parametrize("players", [1, 3])
-def test_no_observation_leaves_its_space(env_id: str, players: int) -> None:
-    worlds = Worlds(8, make_env_config({"players": players}, env_id))
-    worlds.seed(range(8))
-    worlds.reset()
-    generator = np.random.default_rng(0)
-    for _ in range(CYCLES):
-        worlds.step(generator.integers(int(worlds.action_space.n), size=worlds.players.shape))
-        for player, space in enumerate(worlds.spaces):
-            seen = worlds.observations[:, player]
-            assert ((seen >= space.low) & (seen <= space.high)).all()
-        worlds.reset(worlds.worlds["ending"] != 0)

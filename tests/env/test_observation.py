@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -104,12 +104,19 @@ def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: l
     assert worlds.space.contains(seen(worlds))
 
 
+SEEN_AS = [
+    {"observation": layout, "scale": scale, "order": order}
+    for layout, scale, order in product(OBSERVATIONS, SCALES, ORDERS)
+]
+OTHER_RULES = {"coast": "deadly", "trees": "pass", "bodies": "pass", "scale": "raw"}
+RAYS = [{"perceive": "rays:16", **own} for own in ({}, OTHER_RULES)]
+
+
 @pytest.mark.parametrize("env_id", [THESIS, GODOT])
-@pytest.mark.parametrize(("layout", "scale", "order"), list(itertools.product(OBSERVATIONS, SCALES, ORDERS)))
-def test_no_observation_ever_leaves_its_space(env_id: str, layout: str, scale: str, order: str) -> None:
-    seen_as: dict[str, Any] = {"observation": layout, "scale": scale, "order": order}
+@pytest.mark.parametrize("seen_as", [*SEEN_AS, *RAYS], ids=str)
+def test_no_observation_ever_leaves_its_space(env_id: str, seen_as: dict[str, Any]) -> None:
     two: dict[str, Any] = {"players": 2, "classes": ["base", "tank"], "start": "random", "episode_steps": 150}
-    worlds = begin(6, env_id=env_id, magic=True, **seen_as, **two)
+    worlds = begin(6, env_id=env_id, magic=True, **{**two, **seen_as})
     for space in worlds.spaces:
         assert space.dtype == np.float32 and np.isfinite(space.low).all() and np.isfinite(space.high).all()
     generator = np.random.default_rng(2)
@@ -158,19 +165,3 @@ def test_rays_end_at_trees_and_at_a_sea_that_drowns(arena: str, scale: str, unit
     assert rays[:, 0] * unit == pytest.approx([156, 546, 676, 606], rel=1e-6)
     passed = look(arena, players=((100.0, 30.0),), perceive="rays:4", scale=scale, trees="pass")
     assert seen(passed)[4] * unit == pytest.approx(476)
-
-
-def test_no_ray_ever_leaves_its_space() -> None:
-    other: dict[str, Any] = {"coast": "deadly", "trees": "pass", "bodies": "pass", "scale": "raw"}
-    chosen: dict[str, Any]
-    for chosen in ({}, other):
-        worlds = begin(6, perceive="rays:16", players=2, episode_steps=150, **chosen)
-        generator = np.random.default_rng(3)
-        for step in range(300):
-            if step % 8 == 0:
-                actions = generator.integers(5, size=(6, 2))
-            worlds.step(actions)
-            assert (worlds.observations >= worlds.space.low).all()
-            assert (worlds.observations <= worlds.space.high).all()
-            assert (worlds.observations[..., 4:].reshape(-1, 16, 4)[..., 1:].sum(axis=-1) == 1).all()
-            worlds.reset(worlds.worlds["ending"] != 0)
