@@ -47,13 +47,14 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.checkpoints": ("pneuma.engines.loop", "pneuma.engines.records"),
     # what reads records, what produced them, and which of them claims fixed:
     "pneuma.analysis": (
-        "pneuma.study.store", "pneuma.study.spec", "pneuma.study.tables",
-        "pneuma.study.claimed", "pneuma.study.plan", "pneuma.study.provenance", "pneuma.study.documents",
+        "pneuma.study.store", "pneuma.study.spec", "pneuma.study.claimed", "pneuma.study.plan",
+        "pneuma.study.provenance", "pneuma.study.documents", "pneuma.study.identity", "pneuma.study.rows",
+        "pneuma.study.measure", "pneuma.study.series", "pneuma.study.quantities",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),
     "pneuma.figures": (
         "pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch", "pneuma.study.store",
-        "pneuma.study.provenance",
+        "pneuma.study.provenance", "pneuma.study.plan", "pneuma.study.series", "pneuma.study.quantities",
     ),
     "pneuma.bench": ("pneuma.env",),
     "pneuma.doctor": ("pneuma.study",),
