@@ -11,49 +11,50 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from pneuma.analysis.published import NO_SUM, read_published, with_sum
-from pneuma.analysis.publishing import encode_study
 
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
+from pneuma.analysis.frames import StudyData, view
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.run_index import open_study
+from pneuma.analysis.run_index import RunIndex
 from pneuma.doctor import GOOD, examine
 from pneuma.errors import UserError
-from pneuma.files import read_json, read_whole
+from pneuma.files import checksum, read_json, read_whole
+from pneuma.study.rows import encode_published
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
-from .analysis.published_runs import RECORD, save_run
+from .analysis.published_runs import publish, save_run
 from .cli.calls import call
-from .hand_made import UNLIKE, put_unlike, record_of
+from .hand_made import UNLIKE, put_unlike, save_listing, study_of
 
 RUN = "a0" * 8
-ONE = record_of({("a", 0): RUN})
+ONE = {("a", 0): RUN}
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "results")
     save_run(store, RUN, 0)
-    store.save_selection("mine", ONE)
+    save_listing(store, ONE)
     return store
 
 
 @pytest.mark.parametrize("kind", UNLIKE)
 def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: Store, kind: str) -> None:
     folder = store.run_folder(RUN)
-    before = store.selection("mine")
-    put_unlike(store.root / "studies" / "mine.json", kind)
-    assert before and store.selection("mine") is None and read_json(store.selection_path("mine")) is None
+    before = store.listing("mine")
+    put_unlike(store.listing_path("mine"), kind)
+    assert before and store.listing("mine") is None and read_json(store.listing_path("mine")) is None
     with pytest.raises(OSError):
-        read_whole(store.selection_path("mine"))
+        read_whole(store.listing_path("mine"))
     put_unlike(folder / "metrics.parquet", kind)
     assert store.status(RUN).name == "damaged"
     store.write(store.published_path("other"), b"")
     put_unlike(store.published_path("other"), kind)
-    with pytest.raises(UserError, match="other.parquet: cannot be read"):
-        read_published(store, "other")
+    index = RunIndex(store, shipped=False)
+    assert not index.tables and "other.parquet: cannot be read" in index.problems[0]
     put_unlike(folder / ".lock", kind)
     put_unlike(folder / "status.json", kind)
     assert store.status(RUN).name == "damaged"
@@ -106,9 +107,10 @@ def test_untrusted_a_sealed_table_that_makes_no_sense_is_one_line(
     store: Store, name: str, change: Any
 ) -> None:
     _swapped(store, name, change)
-    data = open_study(store, ONE)
-    with pytest.raises(UserError, match=rf"{name}.parquet: (column|has no column|has two)"):
-        encode_study(data)
+    index = RunIndex(store, shipped=False)
+    with pytest.raises(UserError, match="no finished run of study mine"):
+        open_study(index, "mine")
+    assert "its records make no sense (column" in index.problems[0] or "has two" in index.problems[0]
 
 
 @pytest.mark.parametrize(
@@ -120,37 +122,58 @@ def test_untrusted_a_sealed_table_that_makes_no_sense_is_one_line(
 )  # fmt: skip
 def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any) -> None:
     _swapped(store, name, change)
-    data = open_study(store, ONE)
+    data = study_of(store, ONE)
     (run,) = data.runs
-    assert diagnose(data, run) is not None
+    assert diagnose(view(data, run)) is not None
     assert all(isinstance(outcome(data, run, own), float) for own in OUTCOMES)
-    assert encode_table(data, "curves", "csv") and encode_study(data)
+    assert encode_table(data, "curves", "csv", store) and encode_published([run.row], {})
 
 
-@pytest.mark.parametrize(
-    ("head", "column", "values"),
-    [({"budget": "much"}, "", None), ({"windows": ["a"]}, "", None), ({"same": 3}, "", None),
-     ({}, "run_id", "../.."), ({}, "settings", "[]"), ({}, "settings", "{"), ({}, "signs", "{}"),
-     ({}, "end", None), ({}, "entropy", "x"), ({}, "return budget-5%", [[1.0] * 199]),
-     ({}, "outcome final-return", None), ({}, "evaluations", [[{"a": 1.0}]])],
-)  # fmt: skip
-def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
-    store: Store, head: dict[str, Any], column: str, values: Any
-) -> None:
-    table = from_parquet(encode_study(open_study(store, ONE)))
-    told = {**json.loads(table.schema.metadata[b"pneuma"]), **head}
+def _forged(data: StudyData, store: Store, about: dict[str, Any], column: str, values: Any) -> None:
+    """Publish a study with something changed, under a checksum that is right."""
+    path = publish(data, store)
+    table = from_parquet(path.read_bytes())
+    told = {**json.loads(table.schema.metadata[b"pneuma"]), **about}
     if column:
         own = pa.array(values if isinstance(values, list) else [values])
         table = table.set_column(table.column_names.index(column), column, own)
+    blank = "sha256:" + "0" * 64
     sink = pa.BufferOutputStream()
-    metadata = {"pneuma": json.dumps(told), "pneuma.checksum": NO_SUM}
+    metadata = {"pneuma": json.dumps(told), "pneuma.checksum": blank}
     pq.write_table(table.replace_schema_metadata(metadata), sink, compression="none")
-    store.write(store.published_path("mine"), with_sum(sink.getvalue().to_pybytes()))
-    with pytest.raises(UserError, match="mine.parquet: is no published table of a study"):
-        read_published(store, "mine")
-    assert len(open_study(store, ONE).runs) == 1
-    with pytest.raises(UserError, match="mine.parquet: is no"):
-        open_study(store, RECORD)
+    forged = sink.getvalue().to_pybytes()
+    store.write(path, forged.replace(blank.encode(), f"sha256:{checksum(forged)}".encode()))
+
+
+@pytest.mark.parametrize(
+    ("about", "column", "values"),
+    [({"schema": 2}, "", None), ({"listing": {"runs": 3}}, "", None), ({"listing": 3}, "", None),
+     ({}, "run_id", "../.."), ({}, "config_id", "x"), ({}, "status", "planned"), ({}, "steps", 0),
+     ({}, "end", None), ({}, "entropy", "x"), ({}, "entropy", [[1.0] * 200]),
+     ({}, "return last", "x"), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "seed", None)],
+)  # fmt: skip
+def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
+    store: Store, about: dict[str, Any], column: str, values: Any, tmp_path: Path
+) -> None:
+    clone = Store(tmp_path / "clone")
+    _forged(study_of(store, ONE), clone, about, column, values)
+    with pytest.raises(UserError) as refused:
+        open_study(index := RunIndex(clone, shipped=False), "mine")
+    told = [str(refused.value), *index.problems]
+    assert all("\n" not in line for line in told) and any("mine" in line for line in told)
+    _forged(study_of(store, ONE), store, about, column, values)
+    assert len(open_study(RunIndex(store, shipped=False), "mine").runs) == 1
+
+
+@pytest.mark.parametrize(("column", "text"), [("fields", "["), ("provenance", "{"), ("signs", "{}")])
+def test_untrusted_text_in_a_table_that_is_no_document_is_one_line(
+    store: Store, column: str, text: str, tmp_path: Path
+) -> None:
+    clone = Store(tmp_path / "clone")
+    _forged(study_of(store, ONE), clone, {}, column, text)
+    for command in (("summary", "mine"), ("collapse", "mine"), ("plot", "mine"), ("status", "mine")):
+        told = call("study", *command, "--results", clone.root)
+        assert told.code in (0, 2) and "Traceback" not in told.err
 
 
 # --- The working folder ------------------------------------------------------------------------------

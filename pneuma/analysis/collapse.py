@@ -75,7 +75,7 @@ def diagnose(seen: RunView) -> Diagnosis:
     gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
     found = {
         sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
-        for sign, parts in run.row.signs().items()
+        for sign, parts in run.row.signs.items()
     }
     falls, losses = _falls(steps, shares, random), _losses(seen)
     sunk = _lasting(losses or [], gap, shortest)

@@ -144,7 +144,7 @@ def decode_row(data: bytes) -> Row:
     _check(table)
     if table.num_rows != 1:
         raise ValueError("has not one row")
-    return Row(table)
+    return Row(table).checked()
 
 
 class Published:
@@ -183,7 +183,12 @@ class Published:
         return table
 
     def row(self, run_id: str) -> Row:
-        return Row(self._rows, self.places[run_id], published=True)
+        """Return the row of one of its runs.
+
+        Raises:
+            ValueError: where the table makes no sense.
+        """
+        return Row(self._rows, self.places[run_id], published=True).checked()
 
     def rows(self) -> dict[str, Row]:
         return {run_id: self.row(run_id) for run_id in self.places}
@@ -373,13 +378,23 @@ class Row:
     def evaluations_table(self) -> pa.Table:
         return pa.table(dict(self._evaluations))
 
+    @cached_property
     def signs(self) -> dict[str, list[Stretch]]:
-        """Return where each recorded sign of collapse holds.
+        """Where each recorded sign of collapse holds."""
+        return unpack_signs(self.cell("signs"))
+
+    def checked(self) -> Row:
+        """Return the row itself if its texts are documents; they are read once.
 
         Raises:
-            ValueError: for invalid text.
+            ValueError: naming one that is not.
         """
-        return unpack_signs(self.cell("signs"))
+        for name in ("fields", "provenance", "signs"):
+            try:
+                getattr(self, name)
+            except ValueError as error:
+                raise ValueError(f"column {name} makes no sense ({error})") from None
+        return self
 
     @property
     def wall_seconds(self) -> float | None:
