@@ -198,15 +198,13 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
 
     def _seen(self, sent: Any) -> np.ndarray:
         """Return an observation, sent by its name or as its numbers alone."""
-        return numbers(
-            sent["obs"] if isinstance(sent, Mapping) else sent, *(self.observation_space.shape or ())
-        )
+        return numbers(sent["obs"] if isinstance(sent, Mapping) else sent, self._features)
 
     def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
         try:
             ((action, acts),) = _first(env_info["action_space"]).items()
             ((key, seen),) = _first(env_info["observation_space"]).items()
-            (features,) = (whole(size, 1, MOST_NUMBERS) for size in seen["size"])
+            (self._features,) = (whole(size, 1, MOST_NUMBERS) for size in seen["size"])
             size, _ = whole(acts["size"], 1, MOST_NUMBERS), whole(env_info["n_agents"], 1, 1)
             discrete = {"discrete": True, "continuous": False}[acts["action_type"]]
             if (key, seen["space"]) != ("obs", "box"):
@@ -219,7 +217,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 f"it has {has}"
             ) from None
         self._action = action
-        self.observation_space = spaces.Box(-np.inf, np.inf, (features,), np.float32)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (self._features,), np.float32)
         self.action_space = spaces.Discrete(size) if discrete else spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 
