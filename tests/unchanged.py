@@ -1,7 +1,7 @@
 """What a rewrite must not move, as checksums: `python -m tests.unchanged` compares, `--record` writes them.
 
-Run ids of every condition of every shipped study in each world; every table that `study export` makes of each
-committed published study; the verdicts of `study verify` on them. Nothing is trained, as the last bits of a
+Run ids of every condition of every shipped study in each world; every table that `study export` makes of what each
+committed published table answers; the verdicts of `study verify` on them. Nothing is trained, as the last bits of a
 training depend on the processor. Golden traces of rules and engines are tests of their own.
 """
 
@@ -12,11 +12,11 @@ import json
 import sys
 from pathlib import Path
 
+from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 from pneuma.study.store import Store
-from pneuma.worlds import split_world
 
 from .cli.calls import call, described
 
@@ -60,12 +60,14 @@ def _run_ids() -> dict[str, str]:
 def _tables() -> dict[str, str]:
     """Digest what readers make of the published tables."""
     found = {}
-    for study in Store(PUBLISHED).published(shipped=False):
-        name, world = split_world(study)
+    for name, published in RunIndex(Store(PUBLISHED), stored=False, shipped=False).tables.items():
+        about = published.about
+        settings = [word for key, value in about["settings"].items() for word in ("--set", f"{key}={value}")]
+        world = ("--world", about["world"]) if about["world"] else ()
         for table in TABLES:
-            at = (*(("--world", world) if study != name else ()), "--results", str(PUBLISHED))
-            code, out, _ = call("study", "export", name, "--table", table, "--out", "-", *at)
-            found[f"{study} {table}"] = "refused" if code else _digest(out)
+            at = (*world, *settings, "--results", str(PUBLISHED))
+            code, out, _ = call("study", "export", about["study"], "--table", table, "--out", "-", *at)
+            found[f"{name} {table}"] = "refused" if code else _digest(out)
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Verdict, judge
@@ -108,7 +109,7 @@ def save_run(
     run: Run,
     shares: float | Sequence[float],
     returned: float | None = None,
-    **provenance: object,
+    **provenance: Any,
 ) -> None:
     """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
     curve = shares if isinstance(shares, Sequence) else [shares]
@@ -118,7 +119,7 @@ def save_run(
     ]
     episode = {"step": run.steps, "return": curve[-1] if returned is None else returned, "length": 9}
     rows = [episode], [{"step": run.steps, "entropy": 1.0}], evaluations
-    about = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
+    about: dict[str, Any] = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
     hand_made.save_run(
         store, run_id(run), *rows, run.steps, fields=as_fields(run), config_id=config_id(run), **about
     )

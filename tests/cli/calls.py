@@ -67,7 +67,7 @@ def refused(*arguments: object) -> str:
     return line.removeprefix("pneuma: ")
 
 
-def save_finished(store: Store, run: Run, **provenance: object) -> str:
+def save_finished(store: Store, run: Run, **provenance: Any) -> str:
     """Store a run that was never trained as done, with ten episodes; return its id."""
     name, steps = run_id(run), [run.steps * k // 10 for k in range(1, 11)]
     save_run(

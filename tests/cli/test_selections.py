@@ -94,7 +94,7 @@ def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
     index, million = RunIndex(store), Selection(steps=1_000_000, settings=one)
     published = answer(index, ask(index, study, million), million)
     assert {entry.steps for *_, entry in published.runs} == {1_000_192, 1_001_472}  # of 2,048 a horizon
-    what = {"conditions": ("table-6-2", "horizon-2048"), "settings": one}
+    what: dict[str, Any] = {"conditions": ("table-6-2", "horizon-2048"), "settings": one}
     ids = {steps: _finish(store, study, seeds=(0,), steps=steps, **what) for steps in (1500, 2000)}
     assert all(_ask(store, study, steps=steps, **what)[0] == ids[steps] for steps in ids)
     with pytest.raises(Exception, match="has runs of 1,000,000, 1,536, 2,048 steps"):
