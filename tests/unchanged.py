@@ -1,8 +1,8 @@
 """What a rewrite must not move, as checksums: `python -m tests.unchanged` compares, `--record` writes them.
 
-Run ids of every condition of every shipped study in each world; every table that `study export` makes of what each
-committed published table answers; the verdicts of `study verify` on them. Nothing is trained, as the last bits of a
-training depend on the processor. Golden traces of rules and engines are tests of their own.
+Run ids of every condition of every shipped study in each world; every table that `study export` makes of what
+each committed published table answers; the verdicts of `study verify` on them. Nothing is trained, as the last
+bits of a training depend on the processor. Golden traces of rules and engines are tests of their own.
 """
 
 from __future__ import annotations
