@@ -93,7 +93,8 @@ def plot(
         if figure == "summary":
             return draw_summary(data, folder, formats, command=opt.drawing_command(words, picked, look))
         settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
-        look |= {"quantity": settled.quantities, "band": [settled.band], "window": [settled.window]}
+        given = [band] if band else []  # one that was not asked for may need more runs than there are
+        look |= {"quantity": settled.quantities, "band": given, "window": [settled.window]}
         again = opt.drawing_command(words, picked, look)
         return draw_study(data, folder, settled, formats, beside=other, command=again)
 

@@ -184,7 +184,8 @@ def compare(
     if plot:
         from pneuma.figures.summary import draw_comparison
 
-        stem = figure_basename(data, "compare", *(heads if b else heads[1:]))
+        narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
+        stem = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
         again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
         files = draw_files(

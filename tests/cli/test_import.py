@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ..hand_made import write_events
-from .calls import call
+from .calls import SETTINGS, call, printed, refused
 
 FILE = "events.out.tfevents.1700000000.host"
 RETURN, LENGTH = "rollout/ep_rew_mean", "rollout/ep_len_mean"
@@ -37,6 +37,20 @@ def test_an_import_is_drawn_and_published_and_drawn_again(logs: Path, results: P
     assert call("study", "publish", "old", "--results", results)[0] == 0
     clone = tmp_path / "clone"
     shutil.copytree(results / "published", clone / "published")
-    assert call("study", "plot", "--results", clone)[0] == 0
+    assert call("study", "plot", "old", "--results", clone)[0] == 0
     for name in ("old.png", "old.svg"):
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path) -> None:
+    """In the conditions that both have; the reward behind a log is not known, and its return is compared."""
+    at = ("--results", shutil.copytree(trained, tmp_path / "results"))
+    printed("import", "tensorboard", logs, *at)
+    told = printed("study", "compare", "activation", "old", *SETTINGS, "--outcome", "final-return", *at)
+    rows = [line.split("  ") for line in told.splitlines() if line.startswith(("tanh", "relu"))]
+    found = {row[0]: row[-2].strip() or row[-3] for row in rows}
+    assert {name: runs.strip() for name, runs in found.items()} == {"tanh": "2 and 2", "relu": "2 and 1"}
+    assert "Activation function in the arena" in told or "Activation function, and old" in told
+    only = ("--condition", "leaky-relu")
+    assert "no runs" in refused("study", "compare", "activation", "old", *only, *SETTINGS, *at)

@@ -8,58 +8,56 @@ from pathlib import Path
 import pytest
 
 from pneuma import __version__
+from pneuma.study.identity import config_id
+from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
 
-from ..figures.hand_made import HandMade
-from .calls import call
-
-IDS = {"tanh": ["aaaaaaaaaaaaaaa0", "aaaaaaaaaaaaaaa1"], "relu": ["bbbbbbbbbbbbbbb0"]}
+from .calls import call, save_finished
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> Path:
-    """A results folder with a study called 'mine' of three runs."""
-    study = HandMade(tmp_path)
-    for condition, ids in IDS.items():
-        for seed, run_id in enumerate(ids):
-            study.add(condition, seed, run_id=run_id)
-    selection = dict.fromkeys(("preset", "seeds", "steps", "engine"))
-    study.record |= {"selection": {**selection, "conditions": [], "settings": {}}, "path": None}
-    study.store.save_selection("mine", {**study.record, "baseline": "tanh"})
-    return study.store.root
+def plan() -> Plan:
+    """Of the activation study, with a changed field."""
+    picked = Selection(conditions=("tanh", "relu"), seeds=(0, 1), steps=1024, settings={"gamma": 0.5})
+    return make_plan(load_study("activation", "text"), picked)
 
 
+@pytest.mark.usefixtures("unshipped")
 @pytest.mark.parametrize(
     ("words", "name"),
     [
-        ("plot mine --quantity actions --band minmax", None),
-        ("plot mine --figure summary", "fig-mine-summary.svg"),
+        ("plot activation --quantity actions --band minmax", None),
+        ("plot activation --figure summary", "fig-6-5-text-gamma=0.5-summary.svg"),
         (
-            "plot mine --window trailing-100 --condition tanh --seeds 1",
-            "fig-mine-tanh-seeds-0-trailing-100.svg",
+            "plot activation --window trailing-100 --condition tanh --seeds 1",
+            "fig-6-5-text-gamma=0.5-tanh-seeds-0-trailing-100.svg",
         ),
-        ("compare mine tanh relu --plot", "fig-mine-compare-tanh-relu.svg"),
-        ("collapse mine", "fig-mine-collapse.svg"),
+        ("compare activation tanh relu --plot", "fig-6-5-text-gamma=0.5-compare-tanh-relu.svg"),
+        ("collapse activation", "fig-6-5-text-gamma=0.5-collapse.svg"),
     ],
 )
 def test_a_figure_tells_its_runs_and_a_command_that_draws_the_same_bytes(
-    results: Path, tmp_path: Path, words: str, name: str | None
+    plan: Plan, store: Store, tmp_path: Path, words: str, name: str | None
 ) -> None:
     def draw(*words: str, out: str) -> Path:
-        assert call(*words, "--results", results, "--out", tmp_path / out).code == 0
+        called = call(*words, "--results", store.root, "--out", tmp_path / out)
+        assert called.code == 0, called.err
         (path,) = (tmp_path / out).iterdir()
         return path
 
-    first = draw("study", *words.split(), "--format", "svg", out="first")
+    for cell in plan.cells:
+        save_finished(store, cell.run)
+    asked = ("--world", "text", "--set", "gamma=0.5", "--format", "svg")
+    first = draw("study", *words.split(), *asked, out="first")
     assert name in (None, first.name)
     told = call("figure", first, "--json").document
     assert (told["file"], told["version"]) == (str(first), __version__)
-    tanh = {"study": "mine", "condition": "tanh", "ids": IDS["tanh"], "seeds": "0..1"}
-    assert told["runs"][0] == (
-        tanh if "--seeds" not in words else tanh | {"ids": IDS["tanh"][:1], "seeds": "0"}
-    )
+    tanh = {"study": "activation", "condition": "tanh", "ids": [config_id(plan.cells[0].run)]}
+    assert told["runs"][0] == {**tanh, "seeds": "0" if "--seeds" in words else "0..1"}
     command, *again = shlex.split(told["command"])
     assert command == "pneuma"
     drawn = draw(*again, out="again")
     assert (drawn.name, drawn.read_bytes()) == (first.name, first.read_bytes())
     shown = call("figure", first).out
-    assert told["command"] in shown and IDS["tanh"][0] in shown
+    assert told["command"] in shown and tanh["ids"][0] in shown
