@@ -37,8 +37,7 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study plot activation
 
 figures: install  ## Draw everything in paper_figures/, the verdicts among it
-	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs \
-	  --beside published-logs-sb3=author-logs
+	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs
 
 # --- The reproduction ---------------------------------------------------------------------------
 #
