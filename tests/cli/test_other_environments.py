@@ -36,16 +36,16 @@ steps = 128
 def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Path) -> None:
     source = Path(own_envs.__file__).read_text().replace("tests.engines.own_envs", "corridors")
     (tmp_path / "corridors.py").write_text(source.replace("Corridor-v0", "Tunnel-v0"))
-    (tmp_path / "mine.toml").write_text(STUDY)
-    at = ("--results", tmp_path / "results")
-    code, out, err = call("study", "run", tmp_path / "mine.toml", *at)
+    mine, at = tmp_path / "mine.toml", ("--results", tmp_path / "results")
+    mine.write_text(STUDY)
+    code, out, err = call("study", "run", mine, *at)
     assert code != 0 and "ZeroDivisionError: by the corridor" in out + err
-    table = described("study", "summary", "mine", *at, "--json")["summary"]
+    table = described("study", "summary", mine, *at, "--json")["summary"]
     told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert told["evaluated-return"] == told["final-success"] == 1
-    drawn = described("study", "plot", "mine", *at, "--format", "svg", "--json")["figures"]
+    drawn = described("study", "plot", mine, *at, "--format", "svg", "--json")["figures"]
     assert "random player" not in Path(drawn[0]).read_text()
-    printed("study", "export", "mine", *at, "--table", "curves", "--out", tmp_path / "curves.csv")
+    printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
     done = [run for run in described("run", "list", *at, "--json")["runs"] if run["status"] == "done"]
     fork = ("run", "fork", done[0]["run_id"], *at, "--at", 64, "--seeds", 1, "--set", "gamma=0.9")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -24,7 +22,6 @@ pytestmark = pytest.mark.usefixtures("trains_here")
 SEARCH = """
 title = "A small search"
 base = "table-6-2"
-start = ["table-6-2"]
 generation = 2
 
 [run]
@@ -60,8 +57,12 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "results"
 
 
-def test_a_search_is_told_as_json_and_trains_nothing_twice(searched: tuple[Path, Path]) -> None:
+def test_a_search_is_told_as_json_and_trains_nothing_twice(
+    searched: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, results = searched
+    assert "unknown search 'small'" in refused("search", "status", "small", "--results", results)
+    monkeypatch.chdir(path.parent)
     before = {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")}
     document = described("search", "run", path, "--results", results, "--json")
     assert [trial["state"] for trial in document["trials"]] == ["complete"] * 4
@@ -69,12 +70,12 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(searched: tuple[Path,
     best = document["trials"][document["best"]]["value"]
     assert best == min(trial["value"] for trial in document["trials"])
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
-    told = described("search", "status", "small", "--results", results, "--json")  # by its name alone
+    told = described("search", "status", "small", "--results", results, "--json")  # its file is here
     assert told["trials"] == document["trials"]
     assert "Best (*)" in printed("search", "status", path, "--results", results)
     again = described("search", "run", "small", "--results", results, "--json")
     assert again["trials"] == document["trials"]
-    assert "A small search" in printed("search", "show", "small", "--results", results)
+    assert "A small search" in printed("search", "show", "small")
 
 
 def test_a_search_is_described_by_the_keys_of_its_file() -> None:
@@ -125,18 +126,3 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     assert again["diverged"] == {"small": 0, "small-tuned": 1}
     # one of two counts with all monsters killed, the worst that is sought here
     assert gained["fresh"] < 0.5 <= again["winners"][0]["objectives"]["killed"]["fresh"]
-
-
-@pytest.mark.slow
-def test_no_code_that_a_record_or_its_file_names_is_run(tmp_path: Path) -> None:
-    """Only a file that the person names may name code: the results folder may be untrusted."""
-    path, results = tmp_path / "evil.toml", tmp_path / "results"
-    path.write_text(SEARCH.replace("[run]", '[run]\nreward = "mine:pay"'))
-    (tmp_path / "mine.py").write_text("import numpy as np\ndef pay(e, p, s):\n    return np.zeros(e.shape)\n")
-    words = ["--results", results, "--trials", "1", "--seeds", "1", "--quiet"]
-    command = [sys.executable, "-m", "pneuma", "search", "run", *map(str, [path, *words])]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    out = tmp_path / "out.toml"
-    for verb in ("run", "show", "promote"):
-        assert "would run the reward mine:pay" in refused("search", verb, "evil", "--results", results)
-    printed("search", "promote", path, "--results", results, "--out", out)
