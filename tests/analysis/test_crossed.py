@@ -25,7 +25,7 @@ from pneuma.study.measure import stored_row
 from pneuma.study.store import Store
 
 from ..cli.calls import printed, refused
-from ..hand_made import healthy, learning, save_collapse, study_of
+from ..hand_made import save_run, study_of
 
 X, Y, XY, ERROR = 0.1, 0.0, 0.05, 0.05
 """Effects of a 2 × 2 design coded as -1 and 1, and how far both runs of a cell lie from its mean."""
@@ -41,7 +41,15 @@ def stored(folder: Path, conditions: Conditions) -> StudyData:
     for name, (settings, finals) in conditions.items():
         for seed, final in enumerate(finals):
             cells[name, seed] = f"{len(cells):016x}"
-            save_collapse(store, cells[name, seed], healthy(), learning(final), **settings)
+            save_run(
+                store,
+                cells[name, seed],
+                [],
+                [],
+                [{"step": 1000, "share_killed": final}],
+                1000,
+                fields=settings,
+            )
     return study_of(store, cells)
 
 
@@ -151,9 +159,7 @@ def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> Non
     assert part.cells["p"][:3].tolist() == pytest.approx([4 * 2 / 924] * 3)
     first = whole.runs[0]
     store = Store(tmp_path / "results")
-    save_collapse(
-        store, first.run_id, healthy(), learning(), end=100, **first.fields
-    )  # before any evaluation
+    save_run(store, first.run_id, [], [], [], 100, "diverged", first.fields)
     blank = replace(first, row=stored_row(store, first.run_id))
     without = mapped(replace(whole, runs=[blank, *whole.runs[1:]]))
     assert without.cells["reason"][0] == "1 run without a value"
