@@ -6,7 +6,6 @@ import builtins
 import errno
 import json
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -61,10 +60,6 @@ def test_a_run_and_its_published_row_give_the_same_bits(
     assert outcomes_of(again, at_step) == outcomes_of(data, at_step)
     for run, other in zip(data.runs, again.runs, strict=True):
         assert other.row.same_numbers(run.row) and other.fields == run.fields
-        for quantity in data.quantities:
-            for window in run.row.windows_of(quantity) or ("",):
-                curves = [each.row.curve(quantity, window).tobytes() for each in (run, other)]
-                assert curves[0] == curves[1], quantity
 
 
 def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:
@@ -230,20 +225,6 @@ def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wi
     assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
     assert not any(run.row.published for run in data.runs)
     assert outcome(data, data.runs[0], "best-return") == pytest.approx(20 / 3)
-
-
-def test_runs_here_and_published_ones_are_one_sample(store: Store) -> None:
-    """Two of four runs are lost, and one is broken: the published rows stand in for all three."""
-    whole = hand_made.study_of(store, CELLS)
-    before = outcomes_of(whole)
-    publish(whole, store)
-    for name in ("b0" * 8, "a1" * 8):
-        shutil.rmtree(store.run_folder(name))
-    store.save_run("b1" * 8, Status("crashed", 100), {})
-    data = open_study(RunIndex(store, shipped=False), "mine")
-    assert [run.row.published for run in data.runs] == [False, True, True, False]
-    assert data.runs == whole.runs and outcomes_of(data) == before
-    assert data.what == "the results folder with the published table"
 
 
 def test_a_table_lends_its_runs_to_other_studies_and_their_longer_grid(store: Store, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def imported(store: Store) -> StudyData:
 
 @pytest.fixture(params=["runs", "logs", "published runs", "published logs", "partly runs", "partly logs"])
 def data(request: pytest.FixtureRequest, store: Store, tmp_path: Path) -> StudyData:
-    """A study of three runs: all stored, all published, or one of both and two published alone."""
+    """Three runs: stored, published, or one of both, one published alone and one trained again in vain."""
     data = imported(store) if "logs" in request.param else trained(store)
     if request.param.startswith("published"):
         return republished(data, tmp_path)
@@ -60,7 +60,9 @@ def data(request: pytest.FixtureRequest, store: Store, tmp_path: Path) -> StudyD
         publish(data, store)
         for run in data.runs[1:]:
             shutil.rmtree(store.run_folder(run.run_id))
-        return open_study(RunIndex(store, shipped=False), data.study)
+        store.save_run(data.runs[2].run_id, Status("crashed", 100), {})
+        data = open_study(RunIndex(store, shipped=False), data.study)
+        assert [run.row.published for run in data.runs] == [False, True, True]
     return data
 
 
