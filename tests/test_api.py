@@ -53,9 +53,9 @@ def test_the_python_of_the_page_on_environments_runs(tmp_path: Path) -> None:
 def test_the_pages_python_runs(tmp_path: Path) -> None:
     told = run_page("python.md", tmp_path, "print(len(data.runs), int(action), env_id)")
     runs, action, env = told.splitlines()[-1].split()
-    assert (runs, env) == ("4", "pneuma/Pneuma-v0") and 0 <= int(action) < 5
+    assert (runs, env) == ("4", "pneuma/PneumaArena-v0") and 0 <= int(action) < 5
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
-    curves = {f"study-horizon-return-entropy-se.{form}" for form in ("png", "svg")}
+    curves = {f"study-horizon-return-entropy-std.{form}" for form in ("png", "svg")}
     assert figures == {*curves, "study-horizon-summary.pdf"}
 
 

@@ -52,16 +52,6 @@ def test_a_damaged_table_is_told_and_published_anew(results: Path) -> None:
     assert path.read_bytes() == whole
 
 
-def test_runs_read_the_same_from_a_table_that_another_study_published(results: Path) -> None:
-    """Tanh is Table 6.2, which other studies have as a condition of their own."""
-    other = ("study", "summary", "policy-gradient", "--condition", "table-6-2", *SETTINGS, "--all")
-    before = call(*other, "--results", results)
-    assert "2 runs of 256 steps (trained here)." in before.err
-    shutil.rmtree(results / "runs")
-    after = call(*other, "--results", results)
-    assert (after.code, after.out) == (0, before.out) and "2 runs of 256 steps (published)." in after.err
-
-
 def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> None:
     table = _table(results)
     shutil.rmtree(results / "runs")
