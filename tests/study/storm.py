@@ -170,7 +170,8 @@ def _cases(results: Path) -> list[tuple[Path, str]]:
     folders = [
         [path for path in run.rglob("[!.]*") if path.is_file()] for run in (results / "runs").iterdir()
     ]
-    files = sorted(max(folders, key=lambda paths: len(paths)))
+    largest: list[Path] = max(folders, key=len)
+    files = sorted(largest)
     run = next(path.parent for path in files if path.name == "status.json")
     cases = [(path.relative_to(results), how) for path in files for how in DAMAGES]
     return [*cases, (run.relative_to(results), "removed"), (Path("runs"), "removed")]
