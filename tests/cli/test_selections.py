@@ -94,34 +94,41 @@ def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
 # --- Trained and published runs --------------------------------------------------------------------
 
 
-def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_option(store: Store) -> None:
-    quick = _finish(store, world="godot", seeds=(0, 1, 2), steps=50_000)
+def _published(store: Store, **selection: Any) -> tuple[int, str]:
+    """Return how many runs of tanh and ReLU are published, and how a comparison tells them."""
+    tanh, relu = (
+        len(_ask(store, "activation", conditions=(name,), **selection)[0]) for name in ("tanh", "relu")
+    )
+    return tanh + relu, f"{tanh} and {relu}"
 
-    def compare(*options: str) -> tuple[str, set[str]]:
-        words = ("study", "compare", "activation", "tanh", "relu", "--world", "godot", *options)
-        code, out, err = call(*words, "--results", store.root)
+
+def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_option(store: Store) -> None:
+    every, fresh = _published(store), _published(store, seeds=range(300, 310))
+    quick = _finish(store, seeds=(0, 1, 2), steps=50_000)
+
+    def compare(*options: str) -> tuple[str, str]:
+        words = ("study", "compare", "activation", "tanh", "relu", *options, "--results", store.root)
+        code, out, err = call(*words)
         (told,) = err.splitlines()
-        assert code == 0 and told.startswith("activation in the published code's world: ")
-        rows = [line for line in out.splitlines() if line.startswith("  final-share-killed")]
-        return told.partition("world: ")[2], {row.split("  ")[-2].strip() for row in rows}
+        (row,) = (line for line in out.splitlines() if line.startswith("  final-share-killed"))
+        assert code == 0
+        return told, row.split("  ")[-2].strip()
 
     told, runs = compare()
-    assert runs == {"3 and 3"}
-    assert told.startswith("6 runs of 50,000 steps (trained here). Stored too: 120 runs of 1,000,000 steps, ")
-    assert "published (--steps 1000000)" in told
-    assert compare("--steps", "1e6")[1] == {"70 and 50"}
-    told, runs = compare("--seeds", "100..149")
-    assert runs == {"50 and 50"} and told.startswith(
-        "100 runs of 1,000,000 steps (published). Stored too: 6 "
-    )
-    assert _ask(store, "activation", "godot")[0] == quick
+    assert runs == "3 and 3" and _ask(store, "activation")[0] == quick
+    assert told.startswith("activation in the arena: 6 runs of 50,000 steps (trained here). Stored too: ")
+    assert f"{every[0]} runs of 1,000,000 steps, published (--steps 1000000)" in told
+    assert compare("--steps", "1e6")[1] == every[1]
+    told, runs = compare("--seeds", "300..309")
+    assert runs == fresh[1] and f": {fresh[0]} runs of 1,000,000 steps (published). Stored too: 6 " in told
 
 
 def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:
-    new = _finish(store, world="godot", seeds=(9000,), steps=1_000_000)
-    shown, told = _ask(store, "activation", "godot", conditions=("tanh", "relu"))
-    assert len(shown) == 122 and {*new} < {*shown}
-    assert "122 runs of 1,000,000 steps (120 of them published)." in told
+    published, _ = _published(store)
+    new = _finish(store, seeds=(9000,), steps=1_000_000)
+    shown, told = _ask(store, "activation", conditions=("tanh", "relu"))
+    assert len(shown) == published + 2 and {*new} < {*shown}
+    assert f"{published + 2} runs of 1,000,000 steps ({published} of them published)." in told
 
 
 # --- Conditions with changed fields ----------------------------------------------------------------
