@@ -13,6 +13,7 @@ import stat
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,14 @@ LARGEST_BYTES = 512 * 2**20
 """Most bytes of a file that is read whole."""
 LARGEST_TEXT = 2**20
 """Most bytes of a TOML file; a study of a thousand conditions has a tenth of it."""
+
+
+def shipped_folder(package: str, place: str) -> Path:
+    """Return a folder of data that comes with Pneuma: as a package, or at its place in the repository."""
+    try:
+        return Path(next(iter(import_module(package).__path__)))
+    except ModuleNotFoundError:
+        return Path(__file__).parents[1] / place
 
 
 def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:

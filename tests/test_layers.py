@@ -49,6 +49,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.analysis": (
         "pneuma.study.store", "pneuma.study.spec", "pneuma.study.claimed", "pneuma.study.plan",
         "pneuma.study.provenance", "pneuma.study.documents", "pneuma.study.identity", "pneuma.study.rows",
+        "pneuma.study.published",
         "pneuma.study.measure", "pneuma.study.series", "pneuma.study.quantities",
     ),
     "pneuma.search": ("pneuma.study", "pneuma.analysis"),

@@ -21,7 +21,7 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.doctor import GOOD, examine
 from pneuma.errors import UserError
 from pneuma.files import checksum, read_json, read_whole
-from pneuma.study.rows import encode_published
+from pneuma.study.published import encode_published
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 

@@ -11,25 +11,15 @@ list theirs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.analysis.run_index import Entry, RunIndex
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.identity import config_id
-from pneuma.study.plan import Configurations, Selection, configure, round_up
-from pneuma.study.spec import (
-    Study,
-    find_file,
-    list_studies,
-    load_study,
-    read_study,
-    run_command,
-    studies_folder,
-)
+from pneuma.study.plan import Selection, configure, round_up
+from pneuma.study.spec import Study, list_studies, load_study, run_command
 from pneuma.values import shown_settings, shown_value
 from pneuma.worlds import WORLDS
 
@@ -52,11 +42,10 @@ class Asked:
         title: shown to users, without world and changed fields.
         baseline: the condition that others are compared with.
         fields: the fields of each condition, apart from seed and steps; of an import, what is known.
-        ids: the configuration's id of each condition; empty if the study lists its runs.
         listed: of a study without a file, condition and seed of each run, by id.
         same: groups of conditions that are one configuration.
         every: the names of all conditions, also of those that are not shown.
-        study: the study's file as it stands; None if it has none.
+        study: the study in its world and with changed fields; None if it has no file.
         runs: the configurations, by condition; empty if the study lists its runs.
         narrowed: conditions and seeds that were asked for, which figures' names contain.
     """
@@ -71,10 +60,6 @@ class Asked:
     runs: Mapping[str, Run] = field(default_factory=dict)
     listed: Mapping[str, tuple[str, int]] = field(default_factory=dict)
     narrowed: Sequence[str] = ()
-
-    @property
-    def ids(self) -> dict[str, str]:
-        return {name: config_id(run) for name, run in self.runs.items()}
 
     @property
     def where(self) -> str:
@@ -123,8 +108,7 @@ def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None =
     of_file = name in list_studies() or name.endswith(".toml")
     if not of_file and (listing := index.listing(name)) is not None:
         return _ask_listed(index, listing, picked)
-    find_file("study", name, studies_folder(), () if of_file else index.listings())
-    study = load_study(name, world)
+    study = load_study(name, world, () if of_file else index.listings())
     asked = configure(study, picked.settings or {}, picked.conditions)
     fields = {name: _without_amount(as_fields(run)) for name, run in asked.runs.items()}
     narrowed = picked.conditions if {*asked.origins} < {*asked.study.conditions} else ()
@@ -189,12 +173,12 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
         return _narrowed(Shown(asked, found), picked)
     stored = stored_runs(index, asked)
     if not stored:
-        raise UserError(_nothing(index, asked))
-    budgets = _by_budget(asked, stored)
+        raise UserError(_nothing(index, asked, asked.study))
+    budgets = _by_budget(asked, asked.study, stored)
     if picked.steps is None:
         having = {steps: runs for steps, runs in budgets.items() if _have(runs, picked.seeds)}
         budget = _usual_budget(index, having or budgets)
-    elif chosen := _of_budget(asked, stored, picked.steps):
+    elif chosen := _of_budget(asked, asked.study, stored, picked.steps):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
         known = ", ".join(f"{steps:,}" for steps in budgets)
@@ -205,18 +189,14 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
         for steps, runs in budgets.items()
         if runs != shown
     ]
-    return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked)]), picked)
+    return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked.study)]), picked)
 
 
 def stored_runs(index: RunIndex, asked: Asked) -> list[Stored]:
     """Return condition, seed and entry of every run of a study, of any budget."""
     if asked.study is None:
         return [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
-    return [
-        (name, entry.seed, entry)
-        for name, id_ in asked.ids.items()
-        for entry in index.by_configuration.get(id_, ())
-    ]
+    return [(name, entry.seed, entry) for name, run in asked.runs.items() for entry in index.of_run(run)]
 
 
 def _narrowed(shown: Shown, picked: Selection) -> Shown:
@@ -232,27 +212,25 @@ def _narrowed(shown: Shown, picked: Selection) -> Shown:
     return replace(shown, asked=asked, runs=sorted(runs, key=lambda run: (run[1], order.index(run[0]))))
 
 
-def _by_budget(asked: Asked, stored: Sequence[Stored]) -> dict[int, list[Stored]]:
+def _by_budget(asked: Asked, study: Study, stored: Sequence[Stored]) -> dict[int, list[Stored]]:
     """Return the stored runs of each budget, in the words of the study's presets where they have it."""
-    presets = asked.study.presets.values() if asked.study else ()
-    known = [preset.steps for preset in presets]
+    known = [preset.steps for preset in study.presets.values()]
     found: dict[int, list[Stored]] = {}
     for steps in dict.fromkeys([*known, *sorted({entry.steps for *_, entry in stored})]):
-        runs = _of_budget(asked, stored, steps)
+        runs = _of_budget(asked, study, stored, steps)
         if runs and not any({*map(id, runs)} <= {*map(id, others)} for others in found.values()):
             found[steps] = runs
     return found
 
 
-def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Stored]:
+def _of_budget(asked: Asked, study: Study, stored: Sequence[Stored], steps: int) -> list[Stored]:
     """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
-    amounts = {name: {round_up(run, steps)} for name, run in asked.runs.items()}
-    for preset in asked.study.presets.values() if asked.study else ():
+    amounts = dict.fromkeys(asked.runs, steps)
+    for preset in study.presets.values():
         if preset.steps == steps:
-            for name, amount in preset.conditions.items():
-                if name in amounts:
-                    amounts[name] = {round_up(asked.runs[name], amount.steps)}
-    return [each for each in stored if each[2].steps in amounts[each[0]]]
+            amounts |= {name: each.steps for name, each in preset.conditions.items() if name in amounts}
+    budgets = {name: round_up(asked.runs[name], amount) for name, amount in amounts.items()}
+    return [each for each in stored if each[2].steps == budgets[each[0]]]
 
 
 def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
@@ -276,29 +254,22 @@ def _published_words(runs: Iterable[Stored]) -> str:
 # --- What else there is -----------------------------------------------------------------------------
 
 
-def _elsewhere(index: RunIndex, asked: Asked) -> list[str]:
-    """Return in which other worlds, and with which changed field, runs of a study are stored."""
-    if asked.study is None:
-        return []
-    found, as_written = [], read_study(_file(asked.study))
-    for world in asked.study.worlds:
-        if world != asked.study.world:
-            other = configure(as_written.in_world(world), asked.study.settings)
-            count = sum(len(index.by_configuration.get(config_id(run), ())) for run in other.runs.values())
+def _elsewhere(index: RunIndex, study: Study) -> list[str]:
+    """Return in which other worlds runs of a study are stored."""
+    found = []
+    for world in study.worlds:
+        if world != study.world:
+            other = configure(load_study(study.own_path or study.name, world), study.settings)
+            count = sum(len(index.of_run(run)) for run in other.runs.values())
             found += [f"{counted(count, 'run')} in {WORLDS[world].title} (--world {world})"] if count else []
     return found
 
 
-def _file(study: Study) -> str:
-    return study.own_path or study.name
-
-
-def _nothing(index: RunIndex, asked: Asked) -> str:
+def _nothing(index: RunIndex, asked: Asked, study: Study) -> str:
     """Return that no runs are stored, what to run, and what is stored that differs in one field."""
-    assert asked.study is not None
-    others = [*_elsewhere(index, asked), *_changed(index, asked)]
+    others = [*_elsewhere(index, study), *_changed(index, asked)]
     stored = f" Stored are: {'; '.join(others)}." if others else ""
-    train = f"run `{run_command(asked.study)}` first, or give --results"
+    train = f"run `{run_command(study)}` first, or give --results"
     return f"study {asked.where} has no runs in {index.store.root}: {train}.{stored}"
 
 
@@ -380,74 +351,3 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
         world=study.world if study and len(study.worlds) > 1 else "",
         changed=dict(study.settings) if study else {},
     )
-
-
-# --- From runs to studies -----------------------------------------------------------------------------
-
-
-def known_studies(world: str | None = None) -> Iterator[Configurations]:
-    """Yield the shipped studies, and those whose files are in this folder, in each of their worlds.
-
-    Files that cannot be read are left out.
-    """
-    own = sorted(path.name for path in Path().glob("*.toml"))
-    for name in [*list_studies(), *own]:
-        try:
-            study = read_study(name)
-            for each in study.worlds:
-                if world in (None, each):
-                    yield configure(study.in_world(each), {})
-        except (UserError, OSError):
-            continue
-
-
-def holders(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
-    """Return the studies, worlds and conditions of each run in the results folder, by its id."""
-    found: dict[str, list[dict[str, Any]]] = {}
-    for known in known_studies():
-        study = known.study
-        for condition, run in known.runs.items():
-            for entry in index.by_configuration.get(config_id(run), ()):
-                held = {"study": study.name, "world": study.world, "condition": condition, "seed": entry.seed}
-                found.setdefault(entry.run_id, []).append(held)
-    for name in index.listings():
-        for run in (index.listing(name) or {"runs": ()})["runs"]:
-            held = {"study": name, "condition": run["condition"], "seed": run["seed"]}
-            found.setdefault(run["run_id"], []).append(held)
-    return found
-
-
-@dataclass(frozen=True)
-class Held:
-    """What a results folder has of a study in a world.
-
-    Attributes:
-        name: the study's name, or its file.
-        world: empty for a study without a file.
-        entries: its runs in the folder.
-        whole: whether every condition has a finished run there.
-    """
-
-    name: str
-    world: str
-    entries: Sequence[Entry]
-    whole: bool
-
-
-def studies_here(index: RunIndex, world: str | None = None) -> list[Held]:
-    """Return the studies of which the results folder itself has runs, in one world or in all."""
-    found = []
-    for known in known_studies(world):
-        of_each = {
-            condition: [e for e in index.by_configuration.get(config_id(run), ()) if e.table is None]
-            for condition, run in known.runs.items()
-        }
-        entries = {entry.run_id: entry for each in of_each.values() for entry in each}
-        if entries:
-            whole = all(any(entry.finished for entry in each) for each in of_each.values())
-            found.append(Held(_file(known.study), known.study.world, [*entries.values()], whole))
-    for name in index.store.listings() if world is None else ():
-        listed = (run["run_id"] for run in (index.listing(name) or {"runs": ()})["runs"])
-        entries = {run_id: index.entries[run_id] for run_id in listed if run_id in index.entries}
-        found.append(Held(name, "", [*entries.values()], any(e.finished for e in entries.values())))
-    return found

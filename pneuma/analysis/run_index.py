@@ -12,10 +12,13 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import read_whole
+from pneuma.study.identity import config_id
 from pneuma.study.measure import UNKNOWN, stored_row
-from pneuma.study.rows import Published, Row
+from pneuma.study.published import Published
+from pneuma.study.rows import Row
 from pneuma.study.store import FINISHED, Identity, Store
 
 
@@ -83,6 +86,10 @@ class RunIndex:
         for entry in self.entries.values():
             found.setdefault(entry.config_id, []).append(entry)
         return found
+
+    def of_run(self, run: Run) -> list[Entry]:
+        """Return the entries of a run's configuration, of any seed and budget."""
+        return self.by_configuration.get(config_id(run), [])
 
     def rows(self, entries: Iterable[Entry]) -> dict[str, Row]:
         """Return the rows of finished runs, by id; those that cannot be read are among `problems`."""

@@ -10,8 +10,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs, studies_here
+from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs
 from pneuma.analysis.frames import FinishedRun, common_step
+from pneuma.analysis.held import studies_here
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, counted

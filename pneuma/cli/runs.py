@@ -28,7 +28,7 @@ app = typer.Typer(
 @app.command("list", short_help="List the stored runs.")
 def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     """List the stored runs: status, steps, seed, and which studies hold them."""
-    from pneuma.analysis.asked import holders
+    from pneuma.analysis.held import holders
     from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(Store(results))
@@ -64,7 +64,7 @@ def show(
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
     run = stored_runs.stored_run(store, name)
-    from pneuma.analysis.asked import holders
+    from pneuma.analysis.held import holders
     from pneuma.analysis.run_index import RunIndex
 
     held = holders(RunIndex(store)).get(run.run_id, [])

@@ -130,7 +130,8 @@ def status(
     json: opt.Json = False,
 ) -> None:
     """Say how far the runs of a study are."""
-    from pneuma.analysis.asked import answer, ask, studies_here
+    from pneuma.analysis.asked import answer, ask
+    from pneuma.analysis.held import studies_here
     from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(picked.store)

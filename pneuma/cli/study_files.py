@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from pneuma.cli.output import (
     write_file,
 )
 from pneuma.cli.study_records import each_study, nothing_yet, open_data
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
 from pneuma.study.plan import Selection
 from pneuma.study.quantities import (
@@ -35,6 +35,7 @@ from pneuma.study.quantities import (
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
+    from pneuma.study.store import Store
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 PUBLISHED_CURVES = (
@@ -109,7 +110,7 @@ def plot(
 
 def _run_here(picked: opt.Chosen) -> list[tuple[str, str | None]]:
     """Return the studies, each with its world, all of whose conditions have runs in the results folder."""
-    from pneuma.analysis.asked import studies_here
+    from pneuma.analysis.held import studies_here
     from pneuma.analysis.run_index import RunIndex
 
     held = studies_here(RunIndex(picked.store), picked.world)
@@ -210,26 +211,35 @@ def publish(
     """
     store = picked.store
     data = open_data(picked, name)
+    from pneuma.study.locks import run_lock
+
+    with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
+        if not alone:
+            raise UserError(f"another command publishes from {store.root}: try again when it has ended")
+        path, encoded, new, staying = _publish(store, data, curves or PUBLISHED_CURVES)
+    if json:
+        written = {"study": data.study, "file": path, "bytes": len(encoded)}
+        return print_json({**written, "runs": new, "staying": staying})
+    more = f", {staying} as they were published before" if staying else ""
+    return say(f"wrote {path}: {counted(new, 'run')} from here{more}; {len(encoded) / 1000:.0f} kB")
+
+
+def _publish(store: Store, data: StudyData, curves: Sequence[str]) -> tuple[Path, bytes, int, int]:
+    """Write the table; return its path and content, and how many of its rows are new and how many stay."""
     from pneuma.analysis.frames import table_name
     from pneuma.analysis.run_index import RunIndex
-    from pneuma.study.rows import encode_published
+    from pneuma.study.published import encode_published
 
-    index, stem = RunIndex(store, shipped=False), table_name(data)
+    stem = table_name(data)
     new = {run.run_id: run.row for run in data.runs if not run.row.published}
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
-    before = index.tables.get(stem)
+    before = RunIndex(store, shipped=False).tables.get(stem)
     rows = {**(before.rows() if before else {}), **new}
     listing = store.listing(data.study)
     about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
     about |= {"listing": listing} if listing else {}
-    order = sorted(rows, key=lambda run_id: (rows[run_id].config_id, rows[run_id].budget, rows[run_id].seed))
-    encoded = encode_published([rows[run_id] for run_id in order], about, curves or PUBLISHED_CURVES)
-    path = store.published_path(stem)
+    order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.seed))
+    path, encoded = store.published_path(stem), encode_published(order, about, curves)
     store.write(path, encoded)
-    staying = len(rows) - len(new)
-    if json:
-        written = {"study": data.study, "file": path, "bytes": len(encoded)}
-        return print_json({**written, "runs": len(new), "staying": staying})
-    more = f", {staying} as they were published before" if staying else ""
-    return say(f"wrote {path}: {len(new)} runs from here{more}; {len(encoded) / 1000:.0f} kB")
+    return path, encoded, len(new), len(rows) - len(new)

@@ -19,13 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.analysis import BAND_NAMES
-from pneuma.analysis.curves import (
-    BANDS,
-    Curve,
-    curve_names,
-    random_level,
-    study_curves,
-)
+from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
 from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_words
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import have_one_return, without_monsters
@@ -391,11 +385,10 @@ def _caption(data: StudyData, curves: Curves, window: str) -> list[str]:
         what = f"{names[0]} and {len(names) - 1} more" if len(names) > 2 else " and ".join(names)
         notes.append(f"{of} have no {what}, and count in no mean of it.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
-    if data.averaged_over and {*curves} & {*EPISODE_QUANTITIES}:
-        averaged.append(f"the last {data.averaged_over} episodes, as Stable-Baselines3 logs them")
-    elif {*curves} & {*EPISODE_QUANTITIES}:
-        trailing = window == TRAILING_WINDOW
-        averaged.append("the last 100 episodes" if trailing else f"the episodes {of_budget}")
+    if {*curves} & {*EPISODE_QUANTITIES}:
+        last = f"the last {data.averaged_over or 100} episodes"
+        trailing = last if window == TRAILING_WINDOW else f"the episodes {of_budget}"
+        averaged.append(f"{last}, as Stable-Baselines3 logs them" if data.averaged_over else trailing)
     if {*curves} & {*UPDATE_QUANTITIES}:
         averaged.append(f"the updates {of_budget}")
     if averaged:

@@ -33,7 +33,6 @@ from pneuma.study.spec import (
     find_file,
     modules_beside,
     read_seeds,
-    shipped_names,
     studies_folder,
 )
 from pneuma.values import OneOf, Reads, Share
@@ -228,10 +227,6 @@ class Search:
             )
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, world=world)
-
-
-def list_searches() -> list[str]:
-    return shipped_names(studies_folder() / "search")
 
 
 def load_search(name: str, world: str | None = None) -> Search:

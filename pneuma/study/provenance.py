@@ -180,8 +180,3 @@ def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
     machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
     devices = [(each, each.get("device") or "cpu") for each in machines]
     return tuple(sorted({str(each.get("cpu") if device == "cpu" else device) for each, device in devices}))
-
-
-def other_processors(origin: Mapping[str, Any]) -> dict[str, list[str]]:
-    found = processors(origin)
-    return {} if found == (str(origin.get("cpu")),) else {"processors": list(found)}

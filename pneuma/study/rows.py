@@ -1,8 +1,7 @@
 """A row: what one finished run comes to. It is all that figures, tables and tests read of a run.
 
     a run's files → `measure.py` → cells → `encode_row` → row.arrow in its folder
-    rows → `encode_published` → results/published/NAME.parquet
-    `decode_row`, `Published` → Row
+    row.arrow → `decode_row` → Row
 
 Curves are on 200 points of the run's *own* budget and are rounded when the row is written, so that a run and
 its published row cannot differ. Numbers that need more digits are kept exact. Updates and episodes themselves
@@ -12,23 +11,20 @@ are only exported.
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from pneuma.files import checksum, parse_json
+from pneuma.files import parse_json
 from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.study.series import EXTREMES, GRID_POINTS, Stretch, make_grid, unpack_signs
-from pneuma.study.tables import from_ipc, from_parquet
+from pneuma.study.tables import from_ipc
 
 NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 NUMBERS = ("seed", "steps", "end")
@@ -86,54 +82,6 @@ def encode_row(cells: Mapping[str, Any]) -> bytes:
     return sink.getvalue()
 
 
-def encode_published(
-    rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
-) -> bytes:
-    """Return rows as a published table; the same rows give the same bytes.
-
-    Args:
-        rows: one or more.
-        about: what `Published.about` gives back.
-        curves: quantities whose curves are kept; default: all.
-    """
-    parts = [row.table for row in rows]
-    table = pa.concat_tables(parts, promote_options="permissive").combine_chunks()
-    dropped = [
-        name
-        for name in table.column_names
-        if curves is not None
-        and column_type(name) == pa.list_(pa.float32())
-        and name.partition(" ")[0] not in curves
-    ]
-    head = {"pneuma": json.dumps({"schema": 3, **about}), "pneuma.checksum": _NO_SUM}
-    table = table.drop_columns(dropped)
-    table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(head)
-    lists = [name for name in table.column_names if column_type(name) == pa.list_(pa.float32())]
-    sink = io.BytesIO()
-    pq.write_table(  # a dictionary does not help if numbers hardly repeat
-        table,
-        sink,
-        compression="zstd",
-        compression_level=19,
-        use_dictionary=[name for name in table.column_names if name not in lists],
-        use_byte_stream_split=[f"{name}.list.element" for name in lists],
-    )
-    data = sink.getvalue()
-    return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())
-
-
-def _as_parquet(field_: pa.Field) -> pa.Field:
-    """Return a column whose lists call their elements as Parquet does, as in rows from published tables."""
-    if not pa.types.is_list(field_.type):
-        return field_
-    return field_.with_type(pa.list_(pa.field("element", field_.type.value_type)))
-
-
-_NO_SUM = "sha256:" + "0" * 64
-"""Placeholder for the checksum over all other bytes of a published table."""
-_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
-
-
 def decode_row(data: bytes) -> Row:
     """Return the row in a run's folder.
 
@@ -141,63 +89,16 @@ def decode_row(data: bytes) -> Row:
         ValueError: for anything else.
     """
     table = from_ipc(data)
-    _check(table)
+    check_table(table)
     if table.num_rows != 1:
         raise ValueError("has not one row")
     return Row(table).checked()
 
 
-class Published:
-    """A published table, which may be untrusted. Its rows are read when the first one is asked for.
-
-    Attributes:
-        path: its file.
-        about: what `encode_published` was told.
-        index: id, configuration's id, seed, steps, status and end of each run.
-        places: the place of each run, by id.
-
-    Raises:
-        ValueError: for a damaged file, or one that `encode_published` did not make.
-    """
-
-    def __init__(self, path: Path, data: bytes) -> None:
-        if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
-            raise ValueError("damaged")
-        self.path = path
-        self._data = data
-        index = from_parquet(data, ["run_id", "config_id", "seed", "steps", "status", "end"])
-        self.about = parse_json((index.schema.metadata or {}).get(b"pneuma", b""))
-        if self.about.get("schema") != 3:
-            raise ValueError("of another version of Pneuma")
-        if [column_type(name) for name in index.column_names] != index.schema.types or any(
-            column.null_count for column in index.columns
-        ):
-            raise ValueError("its runs make no sense")
-        self.index = list(zip(*(column.to_pylist() for column in index.columns), strict=True))
-        self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
-
-    @cached_property
-    def _rows(self) -> pa.Table:
-        table = from_parquet(self._data)
-        _check(table)
-        return table
-
-    def row(self, run_id: str) -> Row:
-        """Return the row of one of its runs.
-
-        Raises:
-            ValueError: where the table makes no sense.
-        """
-        return Row(self._rows, self.places[run_id], published=True).checked()
-
-    def rows(self) -> dict[str, Row]:
-        return {run_id: self.row(run_id) for run_id in self.places}
-
-
 _PATTERNS = {"run_id": "[0-9a-f]{16}", "config_id": "[0-9a-f]{16}", "status": "done|diverged"}
 
 
-def _check(table: pa.Table) -> None:
+def check_table(table: pa.Table) -> None:
     """Refuse a table, which may be untrusted, that could not have been written here.
 
     Raises:
@@ -239,9 +140,7 @@ class Row:
     """One finished run, done or diverged.
 
     Attributes:
-        table: the table that contains it.
-        place: its place there.
-        published: whether that is a published table.
+        published: whether it is of a published table.
     """
 
     _table: pa.Table = field(repr=False)

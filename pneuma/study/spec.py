@@ -19,6 +19,7 @@ from typing import Any
 from pneuma.config import BASES, Run, fields_read
 from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
+from pneuma.files import shipped_folder
 from pneuma.values import setting_words
 from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
@@ -87,7 +88,9 @@ class Study:
 
     def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""
-        return join_fields(self.base, {**self.shared, **self.conditions[condition], **(over or {})})
+        set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
+        shared = {**self.shared, **world_fields(self.world, set_by_itself)}
+        return join_fields(self.base, {**shared, **self.conditions[condition], **(over or {})})
 
     def in_world(self, world: str) -> Study:
         """Return the study as it runs in one of its worlds.
@@ -100,10 +103,7 @@ class Study:
         if world not in self.worlds:
             known = ", ".join(self.worlds)
             raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
-        if world == self.world:
-            return self
-        set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
-        return replace(self, shared={**self.shared, **world_fields(world, set_by_itself)}, world=world)
+        return replace(self, world=world)
 
     @property
     def own_path(self) -> str | None:
@@ -168,10 +168,7 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 
 
 def studies_folder() -> Path:
-    try:
-        return Path(next(iter(import_module("pneuma.studies").__path__)))
-    except ModuleNotFoundError:
-        return Path(__file__).parents[2] / "studies"
+    return shipped_folder("pneuma.studies", "studies")
 
 
 def shipped_names(folder: Path) -> list[str]:
@@ -187,25 +184,20 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def load_study(name: str, world: str | None = None) -> Study:
+def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) -> Study:
     """Load a shipped study by its name, or any study by the path of its file.
 
     Args:
         name: of the study, or of NAME.toml in this folder.
         world: one of `WORLDS`; default: the arena where the study is run in it.
+        others: names that exist otherwise, for a mistyped one.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    study = read_study(name)
-    return study.in_world(checked_world(world) or usual_world(study.worlds))
-
-
-def read_study(name: str) -> Study:
-    """Load a study likewise, as its file stands, in no world yet."""
-    path = find_file("study", name, studies_folder())
+    path = find_file("study", name, studies_folder(), others)
     study: Study = import_module("pneuma.study.study_file").read_study(path)
-    return study
+    return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:

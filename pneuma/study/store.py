@@ -25,7 +25,6 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,7 @@ from pneuma.files import (
     read_whole,
     replace_files,
     seal,
+    shipped_folder,
     to_json,
 )
 from pneuma.study.locks import is_held, run_lock
@@ -239,9 +239,8 @@ class Store:
         manifest = self._manifest(run_id)
         if manifest and manifest["status"] in FINISHED:
             files = {**manifest["files"], ROW_FILE: checksum(data)}
-            document = {"status": manifest["status"], "step": manifest["step"], "files": files}
-            contents = {ROW_FILE: data, "status.json": seal({**document, **asdict(identity)})}
-            self._write_all(self.run_folder(run_id), contents)
+            document = _status_document(Status(manifest["status"], manifest["step"]), files, identity)
+            self._write_all(self.run_folder(run_id), {ROW_FILE: data, "status.json": document})
 
     def save_run(
         self, run_id: str, status: Status, files: Mapping[str, bytes], identity: Identity | None = None
@@ -255,12 +254,9 @@ class Store:
         """
         if not status.finished and self.status(run_id).finished:
             return
-        folder = self.run_folder(run_id)
+        folder, known = self.run_folder(run_id), identity or self.identity(run_id)
         checksums = {name: checksum(data) for name, data in files.items()}
-        manifest = {"status": status.name, "step": status.step, "files": checksums}
-        identity = identity or self.identity(run_id)
-        manifest |= asdict(identity) if identity else {}
-        self._write_all(folder, {**files, "status.json": seal(manifest)})
+        self._write_all(folder, {**files, "status.json": _status_document(status, checksums, known)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
@@ -386,10 +382,7 @@ def read_checkpoint_name(name: str) -> tuple[int, str] | None:
 
 
 def shipped_tables() -> Path:
-    try:
-        return Path(next(iter(import_module("pneuma.published").__path__)))
-    except ModuleNotFoundError:
-        return Path(__file__).parents[2] / "results" / "published"
+    return shipped_folder("pneuma.published", "results/published")
 
 
 def run_identity(run: Run) -> Identity:
@@ -400,3 +393,8 @@ def run_identity(run: Run) -> Identity:
 
 def run_document(run: Run, run_id: str) -> bytes:
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_fields(run)})
+
+
+def _status_document(status: Status, checksums: Mapping[str, str], identity: Identity | None) -> bytes:
+    known = asdict(identity) if identity else {}
+    return seal({"status": status.name, "step": status.step, "files": checksums, **known})

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import pyarrow as pa
@@ -40,19 +41,14 @@ def from_parquet(data: bytes, columns: Sequence[str] | None = None) -> pa.Table:
     Raises:
         ValueError: for an invalid file, or one that would be too large.
     """
-    try:
+    with _only_value_errors():
         file = pq.ParquetFile(pa.BufferReader(data))
         groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
         values = sum(group.column(place).num_values for group in groups for place in range(group.num_columns))
         if max(8 * values, sum(group.total_byte_size for group in groups)) > LARGEST_BYTES:
             raise ValueError(f"unpacks to more than {LARGEST_BYTES / 2**20:.0f} MB")
         table = file.read(columns=columns and list(columns), use_threads=False)
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        problem = [*str(error).splitlines(), "damaged"][0]
-        raise ValueError(f"is no table that can be read ({problem[:100]})") from None
-    if len({*table.column_names}) < table.num_columns:
-        raise ValueError("has two columns of one name")
-    return table
+    return _of_distinct_names(table)
 
 
 def from_ipc(data: bytes) -> pa.Table:
@@ -61,12 +57,22 @@ def from_ipc(data: bytes) -> pa.Table:
     Raises:
         ValueError: for an invalid file.
     """
-    try:
+    with _only_value_errors():
         table = pa.ipc.open_file(pa.BufferReader(data)).read_all()
         table.validate(full=True)
+    return _of_distinct_names(table)
+
+
+@contextmanager
+def _only_value_errors() -> Iterator[None]:
+    try:
+        yield
     except (pa.ArrowException, OSError, MemoryError) as error:
         problem = [*str(error).splitlines(), "damaged"][0]
         raise ValueError(f"is no table that can be read ({problem[:100]})") from None
+
+
+def _of_distinct_names(table: pa.Table) -> pa.Table:
     if len({*table.column_names}) < table.num_columns:
         raise ValueError("has two columns of one name")
     return table

@@ -9,7 +9,7 @@ from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.study.rows import encode_published
+from pneuma.study.published import encode_published
 from pneuma.study.store import Store
 
 from .. import hand_made

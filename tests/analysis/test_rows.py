@@ -22,7 +22,7 @@ from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
 from pneuma.study.measure import _rounded, stored_row
-from pneuma.study.rows import Published
+from pneuma.study.published import Published
 from pneuma.study.series import GRID_POINTS
 from pneuma.study.store import ROW_FILE, Status, Store
 from pneuma.study.tables import from_ipc

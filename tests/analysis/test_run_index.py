@@ -18,8 +18,8 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.plan import Selection
+from pneuma.study.published import encode_published
 from pneuma.study.quantities import TRAINING_QUANTITIES
-from pneuma.study.rows import encode_published
 from pneuma.study.store import Status, Store
 
 from ..hand_made import save_listing, study_of, write_events

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.study.locks import run_lock
+
 from .calls import SETTINGS, TINY, Called, call, printed
 
 pytestmark = pytest.mark.usefixtures("trains_here", "unshipped")
@@ -35,7 +37,7 @@ def test_what_is_published_stays_in_the_table_and_the_same_runs_give_the_same_by
     path = _table(results)
     whole = path.read_bytes()
     called = _publish(results, "--condition", "relu", "--seeds", "1,")
-    assert "1 runs from here, 3 as they were published before" in called.out
+    assert "1 run from here, 3 as they were published before" in called.out
     assert "other numbers" not in called.err
     assert path.read_bytes() == whole and path.name.startswith("activation-arena-horizon=64-slots=1-")
     shutil.rmtree(results / "runs")
@@ -50,6 +52,15 @@ def test_a_damaged_table_is_told_and_published_anew(results: Path) -> None:
     called = _publish(results)
     assert called.code == 0 and f"{path}: cannot be read (damaged)" in called.err
     assert path.read_bytes() == whole
+
+
+def test_of_two_that_publish_at_once_one_is_told_to_wait(results: Path) -> None:
+    path = _table(results)
+    whole = path.read_bytes()
+    with run_lock(results / ".publishing"):
+        called = _publish(results)
+    assert called.code == 2 and "another command publishes" in called.err and path.read_bytes() == whole
+    assert _publish(results).code == 0
 
 
 def test_what_is_published_is_not_trained_where_that_is_asked(results: Path) -> None:

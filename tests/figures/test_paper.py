@@ -13,7 +13,7 @@ from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
 from pneuma.study.measure import stored_row
 from pneuma.study.plan import configure
-from pneuma.study.rows import encode_published
+from pneuma.study.published import encode_published
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 

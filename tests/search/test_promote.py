@@ -10,11 +10,11 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search import promote
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
-from pneuma.search.spec import Budget, list_searches, load_search
+from pneuma.search.spec import Budget, load_search
 from pneuma.search.storage import RecordedSearch
 from pneuma.search.trials import Task
 from pneuma.study.plan import Plan, Selection, make_plan
-from pneuma.study.spec import load_study
+from pneuma.study.spec import load_study, shipped_names, studies_folder
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
@@ -69,7 +69,7 @@ def test_the_promoted_condition_is_the_trial(make_task: MakeTask, tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
-@pytest.mark.parametrize("name", list_searches())
+@pytest.mark.parametrize("name", shipped_names(studies_folder() / "search"))
 def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, world: str, tmp_path: Path) -> None:
     own = searched(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
     for trial in own.trials:

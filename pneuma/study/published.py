@@ -1,0 +1,116 @@
+"""Published tables: the rows of a study's runs in one small file.
+
+rows → `encode_published` → results/published/NAME.parquet → `Published` → Row
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pneuma.files import checksum, parse_json
+from pneuma.study.rows import Row, check_table, column_type
+from pneuma.study.tables import from_parquet
+
+
+def encode_published(
+    rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
+) -> bytes:
+    """Return rows as a published table; the same rows give the same bytes.
+
+    Args:
+        rows: one or more.
+        about: what `Published.about` gives back.
+        curves: quantities whose curves are kept; default: all.
+    """
+    parts = [row.table for row in rows]
+    table = pa.concat_tables(parts, promote_options="permissive").combine_chunks()
+    dropped = [
+        name
+        for name in table.column_names
+        if curves is not None
+        and column_type(name) == pa.list_(pa.float32())
+        and name.partition(" ")[0] not in curves
+    ]
+    head = {"pneuma": json.dumps({"schema": 3, **about}), "pneuma.checksum": _NO_SUM}
+    table = table.drop_columns(dropped)
+    table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(head)
+    lists = [name for name in table.column_names if column_type(name) == pa.list_(pa.float32())]
+    sink = io.BytesIO()
+    pq.write_table(  # a dictionary does not help if numbers hardly repeat
+        table,
+        sink,
+        compression="zstd",
+        compression_level=19,
+        use_dictionary=[name for name in table.column_names if name not in lists],
+        use_byte_stream_split=[f"{name}.list.element" for name in lists],
+    )
+    data = sink.getvalue()
+    return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())
+
+
+def _as_parquet(field_: pa.Field) -> pa.Field:
+    """Return a column whose lists call their elements as Parquet does, as in rows from published tables."""
+    if not pa.types.is_list(field_.type):
+        return field_
+    return field_.with_type(pa.list_(pa.field("element", field_.type.value_type)))
+
+
+_NO_SUM = "sha256:" + "0" * 64
+"""Placeholder for the checksum over all other bytes of a published table."""
+_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
+
+
+class Published:
+    """A published table, which may be untrusted. Its rows are read when the first one is asked for.
+
+    Attributes:
+        path: its file.
+        about: what `encode_published` was told.
+        index: id, configuration's id, seed, steps, status and end of each run.
+        places: the place of each run, by id.
+
+    Raises:
+        ValueError: for a damaged file, or one that `encode_published` did not make.
+    """
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
+            raise ValueError("damaged")
+        self.path = path
+        self._data = data
+        index = from_parquet(data, ["run_id", "config_id", "seed", "steps", "status", "end"])
+        self.about = parse_json((index.schema.metadata or {}).get(b"pneuma", b""))
+        if self.about.get("schema") != 3:
+            raise ValueError("of another version of Pneuma")
+        if [column_type(name) for name in index.column_names] != index.schema.types or any(
+            column.null_count for column in index.columns
+        ):
+            raise ValueError("its runs make no sense")
+        self.index = list(zip(*(column.to_pylist() for column in index.columns), strict=True))
+        self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
+
+    @cached_property
+    def _rows(self) -> pa.Table:
+        table = from_parquet(self._data)
+        check_table(table)
+        return table
+
+    def row(self, run_id: str) -> Row:
+        """Return the row of one of its runs.
+
+        Raises:
+            ValueError: where the table makes no sense.
+        """
+        return Row(self._rows, self.places[run_id], published=True).checked()
+
+    def rows(self) -> dict[str, Row]:
+        return {run_id: self.row(run_id) for run_id in self.places}
