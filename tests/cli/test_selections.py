@@ -76,6 +76,9 @@ def test_a_world_without_runs_says_in_which_there_are_some(store: Store) -> None
     assert f"{len(ids)} runs in the text's world (--world text)" in refused(*words)
     told = described(*words, "--world", "text", "--json")
     assert sorted(run["run_id"] for run in told["runs"]) == sorted(ids)
+    gamma = {"gamma": 0.5}
+    (_,) = _finish(store, "architecture", "text", seeds=(0,), steps=512, conditions=("mid",), settings=gamma)
+    assert "1 run in the text's world (--world text)" in refused(*words, "--set", "gamma=0.5")
 
 
 def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
