@@ -25,7 +25,7 @@ ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
 ALGORITHMS = tuple(ALGORITHM_ENGINES)
 TABULAR = ("q-learning", "double-q-learning")
 
-_NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots")
+_NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots", "learning_rate_schedule")
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
 _GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
 _EXPLORATION = ("exploration", "exploration_fraction")
@@ -36,7 +36,7 @@ _DQN = (
 _TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
 ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
-    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs"),
+    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "clip_range_schedule", "minibatch", "epochs"),
     "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
     "dqn": _DQN,

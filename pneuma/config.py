@@ -29,9 +29,11 @@ from pneuma.algorithms import (
     OPTIMIZER_DEFAULTS,
     OPTIMIZER_FIELDS,
     TABULAR,
+    VALUE_BASED,
 )
 from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, EnvConfig, read_fields, resolve_world
 from pneuma.errors import UserError
+from pneuma.sb3_names import DEFAULTS
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
@@ -45,6 +47,9 @@ ENGINES = tuple(ENGINE_VERSIONS)
 
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
+SCHEDULES = ("constant", "linear")
+ANNEALED = ("learning_rate", "clip_range")
+"""Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may reset: the optimizer's moments, the players' XP, or the critic's weights."""
 FORK_FIELDS = ("parent", "fork_step", "fork_reset")
@@ -76,7 +81,8 @@ _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
 GODOT = "Godot-v0"
 """The id of a game made with Godot, which is started as a program: see `pneuma.env.godot`."""
-OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers")
+NORMALIZING = ("normalize_observations", "normalize_rewards")
+OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers", *NORMALIZING)
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
 
 
@@ -125,6 +131,10 @@ class Run(EnvConfig):
     """Keyword arguments of the environment, as JSON."""
     wrappers: Annotated[tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such")] = ()
     """Wrapper classes, the innermost first."""
+    normalize_observations: bool = False
+    """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
+    normalize_rewards: bool = False
+    """By the running deviation of the discounted return, for the learner only; likewise."""
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
     """The engine: batched (compiled), sb3 (Stable-Baselines3), or tabular."""
     algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
@@ -141,7 +151,10 @@ class Run(EnvConfig):
     gamma: Share = 0.99
     gae_lambda: Share = 0.95
     learning_rate: Annotated[float, Interval(gt=0, le=100)] = 3e-4
+    learning_rate_schedule: Annotated[str, OneOf(SCHEDULES)] = SCHEDULES[0]
+    """With "linear" it falls from its value to 0 over the budget, as Stable-Baselines3 counts progress."""
     clip_range: Annotated[float, Interval(gt=0, le=100)] = 0.1
+    clip_range_schedule: Annotated[str, OneOf(SCHEDULES)] = SCHEDULES[0]
     horizon: Annotated[int, Interval(ge=2, le=10**6)] = 256
     """Steps per slot in a rollout, Stable-Baselines3's n_steps; for value-based learners, in one report."""
     minibatch: Annotated[int, Interval(ge=2, le=10**6)] = 64
@@ -242,11 +255,14 @@ BASES: dict[str, dict[str, Any]] = {
 }
 """Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2)."""
 
+THESIS_BASES = tuple(BASES)
+
 for _base in BASES.values():
     _base.update(
         gamma=0.99, gae_lambda=0.95, learning_rate=3e-4, minibatch=64, entropy_coefficient=0.01,
         optimizer="adam", epsilon=1e-5, actor=(128,), critic=(256,), slots=1, clip="joint",
     )  # fmt: skip
+BASES["stable-baselines3"] = DEFAULTS
 
 
 def make_run(given: Mapping[str, object]) -> Run:
@@ -327,7 +343,8 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     if algorithm in TABULAR:
         return frozenset(of_algorithm) | _READ_BY_ALL
     of_env = OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS
-    return frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL
+    unread = NORMALIZING if algorithm in VALUE_BASED else ()  # what is replayed was seen otherwise
+    return (frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL) - {*unread}
 
 
 _GONE = {"learners": "shared"}

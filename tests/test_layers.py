@@ -16,7 +16,7 @@ MODULES = {
 
 BASE = (
     "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
-    "pneuma.worlds", "pneuma.schema", "pneuma.files",
+    "pneuma.worlds", "pneuma.schema", "pneuma.files", "pneuma.sb3_names",
 )  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
@@ -26,10 +26,12 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.algorithms": (),
     "pneuma.config": (
         "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values", "pneuma.schema",
+        "pneuma.sb3_names",
     ),
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.files": ("pneuma.errors",),
+    "pneuma.sb3_names": ("pneuma.errors",),
     "pneuma.schema": ("pneuma.errors", "pneuma.files"),
     "pneuma.values": (),
     "pneuma.worlds": ("pneuma.errors",),

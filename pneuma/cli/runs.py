@@ -13,6 +13,7 @@ from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS, make_run
 from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
+from pneuma.sb3_names import own_fields
 from pneuma.study import stored_runs
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import Change, plan_fork
@@ -118,7 +119,7 @@ def fork(
     The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
     `export` take its name.
     """
-    store, change = Store(results), Change(dict(set_ or ()), reset)
+    store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
     plan = plan_fork(store, stored_runs.find_run(store, name), at, change, seeds, trust)
     how = Supervision(workers=opt.most_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)

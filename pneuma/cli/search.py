@@ -226,11 +226,12 @@ def _task(
     """Return a search with overridden fields, and its preset's budget with the given amounts."""
     from pneuma.config import Run
     from pneuma.env_fields import read_field
+    from pneuma.sb3_names import own_fields
     from pneuma.search.space import FIXABLE
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Task
 
-    for key in over:
+    for key in (over := own_fields(over)):
         if key not in FIXABLE.names:
             raise unknown_name("key of --set", key, FIXABLE.names)
     over = {key: read_field(Run, key, value) for key, value in over.items()}

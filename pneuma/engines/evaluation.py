@@ -171,7 +171,7 @@ class Evaluation:
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
-        asks = policy.exploration is not None or bool(own_rewards(self.run.reward))
+        asks = bool(policy.scaling or policy.exploration is not None or own_rewards(self.run.reward))
         return not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
     def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:

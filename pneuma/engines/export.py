@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 from zipfile import ZipFile
@@ -24,7 +24,8 @@ from pneuma.algorithms import MAILMAN
 from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
-from pneuma.engines.policy import Policy
+from pneuma.engines.normalization import CLIP, EPSILON, Scaling
+from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
@@ -72,8 +73,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     nets = model.policy.mlp_extractor
     with torch.no_grad():
         for layers, hidden, head in (
-            (policy.actor, nets.policy_net, model.policy.action_net),
-            (policy.critic, nets.value_net, model.policy.value_net),
+            (_folded(policy.actor, policy.scaling), nets.policy_net, model.policy.action_net),
+            (_folded(policy.critic, policy.scaling), nets.value_net, model.policy.value_net),
         ):
             linear = [module for module in hidden if isinstance(module, nn.Linear)]
             for (weight, bias), module in zip(layers, (*linear, head), strict=True):
@@ -84,6 +85,16 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     with ZipFile(file, "a") as archive:
         archive.comment = MADE_BY.encode()
     return file.getvalue()
+
+
+def _folded(layers: Layers, scaling: Scaling | None) -> Layers:
+    """Return a network that observes what is not normalised: its first layer does that, but for clipping."""
+    if scaling is None:
+        return layers
+    (weight, bias), *others = layers
+    deviation = np.sqrt(scaling.variance + EPSILON)
+    moved = bias - (scaling.mean / deviation) @ weight
+    return ((weight / deviation[:, None]).astype(np.float32), moved.astype(np.float32)), *others
 
 
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
@@ -137,10 +148,13 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
     output = "logits" if policy.exploration is None else "action_values"
     output = output if policy.deviation is None else "mean_action"
-    nodes, arrays = _onnx_layers("actor", policy.actor, policy.activation, output)
+    nodes, arrays = _onnx_scaling(policy.scaling) if policy.scaling else ([], [])
+    seen = "seen" if policy.scaling else "observation"
+    layers, weights = _onnx_layers("actor", policy.actor, policy.activation, seen, output)
+    nodes, arrays = [*nodes, *layers], [*arrays, *weights]
     outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", actions])]
     if policy.exploration is None:
-        critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, "values")
+        critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, seen, "values")
         nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]
         arrays += [*critic_arrays, helper.make_tensor("flat", TensorProto.INT64, [1], [-1])]
         outputs.append(helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]))
@@ -156,14 +170,30 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     return model.SerializeToString(deterministic=True)
 
 
+def _onnx_scaling(scaling: Scaling) -> tuple[list[Any], list[Any]]:
+    """Return nodes and numbers from "observation" to "seen", in double precision as the policy has it."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    deviation, limits = np.sqrt(scaling.variance + EPSILON), np.array([-CLIP, CLIP])
+    numbers = {"mean": scaling.mean, "deviation": deviation, "low": limits[0], "high": limits[1]}
+    nodes = [
+        helper.make_node("Cast", ["observation"], ["double"], to=TensorProto.DOUBLE),
+        helper.make_node("Sub", ["double", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "deviation"], ["scaled"]),
+        helper.make_node("Clip", ["scaled", "low", "high"], ["clipped"]),
+        helper.make_node("Cast", ["clipped"], ["seen"], to=TensorProto.FLOAT),
+    ]
+    return nodes, [numpy_helper.from_array(np.asarray(array), name) for name, array in numbers.items()]
+
+
 def _onnx_layers(
-    part: str, layers: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, output: str
+    part: str, layers: Layers, activation: str, seen: str, output: str
 ) -> tuple[list[Any], list[Any]]:
-    """Return nodes and weights of one multilayer perceptron from "observation" to `output`."""
+    """Return nodes and weights of one multilayer perceptron from `seen` to `output`."""
     from onnx import helper, numpy_helper
 
     kind, attributes = _ONNX_ACTIVATIONS[activation]
-    nodes, arrays, shown = [], [], "observation"
+    nodes, arrays, shown = [], [], seen
     for i, (weight, bias) in enumerate(layers):
         names = [f"{part}.{i}.weight", f"{part}.{i}.bias"]
         arrays += [numpy_helper.from_array(a.copy(), n) for a, n in zip((weight, bias), names, strict=True)]

@@ -28,6 +28,7 @@ from gymnasium import spaces
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, stream_seed
+from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.env.own_modules import importing_from, in_package
@@ -60,14 +61,16 @@ class Slots:
 
     Attributes:
         observations: (S, features) float32, the current ones.
-        terminal: (S, features), the last observation of each slot's last finished episode.
+        seen: the same as the learner sees them, normalised if the run says so.
+        terminal: (S, features), the last one of each slot's last finished episode, likewise.
         returns, lengths, episodes: (S,) of the episodes so far.
         steps: number of steps taken in each slot.
         finished: episodes that ended since the list was last emptied.
     """
 
-    def __init__(self, run: Run, seeds: Sequence[int]) -> None:
+    def __init__(self, run: Run, seeds: Sequence[int], training: bool = False) -> None:
         self.run = run
+        self._normalizes = training and (run.normalize_observations or run.normalize_rewards)
         self.envs = [make_env(run) for _ in seeds]
         space = self.envs[0].observation_space
         self.action_space = _action_space(run, self.envs[0].action_space)
@@ -93,6 +96,16 @@ class Slots:
         self.reseed(seeds)
         for slot in range(len(self.envs)):
             self._reset(slot)
+        self._normalization = Normalization(self.run, self.observations) if self._normalizes else None
+
+    @property
+    def seen(self) -> np.ndarray:
+        return self._normalization.seen if self._normalization else self.observations
+
+    @property
+    def scaling(self) -> Scaling | None:
+        """How a policy has to normalise observations now."""
+        return self._normalization.scaling if self._normalization else None
 
     def reseed(self, seeds: Sequence[int]) -> None:
         self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # all environments take these
@@ -101,7 +114,8 @@ class Slots:
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
 
-        `terminated` and `truncated` are never both set.
+        `terminated` and `truncated` are never both set. Rewards are normalised if the run says so, records
+        are not.
         """
         self._log += actions.astype(self._kind).tobytes()
         rewards = np.zeros(len(self.envs))
@@ -113,6 +127,9 @@ class Slots:
             if ended or cut:
                 terminated[slot], truncated[slot] = ended, not ended
                 self._end(slot, "terminated" if ended else "truncated")
+        if self._normalization:
+            over = terminated | truncated
+            rewards = self._normalization.step(self.observations, rewards, over, self.terminal)
         return rewards, terminated, truncated
 
     def actions(self, actions: np.ndarray) -> Sequence[Any]:
@@ -171,7 +188,8 @@ class Slots:
         log = np.frombuffer(bytes(self._log), self._kind).reshape(self.steps, len(self.envs), *shape)
         names = ("observations", "returns", "lengths", "episodes")
         known = {name: getattr(self, name).copy() for name in names}
-        return {"actions": log, "seeds": np.array(self._seedings), **known}
+        statistics = self._normalization.saved_state() if self._normalization else {}
+        return {"actions": log, "seeds": np.array(self._seedings), **known, **statistics}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.

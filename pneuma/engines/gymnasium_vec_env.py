@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.normalization import Scaling
 from pneuma.env.sb3 import WholeVecEnv
 
 
@@ -20,7 +21,7 @@ class GymnasiumVecEnv(WholeVecEnv):
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
-        self.slots = Slots(run, slot_seeds(run))
+        self.slots = Slots(run, slot_seeds(run), training=True)
         self._actions = np.zeros(run.slots)
         space, features = self.slots.action_space, self.slots.observations.shape[1]
         action_space: spaces.Space[Any] = (
@@ -34,8 +35,12 @@ class GymnasiumVecEnv(WholeVecEnv):
     def finished(self) -> list[dict[str, Any]]:
         return self.slots.finished
 
+    @property
+    def scaling(self) -> Scaling | None:
+        return self.slots.scaling
+
     def reset(self) -> np.ndarray:
-        return self.slots.observations.copy()
+        return self.slots.seen.copy()
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = actions
@@ -49,7 +54,7 @@ class GymnasiumVecEnv(WholeVecEnv):
             else {}
             for slot, (done, cut) in enumerate(zip(dones, truncated, strict=True))
         ]
-        return self.slots.observations.copy(), rewards.astype(np.float32), dones, infos
+        return self.slots.seen.copy(), rewards.astype(np.float32), dones, infos
 
     def saved_state(self) -> dict[str, np.ndarray]:
         return self.slots.saved_state()
@@ -60,7 +65,7 @@ class GymnasiumVecEnv(WholeVecEnv):
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
         """Continue with other random streams, from each slot's next episode on."""
         self.slots.reseed(seeds)
-        return self.slots.observations.copy()
+        return self.slots.seen.copy()
 
     def close(self) -> None:
         for env in self.slots.envs:

@@ -15,6 +15,7 @@ import numpy as np
 from safetensors.numpy import load, save
 
 from pneuma.config import ACTIVATIONS
+from pneuma.engines.normalization import Scaling
 from pneuma.errors import UserError
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Policy:
             action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
         deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution
             from which they are drawn; the actor gives its mean.
+        scaling: how observations are normalised before the networks see them, if they are.
     """
 
     activation: str
@@ -46,6 +48,7 @@ class Policy:
     critic: Layers
     exploration: float | None = None
     deviation: np.ndarray | None = None
+    scaling: Scaling | None = None
 
     @property
     def actions(self) -> int:
@@ -54,13 +57,16 @@ class Policy:
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
-        return forward(self.actor, self.activation, observations)[-1]
+        return forward(self.actor, self.activation, self._seen(observations))[-1]
 
     def values(self, observations: np.ndarray) -> np.ndarray:
         """Return the critic's values, or the greatest of any action: (N, features) -> (N,)."""
         if self.exploration is not None:
             return self.logits(observations).max(axis=1)
-        return forward(self.critic, self.activation, observations)[-1][:, 0]
+        return forward(self.critic, self.activation, self._seen(observations))[-1][:, 0]
+
+    def _seen(self, observations: np.ndarray) -> np.ndarray:
+        return self.scaling(observations) if self.scaling else observations
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Draw an action for each observation: (N, features) -> (N,), or (N, dimensions) of numbers."""
@@ -100,6 +106,8 @@ class Policy:
         }
         if self.deviation is not None:
             arrays["deviation"] = np.ascontiguousarray(self.deviation)
+        if self.scaling is not None:
+            arrays |= {f"observations.{name}": array for name, array in vars(self.scaling).items()}
         about: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
             about["exploration"] = self.exploration
@@ -127,7 +135,9 @@ def read_sound_policy(data: bytes) -> Policy:
     try:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        optional = about.get("exploration"), arrays.get("deviation")
+        moments = [arrays.get(f"observations.{name}") for name in ("mean", "variance")]
+        scaling = None if moments[0] is None else Scaling(*moments)
+        optional = about.get("exploration"), arrays.get("deviation"), scaling
         policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
@@ -146,6 +156,8 @@ def _is_sound(policy: Policy) -> bool:
         fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
     if policy.deviation is not None:
         fits &= policy.deviation.shape == (policy.actions,)
+    if policy.scaling is not None:
+        fits &= all({len(array)} == inputs and array.ndim == 1 for array in vars(policy.scaling).values())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape == (1,)

@@ -8,6 +8,7 @@ and the training on it; for DQN it is as many steps with the gradient steps betw
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class Sb3Trainer(Trainer):
         return not overflows(self._policy, model._last_obs)
 
     def policy(self) -> Policy:
-        return self._policy
+        return replace(self._policy, scaling=getattr(self._model.env, "scaling", None))
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         return take_checkpoint(self._model, step, records)

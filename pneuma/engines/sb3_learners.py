@@ -18,11 +18,12 @@ from sb3_contrib import TRPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import OPTIMIZER_FIELDS
-from pneuma.config import Run, stream_seed
+from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.records import Checkpoint, CheckpointError, Records
 from pneuma.engines.upgd import UPGD
 
@@ -47,7 +48,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
     kind, fields = LEARNERS[run.algorithm]
-    arguments: dict[str, Any] = {argument: getattr(run, name) for argument, name in fields.items()}
+    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in fields.items()}
     layers: Any = list(run.actor)
     if issubclass(kind, DQN):
         assert run.target_every
@@ -62,7 +63,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
     model = kind(
         policy="MlpPolicy",
         env=env,
-        learning_rate=run.learning_rate,
+        learning_rate=scheduled(run, "learning_rate"),
         gamma=run.gamma,
         policy_kwargs={
             "net_arch": layers,
@@ -76,6 +77,13 @@ def make_model(run: Run, env: VecEnv) -> Any:
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
+
+
+def scheduled(run: Run, name: str) -> Any:
+    """Return a field's value, or the schedule by which it falls; a .zip then needs nothing of Pneuma."""
+    value = getattr(run, name)
+    falls = name in ANNEALED and getattr(run, f"{name}_schedule") == "linear"
+    return LinearSchedule(value, 0.0, 1.0) if falls else value
 
 
 def seed_streams(model: Learner, run: Run) -> None:

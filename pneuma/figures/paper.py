@@ -27,7 +27,7 @@ from pneuma.analysis.export import encode_frame
 from pneuma.analysis.frames import StudyData, figure_basename
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
-from pneuma.config import BASES, as_fields, make_run
+from pneuma.config import BASES, THESIS_BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import (
@@ -126,10 +126,10 @@ def _write_settings(folder: Path) -> list[Path]:
 
 
 def settings_table() -> pd.DataFrame:
-    """Return the two bases of studies: one row per field, with its value in each and whether they differ."""
-    bases = [as_fields(make_run(settings)) for settings in BASES.values()]
+    """Return the thesis's two bases of studies: a row per field, with both values and whether they differ."""
+    bases = [as_fields(make_run(BASES[name])) for name in THESIS_BASES]
     rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
-    table = pd.DataFrame(rows, columns=["setting", *BASES])
+    table = pd.DataFrame(rows, columns=["setting", *THESIS_BASES])
     table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
     return table
 

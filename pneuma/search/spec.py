@@ -35,6 +35,7 @@ from pneuma.study.spec import (
     read_seeds,
     studies_folder,
 )
+from pneuma.study.study_file import in_own_names
 from pneuma.values import OneOf, Reads, Share
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
@@ -139,7 +140,7 @@ class SearchFile(Table):
     base: Annotated[str, OneOf(tuple(BASES))]
     start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
-    run: Annotated[dict[str, Any], FIXABLE] = {}
+    run: Annotated[dict[str, Any], FIXABLE, BeforeValidator(in_own_names)] = {}
     objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
     space: Parameters
     sampler: Annotated[Sampler, Field(discriminator="name")] = Tpe()

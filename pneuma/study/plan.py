@@ -14,6 +14,7 @@ from typing import Any
 from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
 from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
+from pneuma.sb3_names import own_fields
 from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
 from pneuma.values import read_value
@@ -131,6 +132,7 @@ def configure(study: Study, settings: Mapping[str, Any], wanted: Sequence[str] =
     Raises:
         UserError: for unknown conditions or fields, or fields that do not go together.
     """
+    settings = own_fields(settings)
     for key, option in _SET_ELSEWHERE.items():
         if key in settings:
             raise UserError(f"{key} cannot be set by --set: use {option}")
@@ -219,7 +221,8 @@ def _with_changes(study: Study, name: str) -> tuple[str | None, dict[str, Any]]:
     for origin in sorted(study.conditions, key=len, reverse=True):
         pairs = [part.partition("=") for part in name.removeprefix(origin).split(", ")[1:]]
         if name.startswith(f"{origin}, ") and all(key and value for key, _, value in pairs):
-            single, _ = _read_settings(study, {key: read_value(value) for key, _, value in pairs})
+            settings = own_fields({key: read_value(value) for key, _, value in pairs})
+            single, _ = _read_settings(study, settings)
             return origin, {**study.conditions[origin], **single}
     return None, {}
 

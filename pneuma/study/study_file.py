@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Interval, MinLen
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, model_validator
 
 from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
-from pneuma.env_fields import ENVIRONMENTS
+from pneuma.env_fields import ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
+from pneuma.sb3_names import own_fields
 from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.spec import (
     PRESETS,
@@ -81,7 +82,25 @@ def _named_values(factors: Any) -> Any:
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
-Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED)]
+
+
+def in_own_names(table: Any) -> Any:
+    """Return a table's fields by Pneuma's names; refuse a value by the name that it has in the file."""
+    if not isinstance(table, Mapping):
+        return table
+    key = ""
+    try:
+        for key, value in table.items():
+            for name, own in own_fields({key: value}).items():
+                if name not in (*table, *PLANNED):
+                    read_field(Run, name, own)
+        return own_fields(table)
+    except UserError as error:
+        named = str(error).split()[0].strip(":")
+        raise wrong(str(error), named) if named in table else wrong(f"{key}: {error}", key) from None
+
+
+Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED), BeforeValidator(in_own_names)]
 Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
 
 
@@ -113,6 +132,23 @@ class StudyFile(Table):
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
     conditions: dict[Name, Fields] = {}
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], PresetTable], MinLen(1)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _spread_budget(cls, data: Any) -> Any:
+        """Take `n_timesteps` of [run] as the steps of presets that say none."""
+        run, presets = data.get("run"), data.get("presets")
+        if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
+            return data
+        try:
+            usual = {"steps": read_field(Run, "steps", run["n_timesteps"])}
+        except UserError as error:
+            raise wrong(f"[run] n_timesteps: {error}", "run") from None
+        spread = {
+            name: {**usual, **table} if isinstance(table, Mapping) else table
+            for name, table in presets.items()
+        }
+        return {**data, "presets": spread, "run": {key: run[key] for key in run if key != "n_timesteps"}}
 
 
 # --- The study that it makes -----------------------------------------------------------------------

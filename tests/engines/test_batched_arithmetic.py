@@ -54,6 +54,10 @@ CASES: dict[str, dict[str, object]] = {
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
+    "annealed": {
+        **dict.fromkeys(("learning_rate_schedule", "clip_range_schedule"), "linear"),
+        "clip_range": 0.02,
+    },
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
 }
 SLOW = (
@@ -152,7 +156,12 @@ def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.Mo
         before = learner.policy()
         rollout = collector.collect(learner.networks["actor"])
         orders = next_orders(learner, rollout)
-        ours = learner.learn_from(rollout)
+        trained, budget = (
+            (update + 1) * run.steps_per_update,
+            2 * run.steps,
+        )  # at 0 roundings count as clipped
+        ours = learner.learn_from(rollout, left=1 - trained / budget)
+        model._update_current_progress_remaining(trained, budget)
         fill_buffer(model, run, rollout)
         monkeypatch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
         with sb3.GradientNorms(model, run) as norms:

@@ -27,12 +27,15 @@ SMALL: dict[str, Any] = {
     "actor": [8], "critic": [8],
 }  # fmt: skip
 CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.own_envs"}
+NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
 CASES: dict[str, dict[str, Any]] = {
     "cartpole": {"env": "CartPole-v1"},
     "corridor": {**CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3}},
     "wrapped": {**CORRIDOR, "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled"},
     "sb3": {"env": "CartPole-v1", "engine": "sb3"},
     "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
+    "normalized": {"env": "CartPole-v1", **NORMALIZED, "learning_rate_schedule": "linear"},
+    "normalized sb3": {"env": "Pendulum-v1", "engine": "sb3", **NORMALIZED, "clip_range_schedule": "linear"},
     "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
 }
 
@@ -68,7 +71,7 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
     check_that_it_goes_on(run, 0, -2)
 
 
-@pytest.mark.parametrize("name", ["corridor", "sb3"])
+@pytest.mark.parametrize("name", ["corridor", "sb3", "normalized"])
 def test_a_fork_goes_on_with_chances_of_its_own_and_goes_on_itself(name: str) -> None:
     run = make_run({**SMALL, **CASES[name]})
     whole, taken = train_once(run)

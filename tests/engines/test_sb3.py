@@ -58,7 +58,7 @@ def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
     assert model.gae_lambda == 0.95
     assert model.learning_rate == 3e-4
     assert model.batch_size == 64
-    assert model.ent_coef == 0.01
+    assert model.ent_coef == settings["entropy_coefficient"]
     assert model.n_steps == settings["horizon"]
     assert model.n_epochs == settings["epochs"]
     assert model.vf_coef == settings["value_coefficient"]

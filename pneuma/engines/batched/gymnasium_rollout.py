@@ -12,6 +12,7 @@ from pneuma.engines.batched.rollout import ENDED, Rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
+from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
 
@@ -22,7 +23,7 @@ class GymnasiumCollector:
     def __init__(self, run: Run) -> None:
         self._run = run
         self.layout = "seeds and actions"
-        self.slots = Slots(run, slot_seeds(run))
+        self.slots = Slots(run, slot_seeds(run), training=True)
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
         self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]
@@ -30,8 +31,12 @@ class GymnasiumCollector:
 
     @property
     def observations(self) -> np.ndarray:
-        """The current observations, (slots, features)."""
-        return self.slots.observations
+        """The current observations as the learner sees them, (slots, features)."""
+        return self.slots.seen
+
+    @property
+    def scaling(self) -> Scaling | None:
+        return self.slots.scaling
 
     def collect(self, actor: Layers) -> Rollout:
         slots, count, steps = self.slots, self._run.slots, self._run.horizon
@@ -44,10 +49,10 @@ class GymnasiumCollector:
         activation = ACTIVATION_CODES[self._run.activation]
         draws, plays = self.generator.random((steps, count), np.float32), np.ones(count, np.bool_)
         for step in range(steps):
-            observations[:, step] = slots.observations
+            observations[:, step] = slots.seen
             starts[:, step] = self._begins
             chosen = actions[:, step]
-            choose(weights, widths, activation, slots.observations, draws[step], plays, chosen)
+            choose(weights, widths, activation, slots.seen, draws[step], plays, chosen)
             rewards[:, step], terminated, truncated = slots.step(chosen)
             self._begins[:] = over = terminated | truncated
             for slot in np.flatnonzero(over):
@@ -55,7 +60,7 @@ class GymnasiumCollector:
                 ended.append((slot, 0, step + 1, 0.0, 0, 0, 0.0, ending))
                 terminal.append(slots.terminal[slot].copy())
         return Rollout(
-            observations, actions, rewards, starts, slots.observations.copy(), self._begins.copy(),
+            observations, actions, rewards, starts, slots.seen.copy(), self._begins.copy(),
             np.array(ended, ENDED), np.array(terminal, np.float32).reshape(-1, self.features),
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
-from pneuma.engines.batched.update import METRICS, learn, look_back, run_numbers
+from pneuma.engines.batched.update import METRICS, annealed_numbers, learn, look_back, run_numbers
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.records import action_shares
 
@@ -58,8 +58,9 @@ class Learner:
     def policy(self) -> Policy:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
 
-    def learn_from(self, rollout: Rollout) -> dict[str, float]:
-        run = self.run
+    def learn_from(self, rollout: Rollout, left: float = 1.0) -> dict[str, float]:
+        """Take an update's gradient steps, with a share of the budget left after them; return its metrics."""
+        run, numbers = self.run, {**self._numbers, **annealed_numbers(self.run, left)}
         batch, values, dead = self._judge(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
@@ -68,11 +69,11 @@ class Learner:
             self.optimizer,
             batch,
             orders,
-            self._numbers,
+            numbers,
             run.activation,
             run.optimizer,
             run.minibatch,
-            decays=bool(self._numbers["weight_decay"] != 0),
+            decays=bool(numbers["weight_decay"] != 0),
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         return {

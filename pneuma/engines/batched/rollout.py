@@ -92,6 +92,8 @@ class Collector:
         layout: identifies the layout of the arrays of `saved_state`.
     """
 
+    scaling = None  # Pneuma's worlds scale what they show by themselves
+
     def __init__(self, run: Run) -> None:
         self._run = run
         self.layout = LAYOUT_DIGEST

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -35,16 +36,16 @@ class BatchedTrainer(Trainer):
 
     def update(self, before: int, after: int, records: Records) -> bool:
         rollout = self.collector.collect(self.learner.networks["actor"])
-        metrics = self.learner.learn_from(rollout)
+        metrics = self.learner.learn_from(rollout, left=1 - after / self.run.steps)
         records.metrics.append({"step": after, **metrics})
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         if not self.learner.is_finite(metrics):
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
-        return not (is_last and overflows(self.policy(), self.collector.observations))
+        return not (is_last and overflows(self.learner.policy(), self.collector.observations))
 
     def policy(self) -> Policy:
-        return self.learner.policy()
+        return replace(self.learner.policy(), scaling=self.collector.scaling)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         arrays = {name: array.copy() for name, array in self.collector.saved_state().items()}

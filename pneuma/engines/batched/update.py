@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pneuma.config import Run, stream_seed
+from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.batched.optimizers import STEPS
 from pneuma.engines.mlp import LEAKY_SLOPE
 
@@ -71,6 +71,12 @@ def run_numbers(run: Run) -> dict[str, Any]:
     }
     key = np.array([stream_seed(run.stream, "upgd-noise")], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
+
+
+def annealed_numbers(run: Run, left: float) -> dict[str, np.float32]:
+    """Return the numbers that fall with the share of the budget that is left."""
+    falling = [name for name in ANNEALED if getattr(run, f"{name}_schedule") == "linear"]
+    return {name: np.float32(getattr(run, name) * left) for name in falling}
 
 
 @partial(jax.jit, static_argnames="activation")

@@ -1,0 +1,109 @@
+"""Observations and rewards normalised by running statistics, as Stable-Baselines3's VecNormalize does it.
+
+    training: slots → Normalization, which learns → what the learner sees and is paid
+    afterwards: its Scaling, which a policy carries and applies to what it is shown
+
+Statistics are float64. They follow from a run's seeds and actions, as its slots do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pneuma.config import Run
+
+CLIP = 10.0
+EPSILON = 1e-8
+FIRST_COUNT = 1e-4
+"""Of a mean of 0 and a variance of 1, before anything is seen."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """How observations are normalised: by mean and variance, (features,) float64."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Normalise observations: (N, features) -> (N, features) float32."""
+        scaled = (observations - self.mean) / np.sqrt(self.variance + EPSILON)
+        return np.clip(scaled, -CLIP, CLIP).astype(np.float32)
+
+
+class RunningMoments:
+    """Mean and variance of all rows so far, batch by batch (Chan, Golub and LeVeque 1979)."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.mean, self.variance, self.count = np.zeros(shape), np.ones(shape), FIRST_COUNT
+
+    def update(self, rows: np.ndarray) -> None:
+        """Add rows, (N, *shape)."""
+        mean, variance, count = rows.mean(axis=0), rows.var(axis=0), len(rows)
+        delta, total = mean - self.mean, self.count + count
+        between = np.square(delta) * self.count * count / total
+        self.variance = (self.variance * self.count + variance * count + between) / total
+        self.mean = self.mean + delta * count / total
+        self.count = total
+
+
+class Normalization:
+    """The statistics that a run's slots learn in training.
+
+    Args:
+        run: the run.
+        observations: (S, features), the first ones.
+
+    Attributes:
+        seen: (S, features), the observations as the learner sees them.
+    """
+
+    def __init__(self, run: Run, observations: np.ndarray) -> None:
+        self._run = run
+        self._observed, self._returned = RunningMoments(observations.shape[1:]), RunningMoments(())
+        self._returns = np.zeros(len(observations))
+        self._see(observations)
+
+    @property
+    def scaling(self) -> Scaling | None:
+        """How a policy normalises from now on; None if observations are left as they are."""
+        observed = self._observed
+        return Scaling(observed.mean, observed.variance) if self._run.normalize_observations else None
+
+    def step(
+        self, observations: np.ndarray, rewards: np.ndarray, over: np.ndarray, terminal: np.ndarray
+    ) -> np.ndarray:
+        """Learn from a step of all slots; return rewards, (S,), as the learner is paid.
+
+        Args:
+            observations: (S, features), after the step.
+            rewards: (S,).
+            over: (S,), where an episode ended.
+            terminal: (S, features), of which the rows of ended episodes are normalised in place.
+        """
+        self._see(observations)
+        if scaling := self.scaling:
+            terminal[over] = scaling(terminal[over])
+        if not self._run.normalize_rewards:
+            return rewards
+        self._returns = self._returns * self._run.gamma + rewards
+        self._returned.update(self._returns)
+        self._returns[over] = 0.0
+        return np.clip(rewards / np.sqrt(self._returned.variance + EPSILON), -CLIP, CLIP)
+
+    def _see(self, observations: np.ndarray) -> None:
+        if self._run.normalize_observations:
+            self._observed.update(observations)
+        self.seen = scaling(observations) if (scaling := self.scaling) else observations
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Return the statistics: arrays by name."""
+        moments = {"observed": self._observed, "returned": self._returned}
+        arrays = {
+            f"{of}_{name}": np.array(value)
+            for of, each in moments.items()
+            for name, value in vars(each).items()
+        }
+        return {**arrays, "discounted": self._returns.copy()}

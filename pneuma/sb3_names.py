@@ -1,0 +1,136 @@
+"""Fields of a run as Stable-Baselines3 and rl-baselines3-zoo write them, so that these can be pasted.
+
+n_steps = 32 is horizon = 32; learning_rate = "lin_1e-3" is learning_rate = 1e-3 with
+learning_rate_schedule = "linear".
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pneuma.errors import UserError
+
+DEFAULTS: dict[str, Any] = {
+    "actor": (64, 64), "critic": (64, 64), "activation": "tanh", "slots": 1, "horizon": 2048, "minibatch": 64,
+    "epochs": 10, "learning_rate": 3e-4, "gamma": 0.99, "gae_lambda": 0.95, "clip_range": 0.2,
+    "entropy_coefficient": 0.0, "value_coefficient": 0.5, "gradient_limit": 0.5, "clip": "joint",
+    "optimizer": "adam", "betas": (0.9, 0.999), "epsilon": 1e-5,
+}  # fmt: skip
+"""What Stable-Baselines3's PPO is without any setting."""
+
+NAMES = {
+    "n_timesteps": "steps",
+    "n_envs": "slots",
+    "n_steps": "horizon",
+    "batch_size": "minibatch",
+    "n_epochs": "epochs",
+    "ent_coef": "entropy_coefficient",
+    "vf_coef": "value_coefficient",
+    "max_grad_norm": "gradient_limit",
+    "train_freq": "train_every",
+    "target_update_interval": "target_every",
+    "exploration_final_eps": "exploration",
+    "n_critic_updates": "epochs",
+    "cg_max_steps": "conjugate_steps",
+    "line_search_max_iter": "line_search_steps",
+}
+"""Arguments that are fields by another name."""
+
+_ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-relu"}
+
+
+def own_fields(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields by Pneuma's own names; values are checked elsewhere.
+
+    Raises:
+        UserError: beginning with the key, for what has no field here, or a field that is given twice.
+    """
+    fields: dict[str, Any] = {}
+    keys: dict[str, str] = {}
+    for key, value in given.items():
+        for name, own in _read(key, value).items():
+            if name in fields:
+                raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
+            fields[name], keys[name] = own, key
+    return fields
+
+
+def _read(key: str, value: Any) -> dict[str, Any]:
+    if key in NAMES:
+        return {NAMES[key]: value}
+    if key in _READERS:
+        return _READERS[key](key, value)
+    return {key: value}
+
+
+def _annealed(key: str, value: Any) -> dict[str, Any]:
+    """Read lin_3e-4, the zoo's word for a value that falls to 0."""
+    linear = isinstance(value, str) and re.fullmatch(r"lin_([\d.]+(e-?\d+)?)", value)
+    return {key: float(linear[1]), f"{key}_schedule": "linear"} if linear else {key: value}
+
+
+def _normalized(key: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, bool):
+        one_by_one = "normalize_observations and normalize_rewards set one alone"
+        raise UserError(f"{key} = {value!r} is not allowed: true or false; {one_by_one}")
+    return {"normalize_observations": value, "normalize_rewards": value}
+
+
+def _perceptron(key: str, value: Any) -> dict[str, Any]:
+    if value != "MlpPolicy":
+        raise UserError(f'{key} = "{value}" is not allowed: networks are those of "MlpPolicy"')
+    return {}
+
+
+def _without_noise_of_states(key: str, value: Any) -> dict[str, Any]:
+    if key == "use_sde" and value:
+        raise UserError(f"{key} is not allowed: there is no state-dependent exploration")
+    return {}
+
+
+def _networks(key: str, value: Any) -> dict[str, Any]:
+    """Read a table, or the zoo's text "dict(net_arch=dict(pi=[64], vf=[64]), activation_fn=nn.ReLU)"."""
+    allowed = "a table or dict(…) of net_arch and activation_fn"
+    try:
+        arguments = _evaluated(ast.parse(value, mode="eval").body) if isinstance(value, str) else {**value}
+        layers = arguments.pop("net_arch", None)
+        activation = arguments.pop("activation_fn", None)
+        if arguments:
+            raise UserError(f"{key}: {next(iter(arguments))} is not allowed: {allowed}")
+        return {**_layers(layers), **({"activation": _ACTIVATIONS[activation]} if activation else {})}
+    except (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError):
+        raise UserError(f"{key} = {value!r} is not allowed: {allowed}") from None
+
+
+def _layers(layers: Any) -> dict[str, Any]:
+    """Read net_arch: one list for both networks, or one for each, which older versions put into a list."""
+    if layers is None:
+        return {}
+    if isinstance(layers, list | tuple) and len(layers) == 1 and isinstance(layers[0], Mapping):
+        layers = layers[0]
+    if not isinstance(layers, Mapping):
+        return {"actor": layers, "critic": layers}
+    return {"actor": layers["pi"], "critic": layers["vf"]}
+
+
+def _evaluated(node: ast.expr) -> Any:
+    """Evaluate dict(…), {…}, […], numbers and dotted names of an expression; nothing is called."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "dict":
+        return {str(word.arg): _evaluated(word.value) for word in node.keywords}
+    if isinstance(node, ast.List):
+        return tuple(_evaluated(item) for item in node.elts)
+    return ast.unparse(node) if isinstance(node, ast.Attribute) else ast.literal_eval(node)
+
+
+_READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
+    "learning_rate": _annealed,
+    "clip_range": _annealed,
+    "normalize": _normalized,
+    "policy": _perceptron,
+    "policy_kwargs": _networks,
+    "use_sde": _without_noise_of_states,
+    "sde_sample_freq": _without_noise_of_states,
+}

@@ -1,0 +1,141 @@
+"""Normalised observations and rewards are those of Stable-Baselines3's VecNormalize, wherever they go."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from pneuma.config import Run, make_run
+from pneuma.engines.environment import slot_seeds
+from pneuma.engines.export import to_onnx, to_sb3
+from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.normalization import RunningMoments, Scaling
+from pneuma.engines.policy import Policy, read_sound_policy
+from pneuma.errors import UserError
+from pneuma.study.identity import run_id
+from pneuma.study.spec import unread_fields
+
+from .trained import bits, train, train_once
+
+NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
+SMALL: dict[str, Any] = {
+    "slots": 3, "horizon": 32, "minibatch": 32, "epochs": 2, "steps": 384, "evaluation_episodes": 2,
+    "actor": [8], "critic": [8], "gamma": 0.9,
+}  # fmt: skip
+
+
+def normalized(**fields: Any) -> Run:
+    return make_run({"env": "CartPole-v1", **SMALL, **NORMALIZED, **fields})
+
+
+@pytest.mark.parametrize("env", ["CartPole-v1", "Pendulum-v1"])
+def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
+    run = normalized(env=env, engine="sb3")
+    slots = Slots(run, slot_seeds(run), training=True)
+    plain = DummyVecEnv([lambda: gymnasium.make(env)] * 3)
+    plain._seeds = [seed % 2**31 for seed in slot_seeds(run)]
+    theirs = VecNormalize(plain, gamma=0.9)
+    seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
+    for _ in range(450):
+        np.testing.assert_array_equal(slots.seen, seen)
+        continuous = env == "Pendulum-v1"
+        actions = generator.random((3, 1), np.float32) if continuous else generator.integers(2, size=3)
+        rewards, *_ = slots.step(actions)
+        seen, their_rewards, dones, infos = theirs.step(actions)
+        np.testing.assert_allclose(rewards, their_rewards, rtol=1e-6)
+        for slot in np.flatnonzero(dones):
+            np.testing.assert_array_equal(slots.terminal[slot], infos[slot]["terminal_observation"])
+            ends += 1
+    assert ends == len(slots.finished) >= 6
+    assert {row["return"] for row in slots.finished} != {0.0}
+    assert slots.scaling is not None
+    np.testing.assert_array_equal(slots.scaling.mean, theirs.obs_rms.mean)  # type: ignore[union-attr]
+
+
+def test_running_moments_are_those_of_all_rows() -> None:
+    """Of 1, 2 and 6 the mean is 3 and the variance 14 / 3; the first guess counts for 0.0001 rows."""
+    moments = RunningMoments(())
+    for batch in ([1.0, 2.0], [6.0]):
+        moments.update(np.array(batch))
+    assert moments.count == pytest.approx(3.0001)
+    assert moments.mean == pytest.approx(3, abs=2e-4)
+    assert moments.variance == pytest.approx(14 / 3, abs=4e-4)
+
+
+def test_a_scaling_worked_out_by_hand_clips_at_ten() -> None:
+    scaling = Scaling(np.array([1.0, 0.0]), np.array([4.0, 1.0]))
+    np.testing.assert_allclose(scaling(np.array([[5.0, -99.0]], np.float32)), [[2.0, -10.0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("engine", ["batched", "sb3"])
+def test_a_run_is_normalised_alike_by_both_engines_and_alone_as_in_company(engine: str) -> None:
+    """Its policy carries the statistics of the last rollout, and is evaluated with them."""
+    run = normalized(engine=engine)
+    alone, taken = train_once(run)
+    train(normalized(engine=engine, seed=1))
+    assert bits(train(run)[0]) == bits(alone)
+    assert alone.policy is not None and alone.policy.scaling is not None
+    saved = taken[-1].arrays
+    np.testing.assert_array_equal(alone.policy.scaling.mean, saved["worlds/observed_mean"])
+    assert saved["worlds/observed_count"] == pytest.approx(384 + 3, abs=1e-3)
+    returns = [row["return"] for row in alone.records.episodes]
+    assert returns == [float(row["length"]) for row in alone.records.episodes]  # as CartPole pays, 1 a step
+
+
+def trained_policy() -> Policy:
+    policy = train_once(normalized())[0].policy
+    assert policy is not None and policy.scaling is not None
+    return policy
+
+
+def seen_about(policy: Policy) -> np.ndarray:
+    """Return observations within a few deviations of the mean."""
+    assert policy.scaling is not None
+    deviation = np.sqrt(policy.scaling.variance)
+    drawn = np.random.default_rng(0).standard_normal((200, 4))
+    return (policy.scaling.mean + 2 * deviation * drawn).astype(np.float32)
+
+
+def test_a_policy_acts_on_what_the_environment_shows() -> None:
+    policy = trained_policy()
+    seen, bare = seen_about(policy), replace(policy, scaling=None)
+    assert policy.scaling is not None
+    np.testing.assert_array_equal(policy.logits(seen), bare.logits(policy.scaling(seen)))
+    assert not np.array_equal(policy.logits(seen), bare.logits(seen))
+    again = read_sound_policy(policy.to_bytes())
+    np.testing.assert_array_equal(again.logits(seen), policy.logits(seen))
+    np.testing.assert_array_equal(again.values(seen), policy.values(seen))
+    short = replace(policy, scaling=Scaling(np.zeros(3), np.ones(3)))
+    with pytest.raises(UserError, match="do not fit each other"):
+        read_sound_policy(short.to_bytes())
+
+
+def test_the_zip_and_the_onnx_act_as_the_policy_does() -> None:
+    policy = trained_policy()
+    seen, space = seen_about(policy), spaces.Box(-np.inf, np.inf, (4,), np.float32)
+    model = PPO.load(io.BytesIO(to_sb3(policy, normalized(), space)), device="cpu")
+    np.testing.assert_array_equal(model.predict(seen, deterministic=True)[0], policy.best(seen))
+    assert len({*policy.best(seen).tolist()}) > 1
+    runtime = pytest.importorskip("onnxruntime")
+    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
+    far = np.concatenate([seen, 1000 * seen])  # clipped
+    logits, values = session.run(None, {"observation": far})
+    np.testing.assert_allclose(logits, policy.logits(far), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(values, policy.values(far), rtol=1e-5, atol=1e-5)
+
+
+def test_where_nothing_is_normalised_the_fields_are_not_read() -> None:
+    worlds, values = make_run({}), make_run({"env": "CartPole-v1", "algorithm": "dqn"})
+    for run in (worlds, values):
+        assert unread_fields([run], NORMALIZED) == [*NORMALIZED]
+    assert run_id(normalized()) != run_id(replace(normalized(), normalize_rewards=False))
+    unset = dict.fromkeys(NORMALIZED, False)
+    assert run_id(make_run({"env": "CartPole-v1", **unset})) == run_id(make_run({"env": "CartPole-v1"}))

@@ -1,0 +1,109 @@
+"""Settings of Stable-Baselines3 and rl-baselines3-zoo, pasted into a study or given by --set."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stable_baselines3 import PPO
+
+from pneuma.config import BASES, Run, make_run
+from pneuma.engines.sb3_learners import LEARNERS
+from pneuma.errors import UserError
+from pneuma.sb3_names import NAMES, own_fields
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+
+HEAD = 'title = "Zoo"\nbase = "stable-baselines3"\n[run]\nenv = "CartPole-v1"\n'
+TAIL = '[conditions.ppo]\n[factors]\nlearning_rate = ["lin_1e-3", 1e-4]\n[presets.quick]\nseeds = 1\n'
+CARTPOLE = """n_envs = 8
+n_timesteps = 1e5
+policy = 'MlpPolicy'
+n_steps = 32
+batch_size = 256
+gae_lambda = 0.8
+gamma = 0.98
+n_epochs = 20
+ent_coef = 0.0
+clip_range = "lin_0.2"
+"""
+
+
+def study(path: Path, run: str = CARTPOLE) -> Path:
+    path.write_text(HEAD + run + TAIL)
+    return path
+
+
+def runs(path: Path, **settings: Any) -> dict[str, Run]:
+    plan = make_plan(load_study(str(path)), Selection(settings=settings))
+    return {cell.condition: cell.run for cell in plan.cells}
+
+
+def test_an_entry_of_the_zoo_can_be_pasted(tmp_path: Path) -> None:
+    found = runs(study(tmp_path / "zoo.toml"))
+    expected = {
+        **BASES["stable-baselines3"], "env": "CartPole-v1", "slots": 8, "steps": 100_000, "horizon": 32,
+        "minibatch": 256, "gae_lambda": 0.8, "gamma": 0.98, "epochs": 20, "entropy_coefficient": 0.0,
+        "clip_range": 0.2, "clip_range_schedule": "linear",
+    }  # fmt: skip
+    falling = {"learning_rate": 1e-3, "learning_rate_schedule": "linear"}
+    assert found == {
+        "learning_rate=lin_1e-3, ppo": make_run({**expected, **falling}),
+        "learning_rate=1e-4, ppo": make_run({**expected, "learning_rate": 1e-4}),
+    }
+
+
+def test_set_takes_the_same_names(tmp_path: Path) -> None:
+    path = study(tmp_path / "zoo.toml")
+    networks = "dict(net_arch=[dict(pi=[32, 16], vf=[8])], activation_fn=nn.ReLU)"
+    for run in runs(path, max_grad_norm=0.7, normalize=True, policy_kwargs=networks).values():
+        assert (run.gradient_limit, run.actor, run.critic, run.activation) == (0.7, (32, 16), (8,), "relu")
+        assert run.normalize_observations and run.normalize_rewards
+    assert {run.horizon for run in runs(path, n_steps="32,64").values()} == {32, 64}
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("n_steps = 1", r"line 8: \[run\] n_steps: horizon = 1 is not allowed: must be at least 2"),
+        ("clip_range = 'lin_x'", 'clip_range = "lin_x" is not allowed: must be a number'),
+        ("slots = 4", r"line 6: \[run\] n_envs and slots both set slots"),
+        ("use_sde = true", "use_sde is not allowed: there is no state-dependent exploration"),
+        ("policy = 'CnnPolicy'", 'networks are those of "MlpPolicy"'),
+        ("normalize = 'rewards'", "normalize = 'rewards' is not allowed: true or false"),
+        ("n_timesteps = 'x'", r"line 3: \[run\] n_timesteps: steps = \"x\" is not allowed"),
+        ("policy_kwargs = 'dict(ortho_init=False)'", "policy_kwargs: ortho_init is not allowed"),
+        ("policy_kwargs = '__import__(\"os\").abort()'", "policy_kwargs = .* is not allowed"),
+    ],
+)
+def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, line: str, told: str) -> None:
+    key = line.split()[0]
+    kept = [row for row in CARTPOLE.splitlines() if row.split()[0] != key]
+    at = 3 if key == "n_steps" else 0
+    path = study(tmp_path / "zoo.toml", "\n".join([*kept[:at], line, *kept[at:], ""]))
+    with pytest.raises(UserError, match=told) as refused:
+        load_study(str(path))
+    assert "\n" not in str(refused.value)
+
+
+def test_every_argument_that_is_a_field_by_another_name_is_known() -> None:
+    for _, arguments in LEARNERS.values():
+        for theirs, own in arguments.items():
+            assert own_fields({theirs: 1}) == {own: 1}
+    assert {*NAMES.values()} <= {*Run.__dataclass_fields__}
+
+
+def test_the_base_is_stable_baselines3s_own_defaults() -> None:
+    arguments = inspect.signature(PPO).parameters.items()
+    base = BASES["stable-baselines3"]
+    named = {NAMES.get(key, key): argument.default for key, argument in arguments}
+    shared = [key for key in base if named.get(key) is not None]
+    assert {key: base[key] for key in shared} == {key: named[key] for key in shared}
+    assert len(shared) == 10
+    policy = PPO("MlpPolicy", "CartPole-v1", device="cpu").policy
+    group = policy.optimizer.param_groups[0]
+    assert (group["betas"], group["eps"]) == (base["betas"], base["epsilon"])
+    assert policy.net_arch == {"pi": [*base["actor"]], "vf": [*base["critic"]]}
+    assert policy.activation_fn.__name__.lower() == base["activation"]
