@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from annotated_types import Interval, MinLen
@@ -151,6 +151,27 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
     if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
     return EnvConfig(**resolve_world(read_fields(EnvConfig, {**ENVIRONMENT_FIELDS[env], **given})))
+
+
+def usual_episode_steps(env: str) -> int:
+    steps: int = ENVIRONMENT_FIELDS[env].get("episode_steps", EnvConfig.episode_steps)
+    return steps
+
+
+def limited(config: EnvConfig, env: str, limit: int | None) -> EnvConfig:
+    """Return a configuration with the time limit that Gymnasium calls `max_episode_steps`.
+
+    The environment's usual one, which Gymnasium gives by itself, leaves that of the configuration.
+
+    Raises:
+        UserError: for a limit out of range, or beside another `episode_steps`.
+    """
+    usual, own = usual_episode_steps(env), config.episode_steps
+    if limit in (None, usual, own):
+        return config
+    if own != usual:
+        raise UserError(f"max_episode_steps = {limit} and episode_steps = {own} are one field: give one")
+    return replace(config, episode_steps=read_field(EnvConfig, "episode_steps", limit))
 
 
 OF_PLAYERS = ("classes", "weapons", "reward")

@@ -135,8 +135,9 @@ def read_sound_policy(data: bytes) -> Policy:
     try:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        moments = [arrays.get(f"observations.{name}") for name in ("mean", "variance")]
-        scaling = None if moments[0] is None else Scaling(*moments)
+        scaling = None
+        if "observations.mean" in arrays:
+            scaling = Scaling(arrays["observations.mean"], arrays["observations.variance"])
         optional = about.get("exploration"), arrays.get("deviation"), scaling
         policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
         sound = _is_sound(policy)

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import TimeLimit
 
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.observation import MOST_XP, most_hp
@@ -15,7 +16,7 @@ from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
+from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
 from pneuma.errors import UserError
 
 
@@ -72,6 +73,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
                 f"players = {config.players}: this face has one player; make the vector environment, or "
                 "pneuma.env.parallel.parallel_env"
             )
+        self._env_id = env_id
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
@@ -116,6 +118,25 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     def _reward(self) -> Any:
         return self.state.events["reward"].item()
+
+    def limit_episodes(self, max_episode_steps: int) -> None:
+        """Set the world's time limit as `pneuma.env_fields.limited` has it, and tell it in the spec."""
+        self.state.config = limited(self.state.config, self._env_id, max_episode_steps)
+        steps = self.state.config.episode_steps
+        self.state.settings["step_limit"] = steps
+        if self.spec is not None:
+            self.spec.max_episode_steps = steps
+            self.spec.kwargs = {**self.spec.kwargs, "episode_steps": steps}
+
+
+def without_time_limit(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    """Take off the TimeLimit that `gymnasium.make` puts around a world, which limits its episodes itself."""
+    if not isinstance(env, TimeLimit):
+        return env
+    world = env.unwrapped
+    assert isinstance(world, PneumaEnv)
+    world.limit_episodes(env._max_episode_steps)
+    return env.env
 
 
 class VectorRewards:
