@@ -2,10 +2,11 @@
 
     python studies/examples/plain_sb3.py --seeds 24
 
-All three train PPO by the same settings, which are written once, by Stable-Baselines3's names. They draw their
-random numbers otherwise, so that the same seed is another run in each. What is compared is the mean return of
-the episodes that ended in the last quarter of the budget: means and deviations of all seeds, the difference
-from the plain script with its 95 % interval, and the p-value of Welch's test. The figure shows every seed.
+All three train PPO by the same settings, which are written once, by Stable-Baselines3's names. They draw
+their random numbers otherwise, so that the same seed is another run in each. What is compared is the mean
+return of the episodes that ended in the last quarter of the budget: means and deviations of all seeds, the
+difference from the plain script with its 95 % interval, and the p-value of Welch's test. The figure shows
+every seed.
 """
 
 from __future__ import annotations
