@@ -27,7 +27,7 @@ from pneuma.analysis.export import encode_frame
 from pneuma.analysis.frames import StudyData, figure_basename
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
-from pneuma.config import BASES, THESIS_BASES, as_fields, make_run
+from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.collapse import collapsed_shares, draw_collapse
 from pneuma.figures.curves import (
@@ -123,6 +123,9 @@ def _write_settings(folder: Path) -> list[Path]:
     path = folder / TABLES / SETTINGS_FILE
     path.write_bytes(encode_frame(settings_table(), "markdown"))
     return [path]
+
+
+THESIS_BASES = ("table-6-1", "table-6-2")
 
 
 def settings_table() -> pd.DataFrame:
