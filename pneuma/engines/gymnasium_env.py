@@ -223,12 +223,26 @@ def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | space
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    if not space.is_np_flattenable:
-        raise UserError(f"{run.env}: observations in {space} cannot be flattened: wrap it to have Box ones")
+    if reason := _unflattenable(space):
+        raise UserError(
+            f"{run.env}: its observations cannot be flattened, as {reason}: wrap it to have Box ones"
+        )
     if isinstance(space, spaces.Box):
         shape = space.shape
         return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
     return lambda seen: spaces.flatten(space, seen)
+
+
+NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
+
+
+def _unflattenable(space: spaces.Space[Any], name: str = "their space") -> str:
+    """Say which part of a space is no numbers; empty if all are."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        reasons = (_unflattenable(part, f"the space of {key}") for key, part in parts)
+        return next(filter(None, reasons), "")
+    return "" if isinstance(space, NUMBERS) else f"{name} is {type(space).__name__}"
 
 
 # --- Making one ------------------------------------------------------------------------------------

@@ -9,6 +9,10 @@ import numpy as np
 from gymnasium import spaces
 
 
+class Words(spaces.Space[str]):
+    pass
+
+
 class Corridor(gymnasium.Env[Any, Any]):
     """Every step costs 0.1 and chance a little, at the fifth cell there is 1 and success."""
 
@@ -24,6 +28,9 @@ class Corridor(gymnasium.Env[Any, Any]):
             self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
         if kind == "text":
             self.observation_space = spaces.Sequence(spaces.Discrete(2))
+        if kind == "mission":  # as MiniGrid has it: an image, and words that Gymnasium cannot flatten
+            parts = {"image": spaces.Box(0, 255, (7, 7, 3), np.uint8), "mission": Words(dtype=str)}
+            self.observation_space = spaces.Dict({**parts, "facing": spaces.Discrete(4)})
         self.taken = 0
 
     def _seen(self) -> Any:

@@ -97,7 +97,11 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "argument": ({"env_kwargs": {"speed": 2}}, "env = Corridor-v0: TypeError: .*speed"),
     "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),
     "actions": ({"env_kwargs": {"kind": "pairs"}}, "actions in MultiDiscrete"),
-    "observations": ({"env_kwargs": {"kind": "text"}}, "observations in Sequence"),
+    "observations": ({"env_kwargs": {"kind": "text"}}, "as their space is Sequence: wrap it"),
+    "words": (
+        {"env_kwargs": {"kind": "mission"}},
+        "cannot be flattened, as the space of mission is Words: wrap it",
+    ),
     "numbers": ({"env": "Pendulum-v1"}, 'engine = "sb3" alone'),
     "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "have no bounds"),
     "values": ({"env": "Pendulum-v1", "algorithm": "dqn"}, "which dqn cannot"),
