@@ -25,7 +25,7 @@ OWN = "[conditions.mine]\nhorizon = 128\n[conditions.yours]\nhorizon = 256\n[pre
         ("study plot own.toml --condition ", "mine yours"),
         ("study compare activation tanh rel", "relu"),
         ("study run activation --preset ", "claims paper quick standard"),
-        ("study run activation --set learning_r", "learning_rate="),
+        ("study run activation --set learning_r", "learning_rate= learning_rate_schedule="),
         ("run show 01", "0123456789abcdef"),
         ("env play pneuma/PneumaA", "pneuma/PneumaArena-v0"),
         ("study show missing.toml --world ", "arena godot text"),
