@@ -19,6 +19,8 @@ from pneuma.engines.export import to_onnx, to_sb3
 from pneuma.engines.gymnasium_env import Slots
 from pneuma.engines.normalization import RunningMoments, Scaling
 from pneuma.engines.policy import Policy, read_sound_policy
+from pneuma.engines.sb3 import extract_policy
+from pneuma.engines.sb3_learners import make_model
 from pneuma.errors import UserError
 from pneuma.study.identity import run_id
 from pneuma.study.spec import unread_fields
@@ -36,13 +38,17 @@ def normalized(**fields: Any) -> Run:
     return make_run({"env": "CartPole-v1", **SMALL, **NORMALIZED, **fields})
 
 
+def vec_normalize(run: Run) -> Any:
+    """Return Stable-Baselines3's own, seeded as the run's slots are."""
+    plain = DummyVecEnv([lambda: gymnasium.make(run.env)] * run.slots)
+    plain._seeds = [seed % 2**31 for seed in slot_seeds(run)]
+    return VecNormalize(plain, gamma=run.gamma)
+
+
 @pytest.mark.parametrize("env", ["CartPole-v1", "Pendulum-v1"])
 def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
     run = normalized(env=env, engine="sb3")
-    slots = Slots(run, slot_seeds(run), training=True)
-    plain = DummyVecEnv([lambda: gymnasium.make(env)] * 3)
-    plain._seeds = [seed % 2**31 for seed in slot_seeds(run)]
-    theirs: Any = VecNormalize(plain, gamma=0.9)
+    slots, theirs = Slots(run, slot_seeds(run), training=True), vec_normalize(run)
     seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
     for _ in range(450):
         np.testing.assert_array_equal(slots.seen, seen)
@@ -58,6 +64,18 @@ def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
     assert {row["return"] for row in slots.finished} != {0.0}
     assert slots.scaling is not None
     np.testing.assert_array_equal(slots.scaling.mean, theirs.obs_rms.mean)
+
+
+def test_the_engine_trains_as_stable_baselines3_does_with_vec_normalize_and_schedules() -> None:
+    linear = {"learning_rate_schedule": "linear", "clip_range_schedule": "linear"}
+    run = normalized(engine="sb3", **linear)
+    theirs = vec_normalize(run)
+    model = make_model(run, theirs)
+    model.learn(run.steps)
+    ours, policy = train_once(run)[0].policy, extract_policy(model, run)
+    assert ours is not None
+    np.testing.assert_equal((ours.actor, ours.critic), (policy.actor, policy.critic))
+    np.testing.assert_equal(vars(ours.scaling), {"mean": theirs.obs_rms.mean, "variance": theirs.obs_rms.var})
 
 
 def test_running_moments_are_those_of_all_rows() -> None:
