@@ -92,6 +92,17 @@ def late_return(env: str, seed: int, steps: int, arm: str) -> float:
     return float(np.mean([paid for step, paid in episodes if step > 0.75 * run.steps]))
 
 
+def measure(env: str, seeds: int, steps: int) -> dict[str, np.ndarray]:
+    """Train all seeds of each arm, and tell how far it is."""
+    returns: dict[str, list[float]] = {arm: [] for arm in ARMS}
+    for seed in range(seeds):
+        for arm in ARMS:
+            returns[arm].append(late_return(env, seed, steps, arm))
+        told = ", ".join(f"{arm} {values[-1]:.1f}" for arm, values in returns.items())
+        print(f"{env} seed {seed}: {told}", flush=True)
+    return {arm: np.array(values) for arm, values in returns.items()}
+
+
 def report(env: str, returns: dict[str, np.ndarray]) -> None:
     print(f"{env}, mean return in the last quarter")
     for arm, values in returns.items():
@@ -127,9 +138,7 @@ def main(words: list[str] | None = None) -> None:
     torch.set_num_threads(1)
     found = {}
     for env in SETTINGS:
-        seeds = range(asked.seeds)
-        returns = {arm: [late_return(env, seed, asked.steps, arm) for seed in seeds] for arm in ARMS}
-        found[env] = {arm: np.array(values) for arm, values in returns.items()}
+        found[env] = measure(env, asked.seeds, asked.steps)
         report(env, found[env])
     draw(found, asked.out)
     print(f"Drawn: {asked.out}")
