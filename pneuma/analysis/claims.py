@@ -35,7 +35,7 @@ MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
 JUDGES = (
     "study/series", "study/measure", "analysis/outcomes", "analysis/collapse", "analysis/claims",
-    "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts", "analysis/design",
+    "analysis/claim_table", "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts",
     "analysis/judgement",
 )  # fmt: skip
 """The modules that turn the records of runs into verdicts."""
