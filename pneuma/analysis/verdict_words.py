@@ -105,20 +105,18 @@ def count_words(claims: Mapping[str, Mapping[str, Verdict]]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["", *WORDS])
 
 
-def verdict_table(
-    claims: Mapping[str, Mapping[str, Verdict]], whole: bool = False, worlds: Iterable[str] = ()
-) -> pd.DataFrame:
+def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = False) -> pd.DataFrame:
     """Return a row for each claim: section, sentence, and for each world the word with the effect below it.
 
-    With `whole`, sentences are not shortened. `worlds` are those that have a column (default: all judged).
+    With `whole`, sentences are not shortened.
     """
-    columns, rows, quoted = [*(worlds or worlds_of(claims))], [], set()
+    columns, rows, quoted = worlds_of(claims), [], set()
     for judged in claims.values():
         claim = next(iter(judged.values())).claim
-        text = sentence(claim) if whole else short_sentence(claim)
-        text = claim.context if claim.quote in quoted and claim.context else f"“{text}”"
-        quoted.add(claim.quote)
-        rows.append([claim.section, text, *(cell(judged.get(world)) for world in columns)])
+        text = f"“{sentence(claim) if whole else short_sentence(claim)}”"
+        told = claim.context if text in quoted and claim.context else text
+        quoted.add(text)
+        rows.append([claim.section, told, *(cell(judged.get(world)) for world in columns)])
     heads = ["Section", "The thesis's sentence", *(WORLD_NAMES[world] for world in columns)]
     return pd.DataFrame(rows, columns=heads)
 
@@ -230,6 +228,12 @@ _SUBSCRIPTS = str.maketrans("012t", "₀₁₂ₜ")
 _SYMBOLS = {"tanh": "tanh ", "beta": "β", "nabla": "∇", "vartheta": "ϑ", "leq": "≤ ", "|": "‖"}
 
 _SHORT = {
+    "tanh-better": "We see that tanh … improves performance",
+    "tanh-steadier": "We see that tanh … decreases variance",
+    "betas-better": "… the non-stationary Adam greatly outperforms the default configuration",
+    "betas-steadier": "Notice how the variance of the non-stationary Adam version is smaller",
+    "small-best": "The small network has the best overall performance",
+    "small-steadiest": "The small network has … the lowest variance",
     "actor-loses-nothing": (
         "Letting the actor’s network size remain small … whilst having the critic’s network be "
         "significantly bigger … seemed to have little to no effect"
@@ -249,10 +253,8 @@ _SHORT = {
         "… SGD has several limitations, with the most important being a sensitivity to changes of the "
         "learning rate"
     ),
-    "relu-explodes": (
-        "… we run into issues with exploding gradient norms, … which … caused the agent to oscillate, and "
-        "ultimately never converge"
-    ),
+    "relu-explodes": "… we run into issues with exploding gradient norms",
+    "relu-never-converges": "… which … caused the agent to oscillate, and ultimately never converge",
     "leaky-helps": (
         "Although this helped reduce the problem, it did not completely eliminate it, and so we settled "
         "with the tanh function"
@@ -278,4 +280,4 @@ _SHORT = {
         "their assigned objectives using different approaches"
     ),
 }
-"""Long sentences of the shipped claims, in their own words."""
+"""The words of a shipped claim's sentence that say what it tests, where others can be left out."""
