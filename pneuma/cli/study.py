@@ -104,7 +104,7 @@ def show(
             say(f"  {key} = {shown_value(value)}")
     if study is None:
         return say(f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}")
-    from pneuma.study.claimed import fixed_amounts
+    from pneuma.analysis.claims_preset import fixed_amounts
 
     print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]

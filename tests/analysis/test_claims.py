@@ -13,6 +13,7 @@ import pytest
 from pneuma.analysis import claims as claims_module
 from pneuma.analysis.claim_table import not_admitted, plan_contrasts
 from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims_preset import with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -97,5 +98,5 @@ def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> No
                 key = (claim.study, claim.steps[name])
                 fixed[key] = fixed.get(key, set()) | {(name, seed) for seed in seeds}
     for (study, steps), cells in fixed.items():
-        plan = make_plan(load_study(study, world), Selection("claims", steps=steps))
+        plan = make_plan(with_claims(load_study(study, world), steps), Selection("claims", steps=steps))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells
