@@ -122,10 +122,8 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
 
 
 def cell(verdict: Verdict | None) -> str:
-    """Return a verdict's word, and in the next line its effect or why there is none."""
-    if verdict is None:
-        return "–"
-    return "\n".join(filter(None, (word(verdict), told_effect(verdict) or why(verdict))))
+    """Return a verdict's word, and in the next line its effect, or why there is none."""
+    return "–" if verdict is None else "\n".join(filter(None, (word(verdict), told(verdict))))
 
 
 # --- One verdict -----------------------------------------------------------------------------------
@@ -133,6 +131,13 @@ def cell(verdict: Verdict | None) -> str:
 
 def word(verdict: Verdict) -> str:
     return _WORD_OF[verdict.verdict]
+
+
+def told(verdict: Verdict) -> str:
+    """Return the effect that decides, if any was tested, and what must be said beside it or in its place."""
+    row = verdict.decisive
+    tested = row and row.has_effect and word(verdict) != NOT_TESTED
+    return "; ".join(filter(None, (effect(row) if row and tested else "", why(verdict))))
 
 
 def why(verdict: Verdict) -> str:
@@ -144,13 +149,7 @@ def why(verdict: Verdict) -> str:
     if verdict.reason == AS_CLAIMED_BUT_SMALL:
         return "so in direction, but too small to count"
     reason = verdict.reason.partition(":")[0]
-    return _PLAIN_REASONS.get(reason, reason)
-
-
-def told_effect(verdict: Verdict) -> str:
-    """Return the effect of the contrast that decides; empty if nothing was tested."""
-    row = verdict.decisive
-    return effect(row) if row and row.has_effect and word(verdict) != NOT_TESTED else ""
+    return "a run has no value" if " seed " in reason else _PLAIN_REASONS.get(reason, reason)
 
 
 def effect(row: ClaimContrast) -> str:

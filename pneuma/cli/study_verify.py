@@ -69,8 +69,7 @@ def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -
         by_claim,
         count_words,
         sentence,
-        told_effect,
-        why,
+        told,
         word,
     )
 
@@ -83,8 +82,7 @@ def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -
             _print_indented(claim.context, 2)
         quoted.add(claim.quote)
         for one in judged.values():
-            said = told_effect(one) or why(one)
-            print(f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{said}".rstrip())
+            say(f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{told(one)}".rstrip())
             for line in _details(one) if in_detail else ():
                 _print_indented(line, 6)
         print()
@@ -103,8 +101,7 @@ def _details(one: Verdict) -> Iterator[str]:
 
     for row in one.contrasts if not one.lacks_runs else ():
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
-        told = row.contrast.reason or effect(row)
-        yield f"{' against '.join(row.names)}, {runs} runs: {told}"
+        yield f"{' against '.join(row.names)}, {runs} runs: {row.contrast.reason or effect(row)}"
     if one.lacks_runs or not one.contrasts:
         yield one.reason
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -142,11 +143,11 @@ class _Row:
 
 
 def _cell_lines(cell: str, column: float) -> list[str]:
-    """Return a verdict's word, and below it the effect: what is measured, and the difference."""
+    """Return a verdict's word, and below it the effect; no line begins with a number."""
     word, _, effect = cell.partition("\n")
-    parts = effect.replace(" against ", " against\xa0").replace(" to ", "\xa0to\xa0").split(": ")
-    ended = [part + ":" for part in parts[:-1]] + parts[-1:]
-    return [word, *(line for part in ended for line in wrap(part, characters(SMALL, column)))]
+    together = effect.replace(" against ", " against\xa0").replace(" to ", "\xa0to\xa0")
+    lines = [line for part in re.split("(?<=:) ", together) for line in wrap(part, characters(SMALL, column))]
+    return [word, *(line.replace("\xa0", " ") for line in lines)]
 
 
 def _origin(claims: Verdicts, command: str) -> Origin:

@@ -19,13 +19,14 @@ from pneuma.figures.verdicts import SMALL, draw_verdicts
 from .hand_made_verdicts import claim, comparison, judged
 
 Numbers = tuple[tuple[float, float], tuple[float, float]]
+KILLS = "kills 85 % against 83 %: 2 points more (−1 to 5)"
 MEANS = (0.85, 0.83), (-0.012, 0.052)
 
 
 @pytest.mark.parametrize(
     ("fields", "numbers", "told"),
     [
-        ({}, MEANS, "kills 85 % against 83 %: 2 points more (−1 to 5)"),
+        ({}, MEANS, KILLS),
         (
             {"outcome": "final-return"},
             ((8.6, 7.5), (0.3, 2.0)),
@@ -72,12 +73,17 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], numbers: Number
 @pytest.mark.parametrize(
     ("verdict", "reason", "told"),
     [
-        ("supported", "", "holds\nkills 85 % against 83 %: 2 points more (−1 to 5)"),
-        ("refuted", "", "does not hold\nkills 85 % against 83 %: 2 points more (−1 to 5)"),
-        ("mixed", "", "undecided\nkills 85 % against 83 %: 2 points more (−1 to 5)"),
-        ("inconclusive", "", "undecided\nkills 85 % against 83 %: 2 points more (−1 to 5)"),
+        ("supported", "", f"holds\n{KILLS}"),
+        ("refuted", "", f"does not hold\n{KILLS}"),
+        (
+            "mixed",
+            "",
+            f"undecided\n{KILLS}; its two measures disagree",
+        ),
+        ("inconclusive", "", f"undecided\n{KILLS}"),
         ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nno runs yet"),
         ("untestable", "arms at floor: none of tanh, relu", "not tested\nthe agents learned nothing there"),
+        ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
         ("untestable", "nothing to cure: 4 of 8 runs", "not tested\nnothing to cure"),
     ],
 )
@@ -143,3 +149,4 @@ def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
     texts = drawn[0].axes[0].texts
     assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
     assert [text.get_text() for text in texts].count("holds") == 2
+    assert "kills 85 % against 83 %:\n2 points more (−1 to 5)" in [text.get_text() for text in texts]
