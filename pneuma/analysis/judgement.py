@@ -33,7 +33,7 @@ from pneuma.study.store import Store
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 
-AS_CLAIMED_BUT_SMALL = "in the direction claimed, but smaller than the margin"
+AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if equivalence refutes a claim whose interval lies wholly on the claimed side."""
 
 

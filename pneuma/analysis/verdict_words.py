@@ -19,7 +19,6 @@ from pneuma.analysis.claim_table import ClaimContrast
 from pneuma.analysis.claims import MINUS, Claim
 from pneuma.analysis.intervals import MOST, decimals, shown
 from pneuma.analysis.judgement import (
-    AS_CLAIMED_BUT_SMALL,
     INCONCLUSIVE,
     MIXED,
     REFUTED,
@@ -146,8 +145,6 @@ def why(verdict: Verdict) -> str:
         return "not all runs yet" if verdict.run_ids else "no runs yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
-    if verdict.reason == AS_CLAIMED_BUT_SMALL:
-        return "so in direction, but too small to count"
     reason = verdict.reason.partition(":")[0]
     return "a run has no value" if " seed " in reason else _PLAIN_REASONS.get(reason, reason)
 

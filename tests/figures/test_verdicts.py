@@ -102,7 +102,7 @@ def test_what_a_word_does_not_say_is_said_beside_it() -> None:
         godot=("supported", "", ()),
     )
     assert {world: why(one) for world, one in verdicts.items()} == {
-        "text": "its two measures disagree", "arena": "so in direction, but too small to count", "godot": "",
+        "text": "its two measures disagree", "arena": AS_CLAIMED_BUT_SMALL, "godot": "",
     }  # fmt: skip
 
 
