@@ -324,9 +324,6 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
     while len(rows):
         going_on = []
         chosen = act(rows, slots.observations[rows])
-        if isinstance(space := slots.action_space, spaces.Box):  # cut off at their bounds
-            flat = chosen.reshape(len(rows), -1)
-            chosen = np.clip(flat, space.low.reshape(-1), space.high.reshape(-1))
         for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
             reward, ended, cut, info = slots.step_one(row, action)
             returns[row] += reward

@@ -26,7 +26,7 @@ class GymnasiumVecEnv(WholeVecEnv):
         action_space: spaces.Space[Any] = (
             spaces.Discrete(int(space.n))
             if isinstance(space, spaces.Discrete)
-            else spaces.Box(space.low.reshape(-1), space.high.reshape(-1), dtype=np.float32)
+            else spaces.Box(*(bound.astype(np.float32).reshape(-1) for bound in (space.low, space.high)))
         )
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 

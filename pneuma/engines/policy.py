@@ -39,6 +39,8 @@ class Policy:
             action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
         deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution
             from which they are drawn; the actor gives its mean.
+        bounds: (2, …) for continuous actions, the lowest and the highest action, in shape and type of the
+            action space; actions are clipped to them.
     """
 
     activation: str
@@ -46,6 +48,7 @@ class Policy:
     critic: Layers
     exploration: float | None = None
     deviation: np.ndarray | None = None
+    bounds: np.ndarray | None = None
 
     @property
     def actions(self) -> int:
@@ -63,11 +66,10 @@ class Policy:
         return forward(self.critic, self.activation, observations)[-1][:, 0]
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Draw an action for each observation: (N, features) -> (N,), or (N, dimensions) of numbers."""
+        """Draw an action for each observation: (N, features) -> (N,), or (N, …) of numbers."""
         logits = self.logits(observations)
         if self.deviation is not None:
-            drawn: np.ndarray = logits + self.deviation * generator.standard_normal(logits.shape, np.float32)
-            return drawn
+            return self._clip(logits + self.deviation * generator.standard_normal(logits.shape, np.float32))
         if self.exploration is not None:
             at_random = generator.random(len(logits)) < self.exploration
             any_action = generator.integers(logits.shape[1], size=len(logits))
@@ -79,7 +81,12 @@ class Policy:
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Return the most probable action, or that of the greatest value, in the shape of `sample`'s."""
         logits = self.logits(observations)
-        return logits if self.deviation is not None else logits.argmax(axis=1)
+        return self._clip(logits) if self.deviation is not None else logits.argmax(axis=1)
+
+    def _clip(self, numbers: np.ndarray) -> np.ndarray:
+        assert self.bounds is not None
+        low, high = self.bounds
+        return np.clip(numbers.reshape(-1, *low.shape), low, high).astype(low.dtype)
 
     def entropy(self, observations: np.ndarray) -> float:
         """Return the mean entropy over observations, (N, features), of actions drawn, in nats."""
@@ -98,8 +105,9 @@ class Policy:
             for i, layer in enumerate(getattr(self, part))
             for name, array in zip(("weight", "bias"), layer, strict=True)
         }
-        if self.deviation is not None:
-            arrays["deviation"] = np.ascontiguousarray(self.deviation)
+        for name in ("deviation", "bounds"):
+            if (array := getattr(self, name)) is not None:
+                arrays[name] = np.ascontiguousarray(array)
         about: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
             about["exploration"] = self.exploration
@@ -127,7 +135,7 @@ def read_sound_policy(data: bytes) -> Policy:
     try:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        optional = about.get("exploration"), arrays.get("deviation")
+        optional = about.get("exploration"), arrays.get("deviation"), arrays.get("bounds")
         policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
@@ -144,8 +152,11 @@ def _is_sound(policy: Policy) -> bool:
     for layers in networks:
         fits &= all(weight.ndim == 2 and bias.shape == weight.shape[1:] for weight, bias in layers)
         fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
-    if policy.deviation is not None:
-        fits &= policy.deviation.shape == (policy.actions,)
+    fits &= (policy.deviation is None) == (policy.bounds is None)
+    if policy.deviation is not None and policy.bounds is not None:
+        low, high = policy.bounds
+        fits &= policy.deviation.shape == (policy.actions,) and low.size == policy.actions
+        fits &= bool((low <= high).all())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape == (1,)

@@ -278,11 +278,18 @@ def extract_policy(model: Any, run: Run) -> Policy:
     if isinstance(model, DQN):
         return Policy(run.activation, _layers(policy.q_net.q_net), (), run.exploration)
     nets = policy.mlp_extractor
+    numbers = {}
+    if hasattr(policy, "log_std"):
+        space = model.env.slots.action_space  # not the learner's, which is flat and of float32
+        numbers = {
+            "deviation": np.exp(policy.log_std.detach().numpy()),
+            "bounds": np.stack([space.low, space.high]),
+        }
     return Policy(
         run.activation,
         _layers(nets.policy_net, policy.action_net),
         _layers(nets.value_net, policy.value_net),
-        deviation=np.exp(policy.log_std.detach().numpy()) if hasattr(policy, "log_std") else None,
+        **numbers,
     )
 
 

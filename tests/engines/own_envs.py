@@ -19,6 +19,9 @@ class Corridor(gymnasium.Env[Any, Any]):
             self.action_space = spaces.MultiDiscrete([2, 2])
         if kind == "unbounded":
             self.action_space = spaces.Box(-np.inf, np.inf, (1,))
+        if kind == "numbers":
+            low, high = np.array([[[0, 10], [0, 0]], [[1, 12], [1, 1]]], np.float64)
+            self.action_space = spaces.Box(low, high, dtype=np.float64)
         self.observation_space: Any = spaces.Box(-1, 5, (2,), np.float64)
         if kind == "dict":
             self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
@@ -43,6 +46,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         if self.taken == self.raises:
             raise ZeroDivisionError("by the corridor")
         assert self.action_space.contains(action)
+        if self.kind == "numbers":
+            return self._seen(), float(action.sum()), False, self.taken % 10 == 0, {}
         self.cell = max(self.cell + (1 if action == self.first + 1 else -1), 0)
         paid = float("nan") if self.taken == self.nan else -0.1 - 0.01 * self.np_random.random()
         there = self.cell == 5

@@ -156,13 +156,28 @@ def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
 def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
     layers = ((np.zeros((3, 2), np.float32), np.array([1, -1], np.float32)),)
     value = ((np.zeros((3, 1), np.float32), np.zeros(1, np.float32)),)
-    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32))
+    wide = np.array([[-99, -99], [99, 99]], np.float32)
+    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32), bounds=wide)
     again = read_sound_policy(policy.to_bytes())
     drawn = again.sample(np.zeros((20_000, 3), np.float32), np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [1, -1], atol=0.05)
     np.testing.assert_allclose(drawn.std(axis=0), [0.5, 2], rtol=0.03)
     entropy = 2 * 0.5 * np.log(2 * np.pi * np.e) + np.log(0.5 * 2)
     assert again.entropy(np.zeros((1, 3), np.float32)) == pytest.approx(entropy)
+
+
+def test_what_a_policy_of_numbers_plays_lies_in_the_action_space() -> None:
+    """Two rows of numbers in two rows of bounds; the mean (1.55, 0.02, 0, 0.5) is clipped by hand."""
+    run = make_run({**SMALL, **CORRIDOR, "env_kwargs": {"kind": "numbers"}, "engine": "sb3"})
+    space = make_env(run).action_space
+    policy = train(run)[0].policy
+    assert policy is not None
+    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], np.array([1.55, 0.02, 0, 0.5], np.float32)))
+    policy = replace(read_sound_policy(policy.to_bytes()), actor=layers)
+    seen = np.zeros((50, 2), np.float32)
+    np.testing.assert_array_equal(policy.best(seen)[7], [[1, 10], [0, 0.5]])
+    assert all(map(space.contains, [*policy.best(seen), *policy.sample(seen, np.random.default_rng(0))]))
+    assert Evaluation(run).evaluate(policy, 0)["argmax_return"] == 10 * 11.5  # the space's sum in ten steps
 
 
 def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path: Any) -> None:
