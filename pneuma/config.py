@@ -100,7 +100,7 @@ def _read_arguments(value: Any) -> str:
         return ""
     from pneuma.schema import plain  # pydantic: not for `--help`
 
-    return json.dumps(plain(table), sort_keys=True, allow_nan=False)
+    return json.dumps(plain(table, whole=False), sort_keys=True, allow_nan=False)
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
