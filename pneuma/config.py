@@ -53,7 +53,17 @@ MAX_SLOTS = 1024
 
 # --- The configuration ---------------------------------------------------------------------------
 
-Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=65536)], ...], Len(1, 8)]
+
+def _read_layers(value: Any) -> tuple[int, ...]:
+    layers = (value,) if type(value) is int else tuple(value)
+    if not 1 <= len(layers) <= 8 or not all(type(size) is int and 1 <= size <= 65536 for size in layers):
+        raise ValueError
+    return layers
+
+
+Layers = Annotated[
+    tuple[int, ...], Reads(_read_layers, "1 to 65536 neurons, or a list of them, for 1 to 8 layers")
+]
 """Neurons of each hidden layer of a network."""
 Fraction = Annotated[float, Interval(ge=0, le=0.999999)]
 """Below 1 by more than the rounding of float32."""

@@ -6,6 +6,7 @@ study, preset and options → Plan of cells (condition × seed → Run and its i
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -16,7 +17,7 @@ from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
-from pneuma.values import read_value
+from pneuma.values import read_value, split_list
 
 Swept = Mapping[str, Sequence[tuple[Any, Any]]]
 """The values of fields to sweep, each as the user wrote it and as it was read."""
@@ -183,7 +184,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
     for key, value in settings.items():
-        values = [read_value(part.strip()) for part in value.split(",")] if isinstance(value, str) else value
+        values = [read_value(part) for part in split_list(value)] if isinstance(value, str) else value
         several = isinstance(values, list | tuple) and len(values) > 1
         try:
             single[key] = read(key, value)
@@ -217,8 +218,9 @@ def _sweep(study: Study, swept: Swept) -> tuple[Study, dict[str, str]]:
 def _with_changes(study: Study, name: str) -> tuple[str | None, dict[str, Any]]:
     """Read the name of a condition with changed fields; None if it is not one."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        pairs = [part.partition("=") for part in name.removeprefix(origin).split(", ")[1:]]
-        if name.startswith(f"{origin}, ") and all(key and value for key, _, value in pairs):
+        parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
+        pairs = [part.partition("=") for part in parts[1:]]
+        if name.startswith(f"{origin}, ") and not parts[0]:
             single, _ = _read_settings(study, {key: read_value(value) for key, _, value in pairs})
             return origin, {**study.conditions[origin], **single}
     return None, {}
