@@ -30,7 +30,14 @@ from pneuma.algorithms import (
     OPTIMIZER_FIELDS,
     TABULAR,
 )
-from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, EnvConfig, read_fields, resolve_world
+from pneuma.env_fields import (
+    ENVIRONMENT_FIELDS,
+    ENVIRONMENTS,
+    MODULE,
+    EnvConfig,
+    read_fields,
+    resolve_world,
+)
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 
@@ -115,13 +122,12 @@ def _read_arguments(value: Any) -> str:
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
     names = tuple(value.split(",") if isinstance(value, str) and value else value)
-    if not all(re.fullmatch(rf"({_MODULE}):\w+", name) for name in names):
+    if not all(re.fullmatch(rf"({MODULE}):\w+", name) for name in names):
         raise ValueError
     return names
 
 
 _ENV_ALLOWED = f"one of {', '.join(OWN_ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
-_MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +135,7 @@ class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
     env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, OWN_ENVIRONMENTS)] = ENVIRONMENTS[0]
-    env_module: Annotated[str, matching(rf"|{_MODULE}", "a module that registers environments")] = ""
+    env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = ""
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
     """Keyword arguments of the environment, as JSON."""

@@ -17,9 +17,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from importlib import import_module
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -30,7 +28,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
-from pneuma.env.own_modules import importing_from, in_package
+from pneuma.env.own_modules import load_module
 from pneuma.errors import UserError
 
 BEST_EPISODES = 5
@@ -255,18 +253,8 @@ def _register_installed(namespace: str) -> None:
 
 
 def _load(name: str) -> Any:
-    """Import a module by its name or the path of its file.
-
-    Its classes are found by its name (by Gymnasium's `entry_point`), so that one process can load only one
-    module of a name.
-    """
-    path = Path(name).resolve() if name.endswith(".py") else None
-    folder, full_name = in_package(path) if path else (Path.cwd(), name)
-    with blamed(f"module {name} cannot be imported"), importing_from(folder):
-        module = import_module(full_name)
-        if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
-            raise ImportError(f"there is another module {full_name}: give the file another name")
-        return module
+    with blamed(f"module {name} cannot be imported"):
+        return load_module(name)
 
 
 # --- Evaluation ------------------------------------------------------------------------------------

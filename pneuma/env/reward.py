@@ -23,16 +23,14 @@ the events of a step in which nothing happened. `events["distance"]` is infinite
 
 from __future__ import annotations
 
-import importlib
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.own_modules import importing_from
+from pneuma.env.own_modules import load_module
 from pneuma.errors import UserError
 
 REWARD_CODES = {
@@ -50,15 +48,14 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
 def load_reward(name: str) -> RewardFunction:
-    """Import a user's reward, also from the current folder.
+    """Import a user's reward.
 
     Raises:
         UserError: when the module or the function does not exist.
     """
     module_name, _, function_name = name.partition(":")
     try:
-        with importing_from(Path.cwd()):
-            module = importlib.import_module(module_name)
+        module = load_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     function = getattr(module, function_name, None)

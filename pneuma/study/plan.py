@@ -16,7 +16,7 @@ from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
 from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.identity import run_id
-from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, files_beside, unread_fields
 from pneuma.values import read_value, split_list
 
 Swept = Mapping[str, Sequence[tuple[Any, Any]]]
@@ -173,13 +173,13 @@ def round_up(run: Run, steps: int) -> int:
 def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
     """Split settings into fields with one value and fields with several values to sweep.
 
-    Modules are looked for beside the study's file, as those in it are. Where there is one player, several
+    A user's files are looked for beside the study's, as those in it are. Where there is one player, several
     classes, weapons or rewards are swept.
     """
 
     def read(key: str, value: Any) -> Any:
         field = {key: read_field(Run, key, value)}
-        return (modules_beside(study.path, field) if study.path else field)[key]
+        return (files_beside(study.path, field) if study.path else field)[key]
 
     players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
