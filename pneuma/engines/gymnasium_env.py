@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from importlib.metadata import entry_points
@@ -29,7 +30,7 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.env.own_modules import load_module
-from pneuma.errors import UserError
+from pneuma.errors import RunWarning, UserError
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
@@ -40,7 +41,8 @@ NAN = float("nan")
 
 def check_spaces(run: Run) -> None:
     """Make an environment and refuse spaces in which the run cannot be trained."""
-    space = Slots(run, [0]).action_space
+    with warnings.catch_warnings(action="ignore", category=RunWarning):  # told by the run itself
+        space = Slots(run, [0]).action_space
     if isinstance(space, spaces.Box):
         if not space.is_bounded():
             raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
@@ -70,8 +72,11 @@ class Slots:
         space = self.envs[0].observation_space
         self.action_space = _action_space(run, self.envs[0].action_space)
         self._flatten = _flattening(run, space)
-        features = spaces.flatten_space(space).shape[0]  # type: ignore[index]
-        self.observations = np.zeros((len(seeds), features), np.float32)
+        flat = spaces.flatten_space(space)
+        assert isinstance(flat, spaces.Box)
+        self._bounds: tuple[np.ndarray, np.ndarray] | None = flat.low, flat.high
+        self._declared = space.dtype if isinstance(space, spaces.Box) else None
+        self.observations = np.zeros((len(seeds), *flat.shape), np.float32)
         self.terminal = np.zeros_like(self.observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
@@ -136,6 +141,19 @@ class Slots:
         room[:] = seen
         if not math.isfinite(room.sum()):
             raise ValueError("its observation is not finite")
+        if self._bounds and (unlike := self._unlike_its_space(seen, *self._bounds)):
+            self._bounds = None  # once is enough
+            text = f"{self.run.env}: an observation is not of its declared space: {unlike}"
+            warnings.warn(text, RunWarning, stacklevel=2)
+
+    def _unlike_its_space(self, seen: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
+        if self._declared and not np.can_cast(seen.dtype, self._declared):
+            return f"{seen.dtype} in place of {self._declared}"
+        outside = (seen < low) | (seen > high)
+        if not outside.any():
+            return ""
+        place = int(outside.argmax())
+        return f"number {place} is {seen[place]:g}, and not from {low[place]:g} to {high[place]:g}"
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.observations[slot]

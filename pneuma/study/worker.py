@@ -18,8 +18,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -27,7 +28,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
-from pneuma.errors import UserError
+from pneuma.errors import RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import HERE, Supervision
@@ -178,7 +179,8 @@ def _train_once(
         return not stopping
 
     try:
-        result = train_run(run, update, start)
+        with _warnings(lambda text: reporter.send("note", name, text=text)) as warned:
+            result = train_run(run, update, start)
     finally:
         if log:
             with suppress(OSError):
@@ -186,6 +188,7 @@ def _train_once(
     status = Status(result.status, result.step)
     if status.name != "stopped":
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
+        about |= {"warning": warned[0]} if warned else {}
         files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
         files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
         if result.policy is not None:
@@ -195,6 +198,25 @@ def _train_once(
         job.store.save_run(name, status, files, identity)
         checkpoints.finish()
     reporter.end(name, status)
+
+
+@contextmanager
+def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
+    """Collect and say what training warns of first: evaluations warn of the same again."""
+    told: list[str] = []
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def collect(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if not issubclass(category, RunWarning):
+                return show(message, category, *where)
+            if not told:
+                told.append(str(message))
+                say(told[0])
+
+        warnings.showwarning = collect
+        warnings.simplefilter("always", RunWarning)
+        yield told
 
 
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:

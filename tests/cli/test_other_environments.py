@@ -53,6 +53,42 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     assert "2 done" in printed(*fork, "--trust")
 
 
+ODD = """
+title = "Odd"
+base = "table-6-2"
+[run]
+env = "Corridor-v0"
+env_module = "tests.engines.own_envs"
+horizon = 64
+minibatch = 32
+[conditions.low]
+env_kwargs = { kind = "low" }
+[conditions.double]
+env_kwargs = { kind = "double" }
+[conditions.sound]
+[presets.quick]
+seeds = 1
+steps = 256
+"""
+
+
+def test_an_observation_that_is_not_of_its_space_is_told_once_a_run_and_stored(tmp_path: Path) -> None:
+    mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
+    mine.write_text(ODD)
+    code, _, err = call("study", "run", mine, *at, "--quiet")
+    what = "Corridor-v0: an observation is not of its declared space:"
+    told = {
+        "low": f"{what} number 0 is 4, and not from -1 to 3",
+        "double": f"{what} float64 in place of float32",
+    }
+    said = [line for line in err.splitlines() if "declared space" in line]
+    assert code == 0 and sorted(said) == sorted(f"{name} seed 0: {text}" for name, text in told.items())
+    stored = set()
+    for run in described("run", "list", *at, "--json")["runs"]:
+        stored.add(described("run", "show", run["run_id"], *at, "--json")["provenance"].get("warning"))
+    assert stored == {*told.values(), None}
+
+
 BROKEN = """
 [conditions.unknown]
 env = "Cartpole-v1"

@@ -25,6 +25,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         self.observation_space: Any = spaces.Box(-1, 5, (2,), np.float64)
         if kind == "dict":
             self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
+        if kind in ("low", "double"):
+            self.observation_space = spaces.Box(-1, 3, (2,), np.float64 if kind == "low" else np.float32)
         if kind == "text":
             self.observation_space = spaces.Sequence(spaces.Discrete(2))
         self.taken = 0
