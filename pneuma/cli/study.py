@@ -11,7 +11,7 @@ import typer
 from pneuma.cli import complete, study_files, study_results, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
 from pneuma.values import shown_value
@@ -110,7 +110,7 @@ def show(
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
     amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
     rows = [
-        (f"  {preset}", condition, f"{len(amount.seeds)} seeds x {amount.steps:,} steps")
+        (f"  {preset}", condition, f"{counted(len(amount.seeds), 'seed')} x {amount.steps:,} steps")
         for preset, of_conditions in amounts
         for condition, amount in of_conditions.items()
     ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from pneuma.cli.options import Chosen
 from pneuma.cli.output import say
 from pneuma.errors import UserError
+from pneuma.study.spec import list_studies
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -50,3 +51,9 @@ def each_study(names: Iterable[Name], read: Callable[[Name], Read]) -> list[Read
     for unread in errors:
         say(f"Note: {unread}.", aside=True)
     return found
+
+
+def is_study(store: Store, name: str) -> bool:
+    from pneuma.analysis.run_index import RunIndex
+
+    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())

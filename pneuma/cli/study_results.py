@@ -19,13 +19,11 @@ from pneuma.cli.output import (
     say,
     tell_written,
 )
-from pneuma.cli.study_records import open_data
+from pneuma.cli.study_records import is_study, open_data
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
-from pneuma.study.spec import list_studies
-from pneuma.study.store import Store
 from pneuma.values import shown_level, shown_value
 
 if TYPE_CHECKING:
@@ -114,7 +112,9 @@ def summary(
     rows = []
     for condition in data.conditions:
         shown = (cells.get((condition, *pair), "–") for pair in pairs)
-        rows.append((condition, len(data.of_condition(condition)), *shown))
+        runs = data.of_condition(condition)
+        left = sum(not run.ends_before(common_step(data)) for run in runs)
+        rows.append((condition, len(runs) if left == len(runs) else f"{left} of {len(runs)}", *shown))
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
     lacking = " –: no run has it." * any("–" in row for row in rows)
     return print(
@@ -165,7 +165,7 @@ def compare(
             raise UserError(
                 f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
             )
-        if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
+        if (hint := nearest_name(a, data.conditions)) and not is_study(picked.store, a):
             raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
         other = open_data(replace(picked, selection=replace(selected, conditions=(), settings=None)), a)
         heads = [data.study, other.study]
@@ -209,8 +209,8 @@ def compare(
             (condition, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
         )
     print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
-    print("\nMeans, and their difference with a 95 % interval (Welch). P(better): the probability that a run")
-    print("of the first is better than one of the second. no value: runs without one, which are left out.")
+    print("\nMeans and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the")
+    print("probability that a run of the first is better than one of the second. no value: runs left out.")
     _tell_episodes(data, [row["outcome"] for _, row in compared])
     return tell_written(files)
 
@@ -222,12 +222,6 @@ def _tell_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> None:
         if engines[0] != engines[1]:
             return say(f"Note: trained by different engines ({' and '.join(engines)}).")
     return None
-
-
-def _is_study(store: Store, name: str) -> bool:
-    from pneuma.analysis.run_index import RunIndex
-
-    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())
 
 
 # --- collapse -------------------------------------------------------------------------------------
@@ -328,7 +322,8 @@ def effects(
     from pneuma.analysis.intervals import decimals, shown
 
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{data.full_title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
+    runs = f"{counted(found.runs, 'run')} in {counted(found.cells, 'cell')}{without}"
+    say(f"{data.full_title}: {_with_unit(found.outcome)}, {runs}")
     print()
     rows = []
     for row in found.table.to_dict("records"):

@@ -30,12 +30,14 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.env.own_modules import load_module
-from pneuma.errors import RunWarning, UserError
+from pneuma.errors import RunWarning, UserError, install_extra
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
 LONGEST_EPISODE = 50_000
 """Most steps of an episode of an evaluation, which must end some time."""
+EXTRAS = {"MinAtar": "minatar"}
+"""By the namespace of ids: the extra that installs its environments."""
 NAN = float("nan")
 
 
@@ -236,11 +238,13 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     if run.env_module:
         _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
-    mend = "; else install its package, or name the module that registers it as env_module"
+    namespace = run.env.partition("/")[0]
+    package = install_extra(EXTRAS[namespace]) if namespace in EXTRAS else "install its package"
+    mend = f"; {package}, or name the module that registers it as env_module"
     try:
         with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # stdout is for a document
             if run.env not in gymnasium.registry:
-                _register_installed(run.env.partition("/")[0])
+                _register_installed(namespace)
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
         raise UserError(f"{error}{mend if run.env not in gymnasium.registry else ''}") from None

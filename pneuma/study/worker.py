@@ -34,6 +34,7 @@ from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import HERE, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
+from pneuma.study.locks import remove_lock
 from pneuma.study.measure import cells_of_files
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.rows import encode_row
@@ -125,6 +126,7 @@ def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run
         if not free:
             reporter.send("busy", name)
         elif (status := job.store.status(name)).finished:
+            remove_lock(job.store.run_folder(name))
             reporter.end(name, status, trained=False)
         else:
             mine[name] = run
