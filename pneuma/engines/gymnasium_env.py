@@ -30,7 +30,7 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.env.own_modules import load_module
-from pneuma.errors import RunWarning, UserError, install_extra
+from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
@@ -42,9 +42,10 @@ NAN = float("nan")
 
 
 def check_spaces(run: Run) -> None:
-    """Make an environment and refuse spaces in which the run cannot be trained."""
+    """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
     with warnings.catch_warnings(action="ignore", category=RunWarning):  # told by the run itself
-        space = Slots(run, [0]).action_space
+        slots = Slots(run, [0])
+    space = slots.action_space
     if isinstance(space, spaces.Box):
         if not space.is_bounded():
             raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
@@ -52,6 +53,8 @@ def check_spaces(run: Run) -> None:
             raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
         if run.engine != "sb3":
             raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
+    with warnings.catch_warnings(action="ignore", category=RunWarning):
+        slots.step(np.array([slots.any_action()]))
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -126,6 +129,11 @@ class Slots:
             return [first + action for action in actions.tolist()] if first else actions.tolist()
         space = self.action_space
         return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+
+    def any_action(self) -> Any:
+        """Draw an action from the space's own generator; discrete ones count from 0."""
+        first = self.action_space.start if isinstance(self.action_space, spaces.Discrete) else 0
+        return self.action_space.sample() - first
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
@@ -257,14 +265,14 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
 
 @contextmanager
 def blamed(what: str) -> Iterator[None]:
-    """Turn any exception of a user's own code into a one-line error that names its source."""
+    """Turn any exception of a user's own code into a one-line error that names its source, and its cause."""
     try:
         yield
     except UserError:
         raise
     except (Exception, SystemExit) as error:
         said = ": ".join([type(error).__name__, *str(error).strip().splitlines()[:1]])
-        raise UserError(f"{what}: {said}") from None
+        raise OwnCodeError(f"{what}: {said}") from error
 
 
 def _register_installed(namespace: str) -> None:
@@ -293,10 +301,8 @@ class Evaluation:
         count = run.evaluation_episodes + BEST_EPISODES
         self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
         slots = Slots(run, self._seeds)
-        space = slots.action_space
-        space.seed(stream_seed(run.stream, "random-player") % 2**31)
-        first = space.start if isinstance(space, spaces.Discrete) else 0
-        returns, _, _ = _play(slots, lambda rows, _: np.array([space.sample() - first for _ in rows]))
+        slots.action_space.seed(stream_seed(run.stream, "random-player") % 2**31)
+        returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
         self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.own_modules import load_module
-from pneuma.errors import UserError
+from pneuma.errors import OwnCodeError, UserError
 
 REWARD_CODES = {
     "thesis": rules.REWARD_THESIS,
@@ -83,7 +83,7 @@ def custom_rewards(
         said = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
         frames = traceback.extract_tb(error.__traceback__)[1:2]  # the function's own, unless it is compiled
         where = [f"{frame.filename}, line {frame.lineno}: " for frame in frames]
-        raise UserError(f"reward {name!r}: {''.join(where)}{said}") from error
+        raise OwnCodeError(f"reward {name!r}: {''.join(where)}{said}") from error
     if rewards.shape != events.shape:
         raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
     rewards = np.where(present(events), rewards, 0.0)

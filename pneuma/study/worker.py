@@ -28,7 +28,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
-from pneuma.errors import RunWarning, UserError
+from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import HERE, Supervision
@@ -224,12 +224,13 @@ def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
     """Report a run's crash, and store it if the run is not tried again."""
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-    if job.last_try:
+    final = job.last_try or isinstance(error, OwnCodeError)
+    if final:
         try:
             job.store.save_failure(name, run, "crashed", traceback.format_exc())
         except UserError as unwritten:
             reason = str(unwritten)
-    reporter.end(name, Status("crashed"), reason=reason)
+    reporter.end(name, Status("crashed"), reason=reason, final=final)
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

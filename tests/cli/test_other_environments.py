@@ -40,6 +40,8 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     mine.write_text(STUDY)
     code, out, err = call("study", "run", mine, *at)
     assert code != 0 and "ZeroDivisionError: by the corridor" in out + err
+    (trace,) = (tmp_path / "results").glob("runs/*/error.txt")
+    assert f'{tmp_path / "corridors.py"}", line' in trace.read_text() and "raise Zero" in trace.read_text()
     table = described("study", "summary", mine, *at, "--json")["summary"]
     told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert told["evaluated-return"] == told["final-success"] == 1
@@ -97,6 +99,8 @@ env = "CartPole-v1"
 env_module = "raising.py"
 [conditions.spaces]
 env_kwargs = { kind = "pairs" }
+[conditions.step]
+env_kwargs = { raises = 1 }
 """
 
 
@@ -106,6 +110,7 @@ env_kwargs = { kind = "pairs" }
         ("unknown", "Environment `Cartpole` doesn't exist"),
         ("raises", "raising.py cannot be imported: OSError: no such display"),
         ("spaces", "actions in MultiDiscrete([2 2]) cannot be learned: wrap it"),
+        ("step", "Corridor-v0 in step 1 of episode 0: ZeroDivisionError: by the corridor"),
     ],
 )
 def test_what_cannot_be_made_is_refused_with_its_reason(condition: str, why: str, tmp_path: Path) -> None:
