@@ -17,7 +17,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -36,8 +36,8 @@ BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
 LONGEST_EPISODE = 50_000
 """Most steps of an episode of an evaluation, which must end some time."""
-EXTRAS = {"MinAtar": "minatar"}
-"""By the namespace of ids: the extra that installs its environments."""
+EXTRAS = ("minatar", "minigrid")
+"""Extras that install environments, whose ids begin with their names."""
 NAN = float("nan")
 
 
@@ -231,36 +231,56 @@ def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | space
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    if not space.is_np_flattenable:
-        raise UserError(f"{run.env}: observations in {space} cannot be flattened: wrap it to have Box ones")
+    if part := _not_flat(space):
+        mend = "name a wrapper that leaves that out"
+        raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {mend}")
     if isinstance(space, spaces.Box):
         shape = space.shape
         return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
     return lambda seen: spaces.flatten(space, seen)
 
 
+def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
+    """Return what of a space is no array of one size, such as text; empty if all can be flattened."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        return next(filter(None, (_not_flat(part, f" ({key})") for key, part in parts)), "")
+    if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
+        return f"text{name}"
+    with suppress(NotImplementedError):  # of a space of another package
+        if space.is_np_flattenable:
+            return ""
+    return f"{type(space).__name__}{name}"
+
+
 # --- Making one ------------------------------------------------------------------------------------
 
 
 def make_env(run: Run) -> gymnasium.Env[Any, Any]:
-    if run.env_module:
-        _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
-    namespace = run.env.partition("/")[0]
-    package = install_extra(EXTRAS[namespace]) if namespace in EXTRAS else "install its package"
-    mend = f"; {package}, or name the module that registers it as env_module"
     try:
+        if run.env_module:
+            _load(run.env_module)
         with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # stdout is for a document
             if run.env not in gymnasium.registry:
-                _register_installed(namespace)
+                _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
-        raise UserError(f"{error}{mend if run.env not in gymnasium.registry else ''}") from None
+        raise UserError(f"{error}{_how_to_register(run)}") from None
     for name in run.wrappers:
         module, _, kind = name.rpartition(":")
         with blamed(f"wrappers = {name}"):
             env = getattr(_load(module), kind)(env)
     return env
+
+
+def _how_to_register(run: Run) -> str:
+    """Return what is to be done for an environment that is not registered; empty if it is."""
+    if run.env in gymnasium.registry:
+        return ""
+    extra = next((name for name in EXTRAS if run.env.lower().startswith(name)), None)
+    package = install_extra(extra) if extra else "install its package"
+    return f"; {package}, or name the module that registers it as env_module"
 
 
 @contextmanager

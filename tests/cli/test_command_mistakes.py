@@ -41,7 +41,7 @@ MISTAKES = {
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
     f"{RUN} --executor slurm": "--executor slurm",  # before it says that it trains
-    "study run breakout": "pip install '.[minatar]' in Pneuma's folder",
+    "study plan breakout": "pip install '.[minatar]' in Pneuma's folder",
 }
 
 

@@ -27,8 +27,12 @@ class Corridor(gymnasium.Env[Any, Any]):
             self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
         if kind in ("low", "double"):
             self.observation_space = spaces.Box(-1, 3, (2,), np.float64 if kind == "low" else np.float32)
-        if kind == "text":
+        if kind == "sequence":
             self.observation_space = spaces.Sequence(spaces.Discrete(2))
+        if kind == "text":
+            self.observation_space = spaces.Dict({"a": self.observation_space, "mission": spaces.Text(9)})
+        if kind == "strange":  # of another package, as MiniGrid's missions are
+            self.observation_space = spaces.Tuple([spaces.Space((), str)])
         self.taken = 0
 
     def _seen(self) -> Any:
