@@ -91,6 +91,21 @@ def test_an_observation_that_is_not_of_its_space_is_told_once_a_run_and_stored(t
     assert stored == {*told.values(), None}
 
 
+def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp_path: Path) -> None:
+    mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
+    mine.write_text(ODD.replace('"double"', '"numbers"'))
+    picked = ("--condition", "double", "--condition", "sound")
+    told = call("study", "run", mine, *at, "--quiet", *picked, "--steps", 64)
+    assert told.code == 0
+    (note,) = (line for line in call("study", "plan", mine, *at).out.splitlines() if "trained by" in line)
+    assert note.startswith("Note: double: trained by sb3, because the engine batched cannot train")
+    runs = described("run", "list", *at, "--json")["runs"]
+    engines = {described("run", "show", run["run_id"], *at, "--json")["settings"]["engine"] for run in runs}
+    assert engines == {"sb3", "batched"}
+    table = described("study", "summary", mine, *at, "--json", *picked)["summary"]
+    assert {row["condition"]: row["runs"] for row in table} == {"double": 1, "sound": 1}
+
+
 BROKEN = """
 [conditions.unknown]
 env = "Cartpole-v1"
