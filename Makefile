@@ -7,7 +7,7 @@ INSTALLED := .venv/.installed
 PIP = $(BIN)/pip install --quiet --disable-pip-version-check
 
 .PHONY: help install constraints study figures docs test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow
+.PHONY: reproduction reproduction-rest reproduction-causes reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
 help:            ## Say what each target does
@@ -56,8 +56,8 @@ reproduction-slow: install  ## Train chapter 6's mid and big networks
 reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
 	$(REPRODUCE) other-chapters $(DO) $(ARGS)
 
-reproduction-collapse: install  ## Train the studies of collapse, and robustness
-	$(REPRODUCE) collapse $(DO) $(ARGS)
+reproduction-causes: install  ## Train the studies of collapse and other causes
+	$(REPRODUCE) causes $(DO) $(ARGS)
 
 RIVALS_optimizers = adam l2 upgd sgd momentum rmsprop
 RIVALS_algorithms = ppo trpo a2c dqn double-dqn

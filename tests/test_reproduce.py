@@ -51,7 +51,7 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     assert " ".join(one) == "study publish architecture --world arena --results mine"
     (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
     assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
-    assert [each[4] for each in commands("collapse", "status", ["collapse"], ["text"])] == ["text"]
+    assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
 def test_makefile_names_every_part() -> None:
