@@ -89,6 +89,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
 
 
 def _action_space(policy: Policy) -> spaces.Space[Any]:
+    if policy.choices is not None:
+        return spaces.MultiDiscrete(policy.choices.reshape(-1))
     if policy.bounds is None:
         return spaces.Discrete(policy.actions)
     low, high = policy.bounds
@@ -109,7 +111,7 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
             raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
         env = make_env(run)
         env.close()
-        if getattr(env.action_space, "start", 0):
+        if np.any(getattr(env.action_space, "start", 0)):
             raise UserError(f".zip counts actions from 0; those of {run.env} begin later: choose .onnx")
         seen = env.observation_space
         if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
@@ -163,6 +165,8 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     known = action_names(magic=actions >= 7, dash=actions % 2 == 0)  # a world of Pneuma's has 5 to 8
     known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else known
     named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known)}
+    if policy.choices is not None:  # whose logits stand one after another
+        named = {"choices": json.dumps(policy.choices.tolist())}
     helper.set_model_props(model, {**about, **named})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)

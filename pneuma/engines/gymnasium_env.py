@@ -46,13 +46,14 @@ def check_spaces(run: Run) -> None:
     with warnings.catch_warnings(action="ignore", category=RunWarning):  # told by the run itself
         slots = Slots(run, [0])
     space = slots.action_space
-    if isinstance(space, spaces.Box):
-        if not space.is_bounded():
-            raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+    if isinstance(space, spaces.Box) and not space.is_bounded():
+        raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+    if not isinstance(space, spaces.Discrete):
+        what = "its actions are numbers" if isinstance(space, spaces.Box) else "an action is several choices"
         if run.algorithm in VALUE_BASED:
-            raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
+            raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
         if run.engine != "sb3":
-            raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
+            raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
     with warnings.catch_warnings(action="ignore", category=RunWarning):
         slots.step(np.array([slots.any_action()]))
 
@@ -95,7 +96,8 @@ class Slots:
         self.finished: list[dict[str, Any]] = []
         discrete = isinstance(self.action_space, spaces.Discrete)
         few = discrete and self.action_space.n <= 256  # type: ignore[union-attr]
-        self._kind = np.dtype(np.uint8 if few else np.int64 if discrete else np.float32)
+        numbers = isinstance(self.action_space, spaces.Box)
+        self._kind = np.dtype(np.uint8 if few else np.float32 if numbers else np.int64)
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
@@ -135,12 +137,12 @@ class Slots:
             first = int(self.action_space.start)
             return [first + action for action in actions.tolist()] if first else actions.tolist()
         space = self.action_space
-        return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+        made = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+        return [each + space.start for each in made] if isinstance(space, spaces.MultiDiscrete) else made
 
     def any_action(self) -> Any:
         """Draw an action from the space's own generator; discrete ones count from 0."""
-        first = self.action_space.start if isinstance(self.action_space, spaces.Discrete) else 0
-        return self.action_space.sample() - first
+        return self.action_space.sample() - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
@@ -229,12 +231,22 @@ class Slots:
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 
 
-def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | spaces.Box:
-    if isinstance(space, spaces.Discrete):
+def choices_of(space: spaces.Space[Any]) -> np.ndarray:
+    """Return among how many each of an action's choices is."""
+    if isinstance(space, spaces.MultiDiscrete):
+        return np.asarray(space.nvec, np.int64)
+    return np.full(space.shape or (), 2)
+
+
+def _action_space(
+    run: Run, space: spaces.Space[Any]
+) -> spaces.Discrete | spaces.Box | spaces.MultiDiscrete | spaces.MultiBinary:
+    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
         return space
     if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
         return space
-    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have Discrete or Box ones")
+    kinds = "Discrete, MultiDiscrete, MultiBinary or Box"
+    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {kinds} ones")
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:

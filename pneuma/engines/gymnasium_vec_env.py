@@ -11,12 +11,12 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.gymnasium_env import Slots, choices_of
 from pneuma.env.sb3 import WholeVecEnv
 
 
 class GymnasiumVecEnv(WholeVecEnv):
-    """A run's slots, with flat observations and with actions from 0 on or as arrays."""
+    """A run's slots, with flat observations and actions; choices count from 0."""
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
@@ -26,6 +26,8 @@ class GymnasiumVecEnv(WholeVecEnv):
         action_space: spaces.Space[Any] = (
             spaces.Discrete(int(space.n))
             if isinstance(space, spaces.Discrete)
+            else spaces.MultiDiscrete(choices_of(space).reshape(-1))
+            if not isinstance(space, spaces.Box)
             else spaces.Box(*(bound.astype(np.float32).reshape(-1) for bound in (space.low, space.high)))
         )
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)

@@ -113,7 +113,7 @@ env = "Cartpole-v1"
 env = "CartPole-v1"
 env_module = "raising.py"
 [conditions.spaces]
-env_kwargs = { kind = "pairs" }
+env_kwargs = { kind = "tuple" }
 [conditions.step]
 env_kwargs = { raises = 1 }
 """
@@ -124,7 +124,7 @@ env_kwargs = { raises = 1 }
     [
         ("unknown", "Environment `Cartpole` doesn't exist"),
         ("raises", "raising.py cannot be imported: OSError: no such display"),
-        ("spaces", "actions in MultiDiscrete([2 2]) cannot be learned: wrap it"),
+        ("spaces", "actions in Tuple(Discrete(2)) cannot be learned: wrap it"),
         ("step", "Corridor-v0 in step 1 of episode 0: ZeroDivisionError: by the corridor"),
     ],
 )

@@ -15,8 +15,12 @@ class Corridor(gymnasium.Env[Any, Any]):
     def __init__(self, raises: int = 0, nan: int = 0, first: int = 0, kind: str = "box") -> None:
         self.raises, self.nan, self.first, self.kind = raises, nan, first, kind
         self.action_space: Any = spaces.Discrete(2, start=first)
-        if kind == "pairs":
-            self.action_space = spaces.MultiDiscrete([2, 2])
+        if kind == "pairs":  # the first of four decides, as where there is one
+            self.action_space = spaces.MultiDiscrete([[2, 3], [2, 2]], start=[[first, 0], [5, 1]])
+        if kind == "bits":
+            self.action_space = spaces.MultiBinary(3)
+        if kind == "tuple":
+            self.action_space = spaces.Tuple([spaces.Discrete(2)])
         if kind == "unbounded":
             self.action_space = spaces.Box(-np.inf, np.inf, (1,))
         if kind == "numbers":
@@ -52,6 +56,7 @@ class Corridor(gymnasium.Env[Any, Any]):
         if self.taken == self.raises:
             raise ZeroDivisionError("by the corridor")
         assert self.action_space.contains(action)
+        action = action.flat[0] if self.kind in ("pairs", "bits") else action
         if self.kind == "numbers":
             return self._seen(), float(action.sum()), False, self.taken % 10 == 0, {}
         self.cell = max(self.cell + (1 if action == self.first + 1 else -1), 0)

@@ -123,6 +123,20 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
 # --- ONNX ------------------------------------------------------------------------------------------
 
 
+def test_both_files_choose_several_as_the_policy_does() -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
+    policy = replace(random_policy(run, 11, 7), choices=np.array([[2, 3, 2]]))
+    observations = random_observations(50, 11)
+    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
+    logits = session.run(["logits"], {"observation": observations})[0]
+    np.testing.assert_allclose(logits, policy.logits(observations), rtol=1e-5, atol=1e-5)
+    assert session.get_modelmeta().custom_metadata_map["choices"] == "[[2, 3, 2]]"
+    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    chosen, _ = model.predict(observations, deterministic=True)
+    np.testing.assert_array_equal(chosen, policy.best(observations)[:, 0])
+
+
 def test_both_files_clip_numbers_as_the_policy_does() -> None:
     runtime = pytest.importorskip("onnxruntime")
     run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
