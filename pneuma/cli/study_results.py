@@ -112,9 +112,11 @@ def summary(
     rows = []
     for condition in data.conditions:
         shown = (cells.get((condition, *pair), "–") for pair in pairs)
-        runs = data.of_condition(condition)
-        left = sum(not run.ends_before(common_step(data)) for run in runs)
-        rows.append((condition, len(runs) if left == len(runs) else f"{left} of {len(runs)}", *shown))
+        finished = data.of_condition(condition)
+        left = sum(not run.ends_before(common_step(data)) for run in finished)
+        rows.append(
+            (condition, len(finished) if left == len(finished) else f"{left} of {len(finished)}", *shown)
+        )
     print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
     lacking = " –: no run has it." * any("–" in row for row in rows)
     return print(

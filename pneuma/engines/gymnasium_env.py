@@ -94,8 +94,7 @@ class Slots:
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.finished: list[dict[str, Any]] = []
-        discrete = isinstance(self.action_space, spaces.Discrete)
-        few = discrete and self.action_space.n <= 256  # type: ignore[union-attr]
+        few = isinstance(self.action_space, spaces.Discrete) and self.action_space.n <= 256
         numbers = isinstance(self.action_space, spaces.Box)
         self._kind = np.dtype(np.uint8 if few else np.float32 if numbers else np.int64)
         self.begin(seeds)

@@ -158,9 +158,9 @@ def read_sound_policy(data: bytes) -> Policy:
     try:
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        named = {name: arrays.get(name) for name in ("deviation", "bounds", "choices")}
+        several = arrays.get("deviation"), arrays.get("bounds"), arrays.get("choices")
         networks = layers("actor"), layers("critic")
-        policy = Policy(about["activation"], *networks, about.get("exploration"), **named)
+        policy = Policy(about["activation"], *networks, about.get("exploration"), *several)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
         sound = False

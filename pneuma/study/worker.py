@@ -216,7 +216,7 @@ def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
                 told.append(str(message))
                 say(told[0])
 
-        warnings.showwarning = collect
+        warnings.showwarning = collect  # type: ignore[assignment]
         warnings.simplefilter("always", RunWarning)
         yield told
 

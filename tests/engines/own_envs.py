@@ -16,7 +16,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         self.raises, self.nan, self.first, self.kind = raises, nan, first, kind
         self.action_space: Any = spaces.Discrete(2, start=first)
         if kind == "pairs":  # the first of four decides, as where there is one
-            self.action_space = spaces.MultiDiscrete([[2, 3], [2, 2]], start=[[first, 0], [5, 1]])
+            many, starts = np.array([[2, 3], [2, 2]]), np.array([[first, 0], [5, 1]])
+            self.action_space = spaces.MultiDiscrete(many, start=starts)
         if kind == "bits":
             self.action_space = spaces.MultiBinary(3)
         if kind == "tuple":
