@@ -36,8 +36,9 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study run activation
 	$(BIN)/pneuma study plot activation
 
-figures: install  ## Draw everything in paper_figures/, the verdicts among it
+figures: install  ## Draw everything in paper_figures/, and write the tables that pages hold
 	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs
+	$(BIN)/python -P -m pneuma.cli.pages README.md docs/*.md
 
 # --- The reproduction ---------------------------------------------------------------------------
 #

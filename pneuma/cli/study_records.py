@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, TypeVar
 from pneuma.cli.options import Chosen
 from pneuma.cli.output import say
 from pneuma.errors import UserError
-from pneuma.study.spec import list_studies
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -53,7 +52,16 @@ def each_study(names: Iterable[Name], read: Callable[[Name], Read]) -> list[Read
     return found
 
 
-def is_study(store: Store, name: str) -> bool:
-    from pneuma.analysis.run_index import RunIndex
+def told_step(data: StudyData) -> str:
+    """Return at which step runs are compared, if their budgets differ; empty otherwise."""
+    from pneuma.analysis.frames import common_step, step_words
 
-    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())
+    step = common_step(data)
+    return f"Budgets differ: all values are those at step {step:,}, {step_words(data)}." if step else ""
+
+
+def with_unit(outcome: str) -> str:
+    from pneuma.analysis.outcomes import find_outcome
+
+    unit = "" if outcome == "diverged" else find_outcome(outcome).unit  # a run's status
+    return f"{outcome} ({unit})" if unit else outcome

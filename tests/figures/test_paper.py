@@ -57,7 +57,7 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     beside_another = [origin for origin in origins.values() if len({one.study for one in origin.runs}) > 1]
     assert len(beside_another) == 1  # in both formats, of one stem
     assert {path.name for path in (folder / "tables").iterdir()} == {"mine.md", "activation-arena.md"}
-    assert "| Judged in |" in (folder / "verdicts.md").read_text()
+    assert "| holds | does not hold |" in (folder / "verdicts.md").read_text()
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
