@@ -25,7 +25,7 @@ class GymnasiumCollector:
         self.slots = Slots(run, slot_seeds(run))
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
-        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]
+        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr, arg-type]
         self._begins = np.ones(run.slots, np.float32)
 
     @property
