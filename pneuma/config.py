@@ -31,7 +31,14 @@ from pneuma.algorithms import (
     TABULAR,
     VALUE_BASED,
 )
-from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, EnvConfig, read_fields, resolve_world
+from pneuma.env_fields import (
+    ENVIRONMENT_FIELDS,
+    ENVIRONMENTS,
+    MODULE,
+    EnvConfig,
+    read_fields,
+    resolve_world,
+)
 from pneuma.errors import UserError
 from pneuma.sb3_names import DEFAULTS
 from pneuma.values import OneOf, Reads, Share, matching
@@ -58,7 +65,17 @@ MAX_SLOTS = 1024
 
 # --- The configuration ---------------------------------------------------------------------------
 
-Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=65536)], ...], Len(1, 8)]
+
+def _read_layers(value: Any) -> tuple[int, ...]:
+    layers = (value,) if type(value) is int else tuple(value)
+    if not 1 <= len(layers) <= 8 or not all(type(size) is int and 1 <= size <= 65536 for size in layers):
+        raise ValueError
+    return layers
+
+
+Layers = Annotated[
+    tuple[int, ...], Reads(_read_layers, "1 to 65536 neurons, or a list of them, for 1 to 8 layers")
+]
 """Neurons of each hidden layer of a network."""
 Fraction = Annotated[float, Interval(ge=0, le=0.999999)]
 """Below 1 by more than the rounding of float32."""
@@ -106,18 +123,17 @@ def _read_arguments(value: Any) -> str:
         return ""
     from pneuma.schema import plain  # pydantic: not for `--help`
 
-    return json.dumps(plain(table), sort_keys=True, allow_nan=False)
+    return json.dumps(plain(table, whole=False), sort_keys=True, allow_nan=False)
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
     names = tuple(value.split(",") if isinstance(value, str) and value else value)
-    if not all(re.fullmatch(rf"({_MODULE}):\w+", name) for name in names):
+    if not all(re.fullmatch(rf"({MODULE}):\w+", name) for name in names):
         raise ValueError
     return names
 
 
 _ENV_ALLOWED = f"one of {', '.join(OWN_ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
-_MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +141,7 @@ class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
     env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, OWN_ENVIRONMENTS)] = ENVIRONMENTS[0]
-    env_module: Annotated[str, matching(rf"|{_MODULE}", "a module that registers environments")] = ""
+    env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = ""
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
     """Keyword arguments of the environment, as JSON."""

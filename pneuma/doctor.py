@@ -32,6 +32,7 @@ EXTRAS = {
     "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
     "minatar": ("minatar", "the MinAtar games"),
+    "minigrid": ("minigrid", "MiniGrid's worlds"),
 }
 """By module: the extra that installs it, and its use."""
 TRIAL = (

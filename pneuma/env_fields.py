@@ -30,7 +30,9 @@ PERCEIVE = "all, nearest:K for the K nearest, kind:NAME,… for monsters of some
 
 
 _PERCEIVE = r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*|rays:([1-9]|[1-5]\d|6[0-4])"
-_REWARD = rf"{'|'.join(REWARDS)}|[\w.]+:\w+"
+MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
+"""The form of a module: the path of its file, or its name."""
+_REWARD = rf"{'|'.join(REWARDS)}|({MODULE}):\w+"
 _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
 
 

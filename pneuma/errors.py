@@ -29,6 +29,14 @@ class UserError(Exception):
     """A mistake in a command or a file; the message says in one line what to change."""
 
 
+class OwnCodeError(UserError):
+    """What a user's own code raised; it would again, so that nothing is tried twice."""
+
+
+class RunWarning(UserWarning):
+    """What is odd about a run, which is trained all the same; told once a run, and stored with it."""
+
+
 def install_extra(name: str) -> str:
     """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
     return f"pip install '.[{name}]' in Pneuma's folder"

@@ -88,8 +88,14 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-def plain(value: Any, deepest: int = DEEPEST) -> Any:
-    """Return a value in the types of models: lists as tuples, whole numbers as int, NumPy's as Python's.
+FREE = "env_kwargs"
+"""The table whose numbers keep their types, as they are handed to code that is not Pneuma's."""
+
+
+def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
+    """Return a value in the types of models: lists as tuples, NumPy's as Python's, whole numbers as int.
+
+    The last not if `whole` is false, and never in the table `FREE`.
 
     Raises:
         ValueError: for lists and tables that are nested too deeply.
@@ -97,14 +103,14 @@ def plain(value: Any, deepest: int = DEEPEST) -> Any:
     if not deepest:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
-        return {key: plain(item, deepest - 1) for key, item in value.items()}
+        return {key: plain(item, deepest - 1, whole and key != FREE) for key, item in value.items()}
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return tuple(plain(item, deepest - 1) for item in value)
+        return tuple(plain(item, deepest - 1, whole) for item in value)
     if isinstance(value, PathLike):
         return fspath(value)
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    return int(value) if whole and isinstance(value, float) and value.is_integer() else value
 
 
 # --- Fields of a dataclass -------------------------------------------------------------------------

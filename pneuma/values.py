@@ -6,6 +6,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -143,10 +144,32 @@ def as_tuple(value: Any) -> Any:
 
 
 def read_value(text: str) -> Any:
-    """Read a value as TOML would; brackets of lists and quotes of words may be left out."""
-    for form in (text, f"[{text}]") if "," in text else (text,):
-        try:
-            return tomllib.loads(f"value = {form}")["value"]
-        except (ValueError, RecursionError):
-            continue
-    return text
+    """Read a value as TOML would, also without a list's brackets, a word's quotes, or a 0 before a point."""
+    try:
+        return _read_value(text)
+    except (ValueError, RecursionError):
+        return text
+
+
+def _read_value(text: str) -> Any:
+    with suppress(ValueError, RecursionError):
+        return tomllib.loads(f"value = {text}")["value"]
+    if re.fullmatch(r"[+-]?\.\d+(e[+-]?\d+)?", text, re.IGNORECASE):
+        return float(text)
+    if len(parts := split_list(text)) > 1:
+        return [_read_value(part) for part in parts]
+    if text[:1] + text[-1:] != "[]":
+        raise ValueError
+    return [read_value(part) for part in split_list(text[1:-1])]
+
+
+def split_list(text: str) -> list[str]:
+    """Return the parts of a list without its brackets; a list in it is one part."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]

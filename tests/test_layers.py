@@ -40,6 +40,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study": (),
     # what tries environments before their runs:
     "pneuma.study.execute": ("pneuma.engines.environment",),
+    "pneuma.study.plan": ("pneuma.engines.environment",),
     # what runs in the worker's own process:
     "pneuma.study.worker": (
         "pneuma.engines.loop", "pneuma.engines.policy", "pneuma.engines.records",

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 from pydantic import Field
 
+from pneuma.config import make_run
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, passes, read_model, read_toml
 
@@ -40,6 +42,16 @@ def _read(folder: Path, text: str) -> Outer:
 def test_what_is_right_is_read(tmp_path: Path) -> None:
     read = _read(tmp_path, 'title = "t"\n[inner.a]\nshare = 1\ncount = 1e6\nsizes = [1, 2]\n')
     assert read.inner["a"] == Inner(share=1.0, count=1_000_000, sizes=(1, 2))
+
+
+def test_whole_numbers_are_made_of_floats_but_for_code_of_others(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("steps = 1e6\n[run.env_kwargs]\ng = 2.0\nlarge = 1e25\ndeep = { x = [1.0, 2] }\n")
+    told = repr(read_toml(path).data)
+    kept = "'env_kwargs': {'g': 2.0, 'large': 1e+25, 'deep': {'x': (1.0, 2)}}"
+    assert told == f"{{'steps': 1000000, 'run': {{{kept}}}}}"
+    fields = {"env": "Mine-v0", "env_kwargs": {"g": np.float64(2), "n": np.int64(2)}}
+    assert make_run(fields).env_kwargs == '{"g": 2.0, "n": 2}'
 
 
 @pytest.mark.parametrize(

@@ -83,9 +83,9 @@ def study_effects(data: StudyData, name: str | None = None) -> Effects:
     levels = {factor: [cell[i] for cell in index] for i, factor in enumerate(factors)}
     table = factorial(values, levels, np.random.default_rng(stream_seed("effects", name)))
     if (table["df_error"] < 1).any():
+        there = f"{counted(len(known), 'run')} in {counted(len({*index}), 'cell')}"
         raise UserError(
-            f"study {data.study}: {len(known)} runs in {len({*index})} cells leave nothing to tell an effect "
-            "from chance; run it with more --seeds"
+            f"study {data.study}: {there} leave nothing to tell an effect from chance; run more --seeds"
         )
     table.insert(2, "outcome", name)
     table = table.assign(p_holm=holm(table["p"]), runs=len(known))

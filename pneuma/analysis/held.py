@@ -16,7 +16,7 @@ from pneuma.study.plan import Configurations, configure
 from pneuma.study.spec import list_studies, load_study
 
 
-def _known_studies(world: str | None = None) -> Iterator[Configurations]:
+def _known_studies(index: RunIndex, world: str | None = None) -> Iterator[Configurations]:
     """Yield the shipped studies, and those whose files are in this folder, in each of their worlds.
 
     Files that cannot be read are left out.
@@ -27,7 +27,7 @@ def _known_studies(world: str | None = None) -> Iterator[Configurations]:
             study = load_study(name)
             for each in study.worlds:
                 if world in (None, each):
-                    yield configure(study.in_world(each), {})
+                    yield configure(study.in_world(each), {}, engine=index.engine_of)
         except (UserError, OSError):
             continue
 
@@ -35,7 +35,7 @@ def _known_studies(world: str | None = None) -> Iterator[Configurations]:
 def holders(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
     """Return the studies, worlds and conditions of each run in the results folder, by its id."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for known in _known_studies():
+    for known in _known_studies(index):
         study = known.study
         for condition, run in known.runs.items():
             for entry in index.of_run(run):
@@ -68,7 +68,7 @@ class Held:
 def studies_here(index: RunIndex, world: str | None = None) -> list[Held]:
     """Return the studies of which the results folder itself has runs, in one world or in all."""
     found = []
-    for known in _known_studies(world):
+    for known in _known_studies(index, world):
         of_each = {
             condition: [e for e in index.of_run(run) if e.table is None]
             for condition, run in known.runs.items()

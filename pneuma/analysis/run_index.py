@@ -8,10 +8,12 @@ Of a run that is in several places, the one in the results folder counts if it h
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pneuma.algorithms import ALGORITHM_ENGINES
 from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import read_whole
@@ -90,6 +92,11 @@ class RunIndex:
     def of_run(self, run: Run) -> list[Entry]:
         """Return the entries of a run's configuration, of any seed and budget."""
         return self.by_configuration.get(config_id(run), [])
+
+    def engine_of(self, run: Run) -> str:
+        """Return the engine of a run's configuration, or another by which there are runs of it alone."""
+        engines = dict.fromkeys([run.engine, *ALGORITHM_ENGINES[run.algorithm]])
+        return next((name for name in engines if self.of_run(replace(run, engine=name))), run.engine)
 
     def rows(self, entries: Iterable[Entry]) -> dict[str, Row]:
         """Return the rows of finished runs, by id; those that cannot be read are among `problems`."""

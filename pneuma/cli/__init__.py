@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -67,6 +68,8 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code; a user's mistake is printed as one line."""
     try:
+        if not re.fullmatch(r"[1-9]\d{0,8}", threads := os.environ.get("NUMBA_NUM_THREADS", "1")):
+            raise UserError(f"the variable NUMBA_NUM_THREADS = {threads} is not allowed: a number from 1 on")
         words = None if arguments is None else list(arguments)
         code = app(args=words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:

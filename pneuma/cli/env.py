@@ -12,7 +12,7 @@ import typer
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, print_rows
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 
 app = typer.Typer(help="Look at and play environments.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -103,7 +103,7 @@ def play(
     worlds = _worlds(name, dict(set_ or ()), seed)
     scores = play_world(worlds, name, camera)
     for kills, steps in scores:
-        print(f"killed {kills} monsters in {steps} steps")
+        print(f"killed {counted(kills, 'monster')} in {counted(steps, 'step')}")
 
 
 @app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
@@ -129,7 +129,7 @@ def serve(
     from pneuma.env.godot_serve import serve as serve_trainer
 
     steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
-    print(f"played {steps:,} steps")
+    print(f"played {counted(steps, 'step')}")
 
 
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
@@ -153,7 +153,7 @@ def _story(worlds: Any) -> str:
 
     count = worlds.monsters.shape[1]
     killed = f"{count - worlds.worlds['monsters_left'][0]} of {count} monsters killed"
-    played = f"{killed}, {agent_steps(worlds)} steps"
+    played = f"{killed}, {counted(agent_steps(worlds), 'step')}"
     if worlds.ending(0) == "running":
         return (
             f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"

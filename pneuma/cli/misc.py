@@ -10,6 +10,7 @@ import typer
 from pneuma.cli import options as opt
 from pneuma.cli.output import check_file, command, print_json, print_rows, print_table, say, write_file
 from pneuma.cli.study_records import nothing_yet
+from pneuma.errors import counted
 from pneuma.study.store import Store
 
 logs = typer.Typer(help="Make a study of old logs.", no_args_is_help=True, rich_markup_mode=None)
@@ -106,7 +107,8 @@ def tensorboard(
         return print_json({"study": study, "runs": rows, "notes": notes})
     new, points = sum(run.new for run in runs), sum(len(run.points) for run in runs)
     kept = len(runs) - new
-    say(f"{study}: {len(runs)} runs, {points:,} points; {new} imported now, {kept} were stored.")
+    found = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
+    say(f"{study}: {found}; {new} imported now, {kept} were stored.")
     print("Returns are means of 100 episodes.")
     return say(f"Draw it with: {command('study', 'plot', study, '--results', results)}")
 

@@ -193,6 +193,8 @@ def write_file(out: Path, data: bytes) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, data)
+    except (FileExistsError, NotADirectoryError):
+        raise UserError(f"--out {out}: {out.parent} is not a folder") from None
     except OSError as error:
         raise UserError(f"--out {out}: cannot be written ({error.strerror})") from None
 

@@ -75,8 +75,8 @@ def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) 
     for objective in search.objectives:
         say(f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
     for preset, budget in search.spec.presets.items():
-        seeds = counted(len(budget.seeds), "seed")
-        print(f"  {preset:<9} {budget.trials} trials, {seeds} each, {budget.steps:,} steps a run")
+        trials, seeds = counted(budget.trials, "trial"), counted(len(budget.seeds), "seed")
+        print(f"  {preset:<9} {trials}, {seeds} each, {budget.steps:,} steps a run")
     return None
 
 

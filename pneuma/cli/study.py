@@ -11,7 +11,8 @@ import typer
 from pneuma.cli import complete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.files import create_whole
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
 from pneuma.values import shown_value
@@ -57,6 +58,9 @@ def new(
     text = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", text, flags=re.M)
     text = re.sub(r"^title = .*$", f'title = "{name}"', text, flags=re.M)
     write_file(path, f"# From the study {source}. docs/studies.md says what can be set.\n{text}".encode())
+    for module in re.findall(r'"(\w+):\w+"', text):  # a study's own files are beside it
+        if (source_file := spec.studies_folder() / f"{module}.py").is_file():
+            create_whole(path.with_name(source_file.name), source_file.read_bytes())
     print(f"wrote {path}: edit it, then run: pneuma study run {path}")
 
 
@@ -110,7 +114,7 @@ def show(
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
     amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
     rows = [
-        (f"  {preset}", condition, f"{len(amount.seeds)} seeds x {amount.steps:,} steps")
+        (f"  {preset}", condition, f"{counted(len(amount.seeds), 'seed')} x {amount.steps:,} steps")
         for preset, of_conditions in amounts
         for condition, amount in of_conditions.items()
     ]

@@ -172,7 +172,7 @@ def export(
     write_file(out, encoded)
     if json:
         return print_json({"file": out, "rows": rows})
-    return say(f"wrote {out}: {rows:,} rows")
+    return say(f"wrote {out}: {counted(rows, 'row')}")
 
 
 # --- publish --------------------------------------------------------------------------------------

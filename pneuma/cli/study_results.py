@@ -120,7 +120,8 @@ def effects(
     from pneuma.analysis.intervals import decimals, shown
 
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{data.full_title}: {with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
+    runs = f"{counted(found.runs, 'run')} in {counted(found.cells, 'cell')}{without}"
+    say(f"{data.full_title}: {with_unit(found.outcome)}, {runs}")
     print()
     rows = []
     for row in found.table.to_dict("records"):

@@ -110,14 +110,19 @@ def _overview(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
     names = list(dict.fromkeys(found["outcome"][found["statistic"] == "mean"]))[:COLUMNS]
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
     rows = [
-        [
-            condition,
-            len(data.of_condition(condition)),
-            *(cells.get((condition, *pair), "–") for pair in pairs),
-        ]
+        [condition, _told_runs(data, condition), *(cells.get((condition, *pair), "–") for pair in pairs)]
         for condition in data.conditions
     ]
     return pd.DataFrame(rows, columns=["condition", "runs", *map(with_unit, names), *shares])
+
+
+def _told_runs(data: StudyData, condition: str) -> int | str:
+    """Return how many runs a condition has; where some are left out, how many of them count."""
+    from pneuma.analysis.frames import common_step
+
+    ends_before = [run.ends_before(common_step(data)) for run in data.of_condition(condition)]
+    count = len(ends_before)
+    return f"{ends_before.count(False)} of {count}" if any(ends_before) else count
 
 
 def _cells(found: pd.DataFrame) -> dict[tuple[str, str, str], str]:
@@ -266,8 +271,8 @@ def compare(
         table,
         f"{data.full_title}: {heads[0]} against {heads[1]}",
         [told_step(data), _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])],
-        "Means, and their difference with a 95 % interval (Welch). P(better): the probability that a run\n"
-        "of the first is better than one of the second. no value: runs without one, which are left out.",
+        "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the\n"
+        "probability that a run of the first is better than one of the second. no value: runs left out.",
     )
     print_result(result, form)
     if form == "table":

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.config import Run, env_config, is_gymnasium_id, stream_seed
+from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, stream_seed
 
 
 def check_environment(run: Run) -> None:
@@ -27,6 +27,13 @@ def check_environment(run: Run) -> None:
 
     Worlds(1, env_config(run))
     return None
+
+
+def able_engine(run: Run) -> str:
+    """Return the first engine that can train in a run's environment, which is made to find out."""
+    from pneuma.engines.gymnasium_env import has_choices
+
+    return ENGINES[0] if has_choices(run) else "sb3"
 
 
 def make_vec_env(run: Run) -> Any:

@@ -67,11 +67,13 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
-    spaces_only.observation_space, spaces_only.action_space = space, spaces.Discrete(policy.actions)
+    spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
     model = make_model(run, DummyVecEnv([lambda: spaces_only]))
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
     with torch.no_grad():
+        if policy.deviation is not None:
+            model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))
         for layers, hidden, head in (
             (_folded(policy.actor, policy.scaling), nets.policy_net, model.policy.action_net),
             (_folded(policy.critic, policy.scaling), nets.value_net, model.policy.value_net),
@@ -97,6 +99,15 @@ def _folded(layers: Layers, scaling: Scaling | None) -> Layers:
     return ((weight / deviation[:, None]).astype(np.float32), moved.astype(np.float32)), *others
 
 
+def _action_space(policy: Policy) -> spaces.Space[Any]:
+    if policy.choices is not None:
+        return spaces.MultiDiscrete(policy.choices.reshape(-1))
+    if policy.bounds is None:
+        return spaces.Discrete(policy.actions)
+    low, high = policy.bounds
+    return spaces.Box(low, high, dtype=low.dtype)
+
+
 def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
     """Return a policy's observation space, so that the exported file loads with its environment.
 
@@ -105,15 +116,13 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
-    if policy.deviation is not None:
-        raise UserError(".zip is of actions to choose from, and this policy's are numbers: choose .onnx")
     features = policy.actor[0][0].shape[0]
     if is_gymnasium_id(run.env):
         if (run.env_module or run.wrappers or run.env == GODOT) and not trust:
             raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
         env = make_env(run)
         env.close()
-        if getattr(env.action_space, "start", 0):
+        if np.any(getattr(env.action_space, "start", 0)):
             raise UserError(f".zip counts actions from 0; those of {run.env} begin later: choose .onnx")
         seen = env.observation_space
         if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
@@ -133,7 +142,8 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     """Return an ONNX model: observation (batch, features) → logits (batch, actions), value (batch,).
 
-    For a network of action values, the only output is action_values (batch, actions).
+    For a network of action values, the only output is action_values (batch, actions). In place of logits
+    a policy of continuous actions has mean_action (batch, …), the mean clipped to the action space.
 
     The graph is written layer by layer. `torch.onnx.export` takes seconds and would add a trace of its calls,
     with local paths, to every node. `about` goes into the model's metadata.
@@ -147,12 +157,16 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
     features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
     output = "logits" if policy.exploration is None else "action_values"
-    output = output if policy.deviation is None else "mean_action"
     nodes, arrays = _onnx_scaling(policy.scaling) if policy.scaling else ([], [])
     seen = "seen" if policy.scaling else "observation"
     layers, weights = _onnx_layers("actor", policy.actor, policy.activation, seen, output)
     nodes, arrays = [*nodes, *layers], [*arrays, *weights]
     outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", actions])]
+    if policy.bounds is not None:
+        clipping, bounds = _onnx_clip(policy.bounds, output)
+        nodes, arrays = nodes + clipping, arrays + bounds
+        shape = ["batch", *policy.bounds.shape[1:]]
+        outputs = [helper.make_tensor_value_info("mean_action", TensorProto.FLOAT, shape)]
     if policy.exploration is None:
         critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, seen, "values")
         nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]
@@ -165,6 +179,8 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     known = action_names(magic=actions >= 7, dash=actions % 2 == 0)  # a world of Pneuma's has 5 to 8
     known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else known
     named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known)}
+    if policy.choices is not None:  # whose logits stand one after another
+        named = {"choices": json.dumps(policy.choices.tolist())}
     helper.set_model_props(model, {**about, **named})
     checker.check_model(model)
     return model.SerializeToString(deterministic=True)
@@ -175,15 +191,32 @@ def _onnx_scaling(scaling: Scaling) -> tuple[list[Any], list[Any]]:
     from onnx import TensorProto, helper, numpy_helper
 
     deviation, limits = np.sqrt(scaling.variance + EPSILON), np.array([-CLIP, CLIP])
-    numbers = {"mean": scaling.mean, "deviation": deviation, "low": limits[0], "high": limits[1]}
+    numbers = {"mean": scaling.mean, "deviation": deviation, "least": limits[0], "most": limits[1]}
     nodes = [
         helper.make_node("Cast", ["observation"], ["double"], to=TensorProto.DOUBLE),
         helper.make_node("Sub", ["double", "mean"], ["centred"]),
         helper.make_node("Div", ["centred", "deviation"], ["scaled"]),
-        helper.make_node("Clip", ["scaled", "low", "high"], ["clipped"]),
+        helper.make_node("Clip", ["scaled", "least", "most"], ["clipped"]),
         helper.make_node("Cast", ["clipped"], ["seen"], to=TensorProto.FLOAT),
     ]
     return nodes, [numpy_helper.from_array(np.asarray(array), name) for name, array in numbers.items()]
+
+
+def _onnx_clip(bounds: np.ndarray, numbers: str) -> tuple[list[Any], list[Any]]:
+    """Return nodes and arrays from flat numbers to "mean_action" (ONNX's `Clip` knows one bound for all)."""
+    from onnx import helper, numpy_helper
+
+    low, high = bounds.astype(np.float32)
+    arrays = [
+        numpy_helper.from_array(array, name)
+        for name, array in (("shape", np.array([-1, *low.shape])), ("low", low), ("high", high))
+    ]
+    nodes = [
+        helper.make_node("Reshape", [numbers, "shape"], ["shaped"]),
+        helper.make_node("Max", ["shaped", "low"], ["above"]),
+        helper.make_node("Min", ["above", "high"], ["mean_action"]),
+    ]
+    return nodes, arrays
 
 
 def _onnx_layers(

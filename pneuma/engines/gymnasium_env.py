@@ -15,11 +15,10 @@ from __future__ import annotations
 import json
 import math
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
-from importlib import import_module
+from contextlib import contextmanager, redirect_stdout, suppress
 from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -31,26 +30,40 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
-from pneuma.env.own_modules import importing_from, in_package
-from pneuma.errors import UserError
+from pneuma.env.own_modules import load_module
+from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
 LONGEST_EPISODE = 50_000
 """Most steps of an episode of an evaluation, which must end some time."""
+EXTRAS = ("minatar", "minigrid")
+"""Extras that install environments, whose ids begin with their names."""
 NAN = float("nan")
 
 
 def check_spaces(run: Run) -> None:
-    """Make an environment and refuse spaces in which the run cannot be trained."""
-    space = Slots(run, [0]).action_space
-    if isinstance(space, spaces.Box):
-        if not space.is_bounded():
-            raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+    """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
+    with warnings.catch_warnings(action="ignore", category=RunWarning):  # told by the run itself
+        slots = Slots(run, [0])
+    space = slots.action_space
+    if isinstance(space, spaces.Box) and not space.is_bounded():
+        raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+    if not isinstance(space, spaces.Discrete):
+        what = "its actions are numbers" if isinstance(space, spaces.Box) else "an action is several choices"
         if run.algorithm in VALUE_BASED:
-            raise UserError(f"{run.env}: its actions are numbers, which {run.algorithm} cannot: try ppo")
+            raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
         if run.engine != "sb3":
-            raise UserError(f'{run.env}: its actions are numbers, which engine = "sb3" alone trains')
+            raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
+    with warnings.catch_warnings(action="ignore", category=RunWarning):
+        slots.step(np.array([slots.any_action()]))
+
+
+def has_choices(run: Run) -> bool:
+    """Return whether the actions of a run's environment are choices among some."""
+    env = make_env(run)
+    env.close()
+    return isinstance(env.action_space, spaces.Discrete)
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -75,15 +88,18 @@ class Slots:
         space = self.envs[0].observation_space
         self.action_space = _action_space(run, self.envs[0].action_space)
         self._flatten = _flattening(run, space)
-        features = spaces.flatten_space(space).shape[0]  # type: ignore[index]
-        self.observations = np.zeros((len(seeds), features), np.float32)
+        flat = spaces.flatten_space(space)
+        assert isinstance(flat, spaces.Box)
+        self._bounds: tuple[np.ndarray, np.ndarray] | None = flat.low, flat.high
+        self._declared = space.dtype if isinstance(space, spaces.Box) else None
+        self.observations = np.zeros((len(seeds), *flat.shape), np.float32)
         self.terminal = np.zeros_like(self.observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.finished: list[dict[str, Any]] = []
-        discrete = isinstance(self.action_space, spaces.Discrete)
-        few = discrete and self.action_space.n <= 256  # type: ignore[union-attr]
-        self._kind = np.dtype(np.uint8 if few else np.int64 if discrete else np.float32)
+        few = isinstance(self.action_space, spaces.Discrete) and self.action_space.n <= 256
+        numbers = isinstance(self.action_space, spaces.Box)
+        self._kind = np.dtype(np.uint8 if few else np.float32 if numbers else np.int64)
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
@@ -137,7 +153,12 @@ class Slots:
             first = int(self.action_space.start)
             return [first + action for action in actions.tolist()] if first else actions.tolist()
         space = self.action_space
-        return [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+        made = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+        return [each + space.start for each in made] if isinstance(space, spaces.MultiDiscrete) else made
+
+    def any_action(self) -> Any:
+        """Draw an action from the space's own generator; discrete ones count from 0."""
+        return self.action_space.sample() - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
@@ -155,6 +176,19 @@ class Slots:
         room[:] = seen
         if not math.isfinite(room.sum()):
             raise ValueError("its observation is not finite")
+        if self._bounds and (unlike := self._unlike_its_space(seen, *self._bounds)):
+            self._bounds = None  # once is enough
+            text = f"{self.run.env}: an observation is not of its declared space: {unlike}"
+            warnings.warn(text, RunWarning, stacklevel=2)
+
+    def _unlike_its_space(self, seen: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
+        if self._declared and not np.can_cast(seen.dtype, self._declared):
+            return f"{seen.dtype} in place of {self._declared}"
+        outside = (seen < low) | (seen > high)
+        if not outside.any():
+            return ""
+        place = int(outside.argmax())
+        return f"number {place} is {seen[place]:g}, and not from {low[place]:g} to {high[place]:g}"
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.observations[slot]
@@ -214,52 +248,61 @@ class Slots:
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 
 
-def _action_space(run: Run, space: spaces.Space[Any]) -> spaces.Discrete | spaces.Box:
-    if isinstance(space, spaces.Discrete):
+def choices_of(space: spaces.Space[Any]) -> np.ndarray:
+    """Return among how many each of an action's choices is."""
+    if isinstance(space, spaces.MultiDiscrete):
+        return np.asarray(space.nvec, np.int64)
+    return np.full(space.shape or (), 2)
+
+
+def _action_space(
+    run: Run, space: spaces.Space[Any]
+) -> spaces.Discrete | spaces.Box | spaces.MultiDiscrete | spaces.MultiBinary:
+    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
         return space
     if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
         return space
-    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have Discrete or Box ones")
+    kinds = "Discrete, MultiDiscrete, MultiBinary or Box"
+    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {kinds} ones")
 
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    if reason := _unflattenable(space):
-        raise UserError(
-            f"{run.env}: its observations cannot be flattened, as {reason}: wrap it to have Box ones"
-        )
+    if part := _not_flat(space):
+        mend = "name a wrapper that leaves that out"
+        raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {mend}")
     if isinstance(space, spaces.Box):
         shape = space.shape
         return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
     return lambda seen: spaces.flatten(space, seen)
 
 
-NUMBERS = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
-
-
-def _unflattenable(space: spaces.Space[Any], name: str = "their space") -> str:
-    """Say which part of a space is no numbers; empty if all are."""
+def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
+    """Return what of a space is no array of one size, such as text; empty if all can be flattened."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
         parts = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
-        reasons = (_unflattenable(part, f"the space of {key}") for key, part in parts)
-        return next(filter(None, reasons), "")
-    return "" if isinstance(space, NUMBERS) else f"{name} is {type(space).__name__}"
+        return next(filter(None, (_not_flat(part, f" ({key})") for key, part in parts)), "")
+    if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
+        return f"text{name}"
+    with suppress(NotImplementedError):  # of a space of another package
+        if space.is_np_flattenable:
+            return ""
+    return f"{type(space).__name__}{name}"
 
 
 # --- Making one ------------------------------------------------------------------------------------
 
 
 def make_env(run: Run) -> gymnasium.Env[Any, Any]:
-    if run.env_module:
-        _load(run.env_module)
     arguments = json.loads(run.env_kwargs or "{}")
-    mend = "; else install its package, or name the module that registers it as env_module"
     try:
+        if run.env_module:
+            _load(run.env_module)
         with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # stdout is for a document
             if run.env not in gymnasium.registry:
                 _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
-        raise UserError(f"{error}{mend if run.env not in gymnasium.registry else ''}") from None
+        raise UserError(f"{error}{_how_to_register(run)}") from None
     for name in run.wrappers:
         module, _, kind = name.rpartition(":")
         with blamed(f"wrappers = {name}"):
@@ -267,16 +310,25 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     return env
 
 
+def _how_to_register(run: Run) -> str:
+    """Return what is to be done for an environment that is not registered; empty if it is."""
+    if run.env in gymnasium.registry:
+        return ""
+    extra = next((name for name in EXTRAS if run.env.lower().startswith(name)), None)
+    package = install_extra(extra) if extra else "install its package"
+    return f"; {package}, or name the module that registers it as env_module"
+
+
 @contextmanager
 def blamed(what: str) -> Iterator[None]:
-    """Turn any exception of a user's own code into a one-line error that names its source."""
+    """Turn any exception of a user's own code into a one-line error that names its source, and its cause."""
     try:
         yield
     except UserError:
         raise
     except (Exception, SystemExit) as error:
         said = ": ".join([type(error).__name__, *str(error).strip().splitlines()[:1]])
-        raise UserError(f"{what}: {said}") from None
+        raise OwnCodeError(f"{what}: {said}") from error
 
 
 def _register_installed(namespace: str) -> None:
@@ -287,18 +339,8 @@ def _register_installed(namespace: str) -> None:
 
 
 def _load(name: str) -> Any:
-    """Import a module by its name or the path of its file.
-
-    Its classes are found by its name (by Gymnasium's `entry_point`), so that one process can load only one
-    module of a name.
-    """
-    path = Path(name).resolve() if name.endswith(".py") else None
-    folder, full_name = in_package(path) if path else (Path.cwd(), name)
-    with blamed(f"module {name} cannot be imported"), importing_from(folder):
-        module = import_module(full_name)
-        if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
-            raise ImportError(f"there is another module {full_name}: give the file another name")
-        return module
+    with blamed(f"module {name} cannot be imported"):
+        return load_module(name)
 
 
 # --- Evaluation ------------------------------------------------------------------------------------
@@ -315,10 +357,8 @@ class Evaluation:
         count = run.evaluation_episodes + BEST_EPISODES
         self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
         slots = Slots(run, self._seeds)
-        space = slots.action_space
-        space.seed(stream_seed(run.stream, "random-player") % 2**31)
-        first = space.start if isinstance(space, spaces.Discrete) else 0
-        returns, _, _ = _play(slots, lambda rows, _: np.array([space.sample() - first for _ in rows]))
+        slots.action_space.seed(stream_seed(run.stream, "random-player") % 2**31)
+        returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
         self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
 
@@ -356,9 +396,6 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
     while len(rows):
         going_on = []
         chosen = act(rows, slots.observations[rows])
-        if isinstance(space := slots.action_space, spaces.Box):  # cut off at their bounds
-            flat = chosen.reshape(len(rows), -1)
-            chosen = np.clip(flat, space.low.reshape(-1), space.high.reshape(-1))
         for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
             reward, ended, cut, info = slots.step_one(row, action)
             returns[row] += reward

@@ -11,24 +11,20 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.gymnasium_env import Slots, choices_of
 from pneuma.engines.normalization import Scaling
 from pneuma.env.sb3 import WholeVecEnv
 
 
 class GymnasiumVecEnv(WholeVecEnv):
-    """A run's slots, with flat observations and with actions from 0 on or as arrays."""
+    """A run's slots, with flat observations and actions; choices count from 0."""
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
         self.slots = Slots(run, slot_seeds(run), training=True)
         self._actions = np.zeros(run.slots)
-        space, features = self.slots.action_space, self.slots.observations.shape[1]
-        action_space: spaces.Space[Any] = (
-            spaces.Discrete(int(space.n))
-            if isinstance(space, spaces.Discrete)
-            else spaces.Box(space.low.reshape(-1), space.high.reshape(-1), dtype=np.float32)
-        )
+        features = self.slots.observations.shape[1]
+        action_space = _learners_space(self.slots.action_space)
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 
     @property
@@ -70,3 +66,13 @@ class GymnasiumVecEnv(WholeVecEnv):
     def close(self) -> None:
         for env in self.slots.envs:
             env.close()
+
+
+def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
+    """Return an action space as learners take it: flat, in float32, or with choices from 0 on."""
+    if isinstance(space, spaces.Discrete):
+        return spaces.Discrete(int(space.n))
+    if isinstance(space, spaces.Box):
+        low, high = (bound.astype(np.float32).reshape(-1) for bound in (space.low, space.high))
+        return spaces.Box(low, high)
+    return spaces.MultiDiscrete(choices_of(space).reshape(-1))

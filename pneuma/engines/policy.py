@@ -40,6 +40,10 @@ class Policy:
             action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
         deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution
             from which they are drawn; the actor gives its mean.
+        bounds: (2, …) for continuous actions, the lowest and the highest action, in shape and type of the
+            action space; actions are clipped to them.
+        choices: (…) for actions that are several choices at once, among how many each is; their logits stand
+            one after another.
         scaling: how observations are normalised before the networks see them, if they are.
     """
 
@@ -48,6 +52,8 @@ class Policy:
     critic: Layers
     exploration: float | None = None
     deviation: np.ndarray | None = None
+    bounds: np.ndarray | None = None
+    choices: np.ndarray | None = None
     scaling: Scaling | None = None
 
     @property
@@ -69,32 +75,44 @@ class Policy:
         return self.scaling(observations) if self.scaling else observations
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Draw an action for each observation: (N, features) -> (N,), or (N, dimensions) of numbers."""
+        """Draw an action for each observation: (N, features) -> (N,), or (N, …) of several numbers."""
         logits = self.logits(observations)
         if self.deviation is not None:
-            drawn: np.ndarray = logits + self.deviation * generator.standard_normal(logits.shape, np.float32)
-            return drawn
+            return self._clip(logits + self.deviation * generator.standard_normal(logits.shape, np.float32))
         if self.exploration is not None:
             at_random = generator.random(len(logits)) < self.exploration
             any_action = generator.integers(logits.shape[1], size=len(logits))
             return np.where(at_random, any_action, logits.argmax(axis=1))
-        weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
-        draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
-        return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
+        return self._joined([_draw(part, generator) for part in self._parts(logits)])
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Return the most probable action, or that of the greatest value, in the shape of `sample`'s."""
         logits = self.logits(observations)
-        return logits if self.deviation is not None else logits.argmax(axis=1)
+        if self.deviation is not None:
+            return self._clip(logits)
+        return self._joined([part.argmax(axis=1) for part in self._parts(logits)])
+
+    def _parts(self, logits: np.ndarray) -> list[np.ndarray]:
+        """Return the logits of each choice."""
+        if self.choices is None:
+            return [logits]
+        return np.split(logits, self.choices.ravel().cumsum()[:-1], axis=1)
+
+    def _joined(self, chosen: list[np.ndarray]) -> np.ndarray:
+        if self.choices is None:
+            return chosen[0]
+        return np.stack(chosen, axis=1).reshape(-1, *self.choices.shape)
+
+    def _clip(self, numbers: np.ndarray) -> np.ndarray:
+        assert self.bounds is not None
+        low, high = self.bounds
+        return np.clip(numbers.reshape(-1, *low.shape), low, high).astype(low.dtype)
 
     def entropy(self, observations: np.ndarray) -> float:
         """Return the mean entropy over observations, (N, features), of actions drawn, in nats."""
         if self.deviation is not None:
             return float((0.5 * np.log(2 * np.pi * np.e) + np.log(self.deviation)).sum())
-        logits = self.logits(observations).astype(float)
-        logs = logits - logits.max(axis=1, keepdims=True)
-        logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
-        return float(-(np.exp(logs) * logs).sum(axis=1).mean())
+        return sum(map(_entropy, self._parts(self.logits(observations).astype(float))))
 
     def to_bytes(self) -> bytes:
         """Serialise as safetensors, with activation and exploration in the header."""
@@ -104,14 +122,27 @@ class Policy:
             for i, layer in enumerate(getattr(self, part))
             for name, array in zip(("weight", "bias"), layer, strict=True)
         }
-        if self.deviation is not None:
-            arrays["deviation"] = np.ascontiguousarray(self.deviation)
+        for name in ("deviation", "bounds", "choices"):
+            if (array := getattr(self, name)) is not None:
+                arrays[name] = np.ascontiguousarray(array)
         if self.scaling is not None:
             arrays |= {f"observations.{name}": array for name, array in vars(self.scaling).items()}
         about: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
             about["exploration"] = self.exploration
         return save(arrays, metadata={"pneuma": json.dumps(about)})
+
+
+def _draw(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
+    draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
+    return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
+
+
+def _entropy(logits: np.ndarray) -> float:
+    logs = logits - logits.max(axis=1, keepdims=True)
+    logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
+    return float(-(np.exp(logs) * logs).sum(axis=1).mean())
 
 
 def overflows(policy: Policy, observations: np.ndarray) -> bool:
@@ -138,8 +169,9 @@ def read_sound_policy(data: bytes) -> Policy:
         scaling = None
         if "observations.mean" in arrays:
             scaling = Scaling(arrays["observations.mean"], arrays["observations.variance"])
-        optional = about.get("exploration"), arrays.get("deviation"), scaling
-        policy = Policy(about["activation"], layers("actor"), layers("critic"), *optional)
+        several = arrays.get("deviation"), arrays.get("bounds"), arrays.get("choices")
+        networks = layers("actor"), layers("critic")
+        policy = Policy(about["activation"], *networks, about.get("exploration"), *several, scaling)
         sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
         sound = False
@@ -155,8 +187,14 @@ def _is_sound(policy: Policy) -> bool:
     for layers in networks:
         fits &= all(weight.ndim == 2 and bias.shape == weight.shape[1:] for weight, bias in layers)
         fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
-    if policy.deviation is not None:
-        fits &= policy.deviation.shape == (policy.actions,)
+    fits &= (policy.deviation is None) == (policy.bounds is None)
+    if policy.deviation is not None and policy.bounds is not None:
+        low, high = policy.bounds
+        fits &= policy.deviation.shape == (policy.actions,) and low.size == policy.actions
+        fits &= bool((low <= high).all())
+    if policy.choices is not None:
+        fits &= policy.deviation is None and policy.exploration is None
+        fits &= bool((policy.choices >= 1).all()) and policy.choices.sum() == policy.actions
     if policy.scaling is not None:
         fits &= all({len(array)} == inputs and array.ndim == 1 for array in vars(policy.scaling).values())
     if policy.exploration is not None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from sb3_contrib import TRPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -21,6 +22,7 @@ from torch import nn
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env, slot_seeds
+from pneuma.engines.gymnasium_env import choices_of
 from pneuma.engines.loop import Trainer, begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, action_shares
@@ -255,7 +257,8 @@ def visited_metrics(
     run: Run, policy: Policy, observations: np.ndarray, actions: np.ndarray
 ) -> dict[str, float]:
     """Return dead units over (N, features) observations and the shares of (N,) actions."""
-    chosen = actions if policy.deviation is not None else actions.astype(np.int64)
+    one = policy.deviation is None and policy.choices is None
+    chosen = actions.astype(np.int64 if one else np.float32)
     return {"dead_units": dead_share(policy, observations), **action_shares(run, chosen, policy.actions)}
 
 
@@ -279,11 +282,18 @@ def extract_policy(model: Any, run: Run) -> Policy:
     if isinstance(model, DQN):
         return Policy(run.activation, _layers(policy.q_net.q_net), (), run.exploration)
     nets = policy.mlp_extractor
+    several: dict[str, Any] = {}
+    if hasattr(policy, "log_std"):
+        space = model.env.slots.action_space  # not the learner's, which is flat and of float32
+        bounds = np.stack([space.low, space.high])
+        several = {"deviation": np.exp(policy.log_std.detach().numpy()), "bounds": bounds}
+    elif isinstance(model.action_space, spaces.MultiDiscrete):
+        several = {"choices": choices_of(model.env.slots.action_space)}
     return Policy(
         run.activation,
         _layers(nets.policy_net, policy.action_net),
         _layers(nets.value_net, policy.value_net),
-        deviation=np.exp(policy.log_std.detach().numpy()) if hasattr(policy, "log_std") else None,
+        **several,
     )
 
 

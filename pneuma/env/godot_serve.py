@@ -32,7 +32,7 @@ from pneuma.env.godot_wire import (
     send,
     whole,
 )
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 
 
 def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
@@ -112,7 +112,8 @@ class _Trainer:
     def _left(self) -> UserError:
         if self._seconds is not None:
             return UserError(f"port {self._port}: what listens there sent no message: a trainer?")
-        return UserError(f"port {self._port}: the trainer left without `close`, after {self.steps:,} steps")
+        played = counted(self.steps, "step")
+        return UserError(f"port {self._port}: the trainer left without `close`, after {played}")
 
 
 def _playable(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:

@@ -22,8 +22,9 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -197,41 +198,59 @@ def _folder_files(folder: Path) -> list[Path]:
 
 def _read_layer(path: Path) -> np.ndarray:
     """Return the codes of a layer, (rows, columns) int64."""
-    codes = _read_numbers(path, np.int64)
-    if not codes.size or max(codes.shape) > MAX_SIDE:
+    rows = _read_rows(path, repeat(_code))
+    if not rows or max(len(rows), len(rows[0])) > MAX_SIDE:
         raise UserError(f"{path}: a layer has 1 to {MAX_SIDE} tiles a side")
-    return codes
+    return np.array(rows, np.int64)
 
 
-def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[float, float, float]]:
+def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[Any, ...]]:
     """Return code, x and y of start places and monsters, in the file's order."""
-    table = _read_numbers(path, np.float64, "code,x,y")
+    table = _read_rows(path, (_code, _pixels, _pixels), "code,x,y")
     if len(table) > MOST_PLACES:
         raise UserError(f"{path}: more than {MOST_PLACES} start places and monsters are not allowed")
     known = [START_CODE, *monster_codes]
-    for code in table[:, 0].tolist():
-        if code not in known:
-            raise UserError(f"{path}: unknown code {code:g}; known are {', '.join(map(str, known))}")
-    if START_CODE not in table[:, 0]:
+    codes = [row[0] for row in table]
+    if unknown := [code for code in codes if code not in known]:
+        raise UserError(f"{path}: unknown code {unknown[0]}; known are {', '.join(map(str, known))}")
+    if START_CODE not in codes:
         raise UserError(f"{path}: no start place")
-    return [(code, x, y) for code, x, y in table.tolist()]
+    return table
 
 
-def _read_numbers(path: Path, kind: Any, head: str = "") -> np.ndarray:
-    """Return the numbers of a CSV table, (rows, columns), which begins with the line `head` if given."""
+def _code(cell: str) -> int:
+    """Read a tile's code, of 32 bits with or without sign; by the highest four Tiled turns its picture."""
+    code = int(cell)
+    if not -(2**31) <= code < 2**32:
+        raise ValueError
+    return code if code == EMPTY else code % 2**28
+
+
+def _pixels(cell: str) -> float:
+    if not math.isfinite(pixels := float(cell)):
+        raise ValueError
+    return pixels
+
+
+def _read_rows(path: Path, kinds: Iterable[Callable[[str], Any]], head: str = "") -> list[tuple[Any, ...]]:
+    """Return the rows of a CSV table, of one kind of number a column, below the line `head` if given."""
     lines = read_text(path, LARGEST_LAYER).splitlines()
-    try:
-        if head and lines[:1] != [head]:
-            raise ValueError(f"the first line must be {head}")
-        rows = [line for line in lines[bool(head) :] if line.strip()]
-        columns = head.count(",") + 1
-        table = np.loadtxt(rows, kind, delimiter=",", ndmin=2) if rows else np.zeros((0, columns), kind)
-        if head and table.shape[1] != columns:
-            raise ValueError(f"a row has {table.shape[1]} columns, where {head} are asked for")
-        if not np.isfinite(table).all():
-            raise ValueError("a number is not finite")
-    except ValueError as error:
-        raise UserError(f"{path}: {error}") from None
+    if head and lines[:1] != [head]:
+        raise UserError(f"{path}: the first line must be {head}")
+    table: list[tuple[Any, ...]] = []
+    for row, line in enumerate(lines, 1):
+        if not line.strip() or (head and row == 1):
+            continue
+        cells, columns = line.split(","), len(table[0] if table else head.split(","))
+        if len(cells) != columns and (head or table):
+            raise UserError(f"{path}: row {row} has {len(cells)} columns, where {columns} are asked for")
+        numbers = []
+        for column, (read, cell) in enumerate(zip(kinds, cells, strict=False), 1):
+            try:
+                numbers.append(read(cell))
+            except ValueError:
+                raise UserError(f"{path}: row {row}, column {column}: {cell[:40]!r} is not allowed") from None
+        table.append(tuple(numbers))
     return table
 
 

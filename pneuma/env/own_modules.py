@@ -7,6 +7,7 @@ import sys
 import sysconfig
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from modulefinder import ModuleFinder
@@ -35,10 +36,27 @@ def importing_from(folder: Path) -> Iterator[None]:
 
 def in_package(path: Path) -> tuple[Path, str]:
     """Return the folder from which a file is imported, and its full name in the packages that it is in."""
-    folder, name = path.parent, path.stem
+    module = path.parent if path.name == "__init__.py" else path
+    folder, name = module.parent, module.stem
     while (folder / "__init__.py").is_file():
         folder, name = folder.parent, f"{folder.name}.{name}"
     return folder, name
+
+
+def load_module(name: str) -> Any:
+    """Import a module by its name, also from the current folder, or by the path of its file.
+
+    Raises:
+        ImportError: when another module of this name is loaded: there is only one of a name in a process.
+        Exception: whatever the module raises.
+    """
+    path = Path(name).resolve() if name.endswith(".py") else None
+    folder, full_name = in_package(path) if path else (Path.cwd(), name)
+    with importing_from(folder):
+        module = import_module(full_name)
+    if path and Path(getattr(module, "__file__", None) or "").resolve() != path:
+        raise ImportError(f"there is another module {full_name}: give the file another name")
+    return module
 
 
 def module_files(name: str) -> list[Path]:

@@ -23,17 +23,15 @@ the events of a step in which nothing happened. `events["distance"]` is infinite
 
 from __future__ import annotations
 
-import importlib
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.own_modules import importing_from
-from pneuma.errors import UserError
+from pneuma.env.own_modules import load_module
+from pneuma.errors import OwnCodeError, UserError
 
 REWARD_CODES = {
     "thesis": rules.REWARD_THESIS,
@@ -50,15 +48,14 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
 def load_reward(name: str) -> RewardFunction:
-    """Import a user's reward, also from the current folder.
+    """Import a user's reward.
 
     Raises:
         UserError: when the module or the function does not exist.
     """
     module_name, _, function_name = name.partition(":")
     try:
-        with importing_from(Path.cwd()):
-            module = importlib.import_module(module_name)
+        module = load_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
         raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
     function = getattr(module, function_name, None)
@@ -86,7 +83,7 @@ def custom_rewards(
         said = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
         frames = traceback.extract_tb(error.__traceback__)[1:2]  # the function's own, unless it is compiled
         where = [f"{frame.filename}, line {frame.lineno}: " for frame in frames]
-        raise UserError(f"reward {name!r}: {''.join(where)}{said}") from error
+        raise OwnCodeError(f"reward {name!r}: {''.join(where)}{said}") from error
     if rewards.shape != events.shape:
         raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
     rewards = np.where(present(events), rewards, 0.0)

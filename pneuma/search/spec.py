@@ -30,8 +30,8 @@ from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.spec import (
     PRESETS,
     SEEDS_ALLOWED,
+    files_beside,
     find_file,
-    modules_beside,
     read_seeds,
     studies_folder,
 )
@@ -265,10 +265,10 @@ def read_search(path: Path) -> Search:
     parameters = []
     for each in said.space.values():
         found = {
-            name: modules_beside(path, {each.name: value})[each.name] for name, value in each.choices.items()
+            name: files_beside(path, {each.name: value})[each.name] for name, value in each.choices.items()
         }
         parameters.append(each.model_copy(update={"choices": found}))
-    space = Space(tuple(parameters), modules_beside(path, said.run), said.base)
+    space = Space(tuple(parameters), files_beside(path, said.run), said.base)
     try:
         space.check(unread=said.run)
         space.check_when()  # `--set` may leave out a part of the space, a file may not

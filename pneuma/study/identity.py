@@ -42,8 +42,10 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
     hashed |= dict.fromkeys(own_names(fields).keys() - {"reward", "wrappers"}, "of the user's own")
-    if fields["wrappers"]:
-        hashed["wrappers"] = [Path(name).name for name in fields["wrappers"]]
+    for key in {"reward", "wrappers"} & hashed.keys():
+        hashed[key] = [Path(name).name for name in fields[key]]
+    if "reward" in hashed:  # the same by its module's name and by its path
+        hashed["reward"] = [name.replace(".py:", ":") for name in hashed["reward"]]
     identity = {
         "run": hashed,
         "contents": contents(fields),

@@ -62,6 +62,7 @@ class ImportedRun:
         points: tag, step, value and superseded (by a restart) of every scalar, as written.
         provenance: when it was logged, and its files.
         new: whether this call stored it.
+        damage: what of it cannot be read, for each file that is damaged.
     """
 
     log: Log
@@ -70,6 +71,7 @@ class ImportedRun:
     points: pd.DataFrame
     provenance: dict[str, Any]
     new: bool
+    damage: list[str]
 
 
 def import_tensorboard(
@@ -89,6 +91,7 @@ def import_tensorboard(
     found: dict[str, ImportedRun] = {}
     for log in logs:
         run = _read_log(log, store)
+        notes += [f"{log.shown}: {damage}" for damage in run.damage]
         if not run.steps:
             notes.append(f"{log.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
         elif run.run_id in found:
@@ -142,6 +145,9 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
         found = {path for path in folder.resolve().rglob("*tfevents*") if path.is_file()}
         if not found:
             raise UserError(f"{folder}: no TensorBoard event files (events.out.tfevents…) in it or below")
+        for path in found:
+            if (told := os.fsencode(path).decode(errors="backslashreplace")) != str(path):
+                raise UserError(f"{told}: this name is not UTF-8; give another")
         files |= found
     shared = os.path.commonpath([path.parents[1] for path in files])
     logs: dict[tuple[str, int], Log] = {}
@@ -191,13 +197,17 @@ def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
 def _read_log(log: Log, store: Store) -> ImportedRun:
     files: list[dict[str, Any]] = []
     rows: list[tuple[Any, ...]] = []
+    damage = []
     for place, path in enumerate(log.paths):
         try:
             data = read_whole(path)
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append({"bytes": len(data), "sha256": checksum(data)})
-        rows += [(place, *scalar) for scalar in read_event_file(path)]
+        scalars, sound = read_event_file(path)
+        rows += [(place, *scalar) for scalar in scalars]
+        if lost := len(data) - sound:
+            damage.append(f"{path.name} is damaged: its last {lost:,} of {len(data):,} bytes are left out")
     points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
     steps = points["step"][points["tag"].str.startswith(AGENT_STEPS) & ~points["superseded"]]
@@ -213,11 +223,11 @@ def _read_log(log: Log, store: Store) -> ImportedRun:
     contents = "".join(file["sha256"] for file in files)
     run_id = checksum(f"{SOURCE} {IMPORT_VERSION}\0{contents}".encode())[:16]
     reached, new = max(0, int(steps.max())) if len(steps) else 0, not store.status(run_id).finished
-    return ImportedRun(log, run_id, reached, points, provenance, new)
+    return ImportedRun(log, run_id, reached, points, provenance, new, damage)
 
 
-def read_event_file(path: Path) -> list[Scalar]:
-    """Return every scalar of an event file in the order of writing; a damaged file up to the damage.
+def read_event_file(path: Path) -> tuple[list[Scalar], int]:
+    """Return every scalar of an event file in the order of writing, up to damage, and how many bytes that is.
 
     It uses the reader inside TensorBoard's EventAccumulator, which itself does not keep the order of tags
     that shows restarts.
@@ -233,6 +243,7 @@ def read_event_file(path: Path) -> list[Scalar]:
         needed = f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
         raise UserError(needed) from None
     scalars: list[Scalar] = []
+    sound = 0
     plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
     with suppress(Exception):  # any error from an invalid length or message means damage
         for record in RawEventFileLoader(str(path)).Load():
@@ -246,7 +257,8 @@ def read_event_file(path: Path) -> list[Scalar]:
                 else:  # a text, a histogram and the like
                     continue
                 scalars.append(Scalar(value.tag, event.step, number, event.wall_time))
-    return scalars
+            sound += len(record) + 16  # its length, and two checksums
+    return scalars, sound
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:

@@ -14,6 +14,7 @@ from typing import Any
 
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Row
+from pneuma.study.quantities import EVALUATION_TAGS
 
 TRAILING_EPISODES = 100
 """Episodes over which Stable-Baselines3 averages returns and lengths."""
@@ -22,7 +23,6 @@ EPISODE_TAGS = {"return": "charts/episodic_return", "length": "charts/episodic_l
 TRAILING_TAGS = {"return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"}
 UPDATE_TAGS = {"policy_loss": "train/policy_gradient_loss", "entropy": "train/entropy_loss"}
 """Tags of some metrics; others are called train/COLUMN. Entropy is logged as a loss, negated."""
-EVALUATION_TAGS = {"return": "eval/mean_reward", "length": "eval/mean_ep_length"}
 
 
 class LiveLog:

@@ -2,8 +2,8 @@
 
 Two `study run` on one results folder share the work: a run that another process holds is left to it. On file
 systems without locks, or with locks for one machine only, two processes may train the same run. Both give the
-same bits, and files are written whole, so that only time is lost. A lock's file stays, held or not, until
-`Store.save_run` removes that of a finished run: of a file that is removed sooner two could hold a lock.
+same bits, and files are written whole, so that only time is lost. A lock's file stays, held or not, until the
+run is finished: of a file that is removed sooner two could hold a lock.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOOKS, LOOK_SECONDS = 5, 0.002
@@ -36,6 +36,12 @@ def run_lock(folder: Path) -> Iterator[bool]:
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / ".lock", "a+b", opener=_open) as file:
         yield _take(file.fileno())
+
+
+def remove_lock(folder: Path) -> None:
+    """Remove the lock of a finished run: whoever takes one from now on sees that nothing is left to train."""
+    with suppress(OSError):
+        (folder / ".lock").unlink()
 
 
 def is_held(folder: Path) -> bool:

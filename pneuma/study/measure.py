@@ -23,7 +23,13 @@ from pneuma.errors import UserError
 from pneuma.files import parse_json
 from pneuma.study import identity
 from pneuma.study.identity import own_names, run_id
-from pneuma.study.quantities import ACTION_QUANTITIES, EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.study.quantities import (
+    ACTION_QUANTITIES,
+    EPISODE_QUANTITIES,
+    EVALUATION_TAGS,
+    UPDATE_QUANTITIES,
+    WINDOWS,
+)
 from pneuma.study.rows import (
     AVERAGED_OVER,
     EVALUATIONS,
@@ -139,7 +145,16 @@ def series_of_log(scalars: pd.DataFrame) -> dict[str, Any]:
         points = named[named["name"] == quantity]
         if len(points):
             series[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return {"series": series, "evaluations": [], "averaged_over": TRAILING_EPISODES}
+    return {"series": series, "evaluations": _logged_evaluations(named), "averaged_over": TRAILING_EPISODES}
+
+
+def _logged_evaluations(named: pd.DataFrame) -> list[Any]:
+    """Return evaluations as rows, from the points of an imported log."""
+    columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
+    found = named[named["tag"].str.startswith("eval/") & (named["tag"] != "eval/step")]
+    found = found.assign(name=found["tag"].map(columns).fillna(found["tag"].str.removeprefix("eval/")))
+    found = found.drop_duplicates(["name", "step"], keep="last")
+    return found.pivot(index="step", columns="name", values="value").reset_index().to_dict("records")
 
 
 def named_scalars(scalars: pd.DataFrame) -> pd.DataFrame:

@@ -6,18 +6,19 @@ study, preset and options → Plan of cells (condition × seed → Run and its i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from pneuma.config import FORK_FIELDS, Run, as_fields, beyond_engine, make_run
+from pneuma.config import ENGINES, FORK_FIELDS, Run, as_fields, beyond_engine, is_gymnasium_id, make_run
 from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import run_id
-from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, modules_beside, unread_fields
-from pneuma.values import read_value
+from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, files_beside, unread_fields
+from pneuma.values import read_value, split_list
 
 Swept = Mapping[str, Sequence[tuple[Any, Any]]]
 """The values of fields to sweep, each as the user wrote it and as it was read."""
@@ -89,7 +90,9 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     for name in selection.conditions:
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
-    asked = configure(study, selection.settings or {}, selection.conditions or tuple(amounts))
+    from pneuma.engines.environment import able_engine
+
+    asked = configure(study, selection.settings or {}, selection.conditions or tuple(amounts), able_engine)
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
     runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
@@ -123,11 +126,17 @@ class Configurations:
     engine_left_open: tuple[str, ...]
 
 
-def configure(study: Study, settings: Mapping[str, Any], wanted: Sequence[str] = ()) -> Configurations:
+def configure(
+    study: Study,
+    settings: Mapping[str, Any],
+    wanted: Sequence[str] = (),
+    engine: Callable[[Run], str] = lambda run: run.engine,
+) -> Configurations:
     """Return the configurations of a study's conditions (default: all) with changed fields.
 
     A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. So are those of
-    swept fields called.
+    swept fields called. `engine` chooses the engine where it is left open and the run's fields alone do not
+    decide: in environments of others.
 
     Raises:
         UserError: for unknown conditions or fields, or fields that do not go together.
@@ -158,11 +167,14 @@ def configure(study: Study, settings: Mapping[str, Any], wanted: Sequence[str] =
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
+    left_open = tuple(name for name in runs if "engine" not in crossed.fields(name, over))
+    for name in left_open:
+        if is_gymnasium_id(runs[name].env) and not beyond_engine(runs[name]):
+            runs[name] = replace(runs[name], engine=engine(runs[name]))
     by_configuration: dict[Run, list[str]] = {}
     for name, run in runs.items():
         by_configuration.setdefault(replace(run, steps=1), []).append(name)  # of unlike updates
     same = tuple(tuple(group) for group in by_configuration.values() if len(group) > 1)
-    left_open = tuple(name for name in runs if "engine" not in crossed.fields(name, over))
     return Configurations(replace(crossed, settings=dict(settings)), runs, origins, same, left_open)
 
 
@@ -174,18 +186,18 @@ def round_up(run: Run, steps: int) -> int:
 def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
     """Split settings into fields with one value and fields with several values to sweep.
 
-    Modules are looked for beside the study's file, as those in it are. Where there is one player, several
+    A user's files are looked for beside the study's, as those in it are. Where there is one player, several
     classes, weapons or rewards are swept.
     """
 
     def read(key: str, value: Any) -> Any:
         field = {key: read_field(Run, key, value)}
-        return (modules_beside(study.path, field) if study.path else field)[key]
+        return (files_beside(study.path, field) if study.path else field)[key]
 
     players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
     for key, value in settings.items():
-        values = [read_value(part.strip()) for part in value.split(",")] if isinstance(value, str) else value
+        values = [read_value(part) for part in split_list(value)] if isinstance(value, str) else value
         several = isinstance(values, list | tuple) and len(values) > 1
         try:
             single[key] = read(key, value)
@@ -219,8 +231,9 @@ def _sweep(study: Study, swept: Swept) -> tuple[Study, dict[str, str]]:
 def _with_changes(study: Study, name: str) -> tuple[str | None, dict[str, Any]]:
     """Read the name of a condition with changed fields; None if it is not one."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        pairs = [part.partition("=") for part in name.removeprefix(origin).split(", ")[1:]]
-        if name.startswith(f"{origin}, ") and all(key and value for key, _, value in pairs):
+        parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
+        pairs = [part.partition("=") for part in parts[1:]]
+        if name.startswith(f"{origin}, ") and not parts[0]:
             settings = own_fields({key: read_value(value) for key, _, value in pairs})
             single, _ = _read_settings(study, settings)
             return origin, {**study.conditions[origin], **single}
@@ -268,5 +281,6 @@ def _notes(
     for names in same:
         yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
     for name in engine_left_open:
-        if reason := beyond_engine(runs[name]):
+        if runs[name].engine != ENGINES[0]:
+            reason = beyond_engine(runs[name]) or "such actions"
             yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"

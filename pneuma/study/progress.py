@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import Run, as_fields
+from pneuma.config import Run, as_fields, is_gymnasium_id
 from pneuma.errors import print_aside
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
@@ -29,7 +29,11 @@ SECONDS_PER_STEP = {
     "sb3": ((1e3, 1.2e-3), (1e5, 1.8e-3), (1e6, 5e-3), (1e7, 4e-2)),
     "tabular": ((1e3, 2e-5),),
 }
-"""By engine: seconds per agent step, evaluations included, by the number of weights."""
+"""By engine: seconds per agent step by the number of weights."""
+FOREIGN_STEP = 5e-5
+"""Seconds that a step takes more in an environment that is not Pneuma's, which is not compiled."""
+EVALUATION_SECONDS = 5.0
+"""Seconds of a run's evaluations, which are as many however few its steps are."""
 SAMPLE = 100
 """Other runs in the results folder from which paces are read."""
 START_SECONDS = 4.0
@@ -82,8 +86,10 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float:
     settings = as_fields(run)
-    pace = paces.get(_kind(settings)) or _usual(settings)
-    return START_SECONDS + steps * pace
+    if pace := paces.get(_kind(settings)):
+        return START_SECONDS + steps * pace
+    evaluations = EVALUATION_SECONDS if run.engine != "tabular" else 0.0
+    return START_SECONDS + evaluations + steps * _usual(settings)
 
 
 def is_known(paces: Paces, run: Run) -> bool:
@@ -99,7 +105,8 @@ def _usual(settings: Mapping[str, Any]) -> float:
     layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
     weights = max(1, sum(before * after for sizes in layers for before, after in pairwise(sizes)))
     known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T
-    return float(np.exp(np.interp(np.log(weights), known, seconds)))
+    more = FOREIGN_STEP if is_gymnasium_id(settings["env"]) else 0.0
+    return more + float(np.exp(np.interp(np.log(weights), known, seconds)))
 
 
 # --- While it runs ---------------------------------------------------------------------------------

@@ -26,5 +26,12 @@ TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
 """Quantities of a curve over evaluations: columns of the evaluations table."""
 
+EVALUATION_TAGS = {
+    "return": "eval/mean_reward",
+    "length": "eval/mean_ep_length",
+    "success": "eval/success_rate",
+}
+"""Stable-Baselines3's tags of some columns of the evaluations; others are called eval/COLUMN."""
+
 CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
 """All quantities of curves."""

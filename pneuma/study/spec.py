@@ -20,6 +20,7 @@ from pneuma.config import BASES, Run, fields_read
 from pneuma.env_fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
+from pneuma.study.identity import own_names
 from pneuma.values import setting_words
 from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
@@ -134,20 +135,28 @@ def read_seeds(value: object) -> tuple[int, ...]:
     raise ValueError
 
 
-def modules_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields in which modules beside the study's file are replaced by their paths."""
+def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with the paths of a user's modules, level and characters that are beside a study's file.
 
-    def found(name: str) -> str:
-        module, colon, rest = name.partition(":")
-        beside = (path.parent / f"{module.removesuffix('.py').replace('.', '/')}.py").resolve()
-        return f"{beside}{colon}{rest}" if beside.is_file() else name
-
+    What is not there is looked for when it is used: here, and modules among those that are installed.
+    """
     over: dict[str, Any] = {}
-    if fields.get("env_module"):
-        over["env_module"] = found(fields["env_module"])
-    if fields.get("wrappers"):
-        over["wrappers"] = tuple(map(found, fields["wrappers"]))
+    for key, own in own_names(fields).items():
+        if isinstance(own, str):
+            over[key] = _beside(path.parent, key, own)
+        else:
+            over[key] = tuple(_beside(path.parent, key, one) if one in own else one for one in fields[key])
     return {**fields, **over}
+
+
+def _beside(folder: Path, key: str, name: str) -> str:
+    file, colon, inside = name.partition(":") if key in ("reward", "wrappers") else (name, "", "")
+    module = file.replace(".", "/")
+    is_there = Path.is_dir if key == "level" else Path.is_file
+    for each in (file, f"{module}.py", f"{module}/__init__.py"):
+        if is_there(beside := (folder / each).resolve()):
+            return f"{beside}{colon}{inside}"
+    return name
 
 
 # --- Fields that do nothing ------------------------------------------------------------------------

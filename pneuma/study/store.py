@@ -43,7 +43,7 @@ from pneuma.files import (
     shipped_folder,
     to_json,
 )
-from pneuma.study.locks import is_held, run_lock
+from pneuma.study.locks import is_held, remove_lock, run_lock
 
 STATUSES = (
     "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
@@ -253,16 +253,15 @@ class Store:
             UserError: when the folder cannot be written.
         """
         if not status.finished and self.status(run_id).finished:
-            return
+            return remove_lock(self.run_folder(run_id))
         folder, known = self.run_folder(run_id), identity or self.identity(run_id)
         checksums = {name: checksum(data) for name, data in files.items()}
         self._write_all(folder, {**files, "status.json": _status_document(status, checksums, known)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
-        if status.finished:  # whoever takes the lock from now on sees that nothing is left to train
-            with suppress(OSError):
-                (folder / ".lock").unlink()
+        if status.finished:
+            remove_lock(folder)
 
     def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
         """Write how a run failed, and why.

@@ -18,8 +18,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -27,12 +28,13 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
-from pneuma.errors import UserError
+from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import HERE, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
+from pneuma.study.locks import remove_lock
 from pneuma.study.measure import cells_of_files
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.rows import encode_row
@@ -124,6 +126,7 @@ def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run
         if not free:
             reporter.send("busy", name)
         elif (status := job.store.status(name)).finished:
+            remove_lock(job.store.run_folder(name))
             reporter.end(name, status, trained=False)
         else:
             mine[name] = run
@@ -178,7 +181,8 @@ def _train_once(
         return not stopping
 
     try:
-        result = train_run(run, update, start)
+        with _warnings(lambda text: reporter.send("note", name, text=text)) as warned:
+            result = train_run(run, update, start)
     finally:
         if log:
             with suppress(OSError):
@@ -186,6 +190,7 @@ def _train_once(
     status = Status(result.status, result.step)
     if status.name != "stopped":
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
+        about |= {"warning": warned[0]} if warned else {}
         files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
         files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
         if result.policy is not None:
@@ -197,15 +202,35 @@ def _train_once(
     reporter.end(name, status)
 
 
+@contextmanager
+def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
+    """Collect and say what training warns of first: evaluations warn of the same again."""
+    told: list[str] = []
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def collect(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if not issubclass(category, RunWarning):
+                return show(message, category, *where)
+            if not told:
+                told.append(str(message))
+                say(told[0])
+
+        warnings.showwarning = collect  # type: ignore[assignment]
+        warnings.simplefilter("always", RunWarning)
+        yield told
+
+
 def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
     """Report a run's crash, and store it if the run is not tried again."""
     reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-    if job.last_try:
+    final = job.last_try or isinstance(error, OwnCodeError)
+    if final:
         try:
             job.store.save_failure(name, run, "crashed", traceback.format_exc())
         except UserError as unwritten:
             reason = str(unwritten)
-    reporter.end(name, Status("crashed"), reason=reason)
+    reporter.end(name, Status("crashed"), reason=reason, final=final)
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.study.executors import local
 
-from .calls import described, refused
+from .calls import call, described, refused
 
 
 @pytest.fixture
@@ -40,6 +40,8 @@ MISTAKES = {
     "study export activation --out x.csv": "--table",
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format: goes with --plot",
+    f"{RUN} --executor slurm": "--executor slurm",  # before it says that it trains
+    "study plan breakout": "pip install '.[minatar]' in Pneuma's folder",
 }
 
 
@@ -47,6 +49,20 @@ MISTAKES = {
 def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) -> None:
     assert MISTAKES[words] in refused(*words.split())
     assert os.listdir(here) == []
+
+
+@pytest.mark.parametrize("threads", ["x", "0", "-1", "1.5"])
+def test_a_variable_that_numba_cannot_read_is_one_line(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    assert f"NUMBA_NUM_THREADS = {threads} is not allowed" in refused("--version")
+
+
+def test_a_file_in_the_place_of_a_folder_is_told(here: Path) -> None:
+    (here / "afile").touch()
+    for out in ("afile/a.csv", "afile/b/a.csv"):
+        table = ("--table", "summary", "--world", "godot", "--out", out)
+        code, _, err = call("study", "export", "activation", *table)
+        assert code == 2 and err.endswith(f"pneuma: --out {out}: {Path(out).parent} is not a folder\n")
 
 
 def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:

@@ -15,7 +15,7 @@ from .calls import call, described, printed, refused
 
 SUMMARY = """\
 | condition | runs | final-share-killed (share) | final-return |
-| --- | --- | --- | --- |
+| --- | ---: | --- | --- |
 | high | 3 | 0.40 ± 0.20 | 0.40 ± 0.20 |
 | middle | 3 | 0.200 ± 0.000 | 0.200 ± 0.000 |
 """

@@ -42,6 +42,21 @@ def test_an_import_is_drawn_and_published_and_drawn_again(logs: Path, results: P
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
+def test_a_log_that_is_left_out_is_not_counted(logs: Path, tmp_path: Path) -> None:
+    """Two of three reach step 1,000, where values are compared."""
+    (short,) = logs.glob("tanh_2/*")
+    short.unlink()
+    write_events(short, [(RETURN, 100, 1.0)])
+    at = ("--results", tmp_path / "results")
+    printed("import", "tensorboard", logs, *at)
+    told = printed("study", "summary", "old", *at)
+    rows = [line.split("  ") for line in told.splitlines() if line.startswith(("tanh", "relu"))]
+    assert {row[0]: next(filter(None, map(str.strip, row[1:]))) for row in rows} == {
+        "relu": "1",
+        "tanh": "1 of 2",
+    }
+
+
 @pytest.mark.usefixtures("unshipped")
 def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path) -> None:
     """In the conditions that both have; the reward behind a log is not known, and its return is compared."""

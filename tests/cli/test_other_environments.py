@@ -40,6 +40,8 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     mine.write_text(STUDY)
     code, out, err = call("study", "run", mine, *at)
     assert code != 0 and "ZeroDivisionError: by the corridor" in out + err
+    (trace,) = (tmp_path / "results").glob("runs/*/error.txt")
+    assert f'{tmp_path / "corridors.py"}", line' in trace.read_text() and "raise Zero" in trace.read_text()
     table = described("study", "summary", mine, *at, "--json")["summary"]
     told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert told["evaluated-return"] == told["final-success"] == 1
@@ -53,6 +55,57 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     assert "2 done" in printed(*fork, "--trust")
 
 
+ODD = """
+title = "Odd"
+base = "table-6-2"
+[run]
+env = "Corridor-v0"
+env_module = "tests.engines.own_envs"
+horizon = 64
+minibatch = 32
+[conditions.low]
+env_kwargs = { kind = "low" }
+[conditions.double]
+env_kwargs = { kind = "double" }
+[conditions.sound]
+[presets.quick]
+seeds = 1
+steps = 256
+"""
+
+
+def test_an_observation_that_is_not_of_its_space_is_told_once_a_run_and_stored(tmp_path: Path) -> None:
+    mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
+    mine.write_text(ODD)
+    code, _, err = call("study", "run", mine, *at, "--quiet")
+    what = "Corridor-v0: an observation is not of its declared space:"
+    told = {
+        "low": f"{what} number 0 is 4, and not from -1 to 3",
+        "double": f"{what} float64 in place of float32",
+    }
+    said = [line for line in err.splitlines() if "declared space" in line]
+    assert code == 0 and sorted(said) == sorted(f"{name} seed 0: {text}" for name, text in told.items())
+    stored = set()
+    for run in described("run", "list", *at, "--json")["runs"]:
+        stored.add(described("run", "show", run["run_id"], *at, "--json")["provenance"].get("warning"))
+    assert stored == {*told.values(), None}
+
+
+def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp_path: Path) -> None:
+    mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
+    mine.write_text(ODD.replace('"double"', '"numbers"'))
+    picked = ("--condition", "double", "--condition", "sound")
+    told = call("study", "run", mine, *at, "--quiet", *picked, "--steps", 64)
+    assert told.code == 0
+    (note,) = (line for line in call("study", "plan", mine, *at).out.splitlines() if "trained by" in line)
+    assert note.startswith("Note: double: trained by sb3, because the engine batched cannot train")
+    runs = described("run", "list", *at, "--json")["runs"]
+    engines = {described("run", "show", run["run_id"], *at, "--json")["settings"]["engine"] for run in runs}
+    assert engines == {"sb3", "batched"}
+    table = described("study", "summary", mine, *at, "--json", *picked)["summary"]
+    assert {row["condition"]: row["runs"] for row in table} == {"double": 1, "sound": 1}
+
+
 BROKEN = """
 [conditions.unknown]
 env = "Cartpole-v1"
@@ -60,7 +113,9 @@ env = "Cartpole-v1"
 env = "CartPole-v1"
 env_module = "raising.py"
 [conditions.spaces]
-env_kwargs = { kind = "pairs" }
+env_kwargs = { kind = "tuple" }
+[conditions.step]
+env_kwargs = { raises = 1 }
 """
 
 
@@ -69,7 +124,8 @@ env_kwargs = { kind = "pairs" }
     [
         ("unknown", "Environment `Cartpole` doesn't exist"),
         ("raises", "raising.py cannot be imported: OSError: no such display"),
-        ("spaces", "actions in MultiDiscrete([2 2]) cannot be learned: wrap it"),
+        ("spaces", "actions in Tuple(Discrete(2)) cannot be learned: wrap it"),
+        ("step", "Corridor-v0 in step 1 of episode 0: ZeroDivisionError: by the corridor"),
     ],
 )
 def test_what_cannot_be_made_is_refused_with_its_reason(condition: str, why: str, tmp_path: Path) -> None:

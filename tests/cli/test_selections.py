@@ -14,6 +14,7 @@ from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+from pneuma.values import read_value
 
 from .calls import Called, call, described, refused, save_finished
 
@@ -146,6 +147,31 @@ def test_several_values_of_a_field_make_conditions() -> None:
     for key, values in {"gradient_limit": "none, 0.5", "reward": "thesis, kills"}.items():
         plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
         assert plan.conditions == tuple(f"relu, {key}={value}" for value in values.split(", "))
+
+
+@pytest.mark.parametrize(
+    ("said", "values"),
+    [
+        ("actor=64", [(64,)]),
+        ("actor=64,[32,16]", [(64,), (32, 16)]),
+        ("actor=64,32", [(64, 32)]),
+        ("gamma=.9", [0.9]),
+        ("gamma=.9,1e-1,+.5", [0.9, 0.1, 0.5]),
+        ("betas=.9,.999", [(0.9, 0.999)]),
+        ("betas=[.9,.9],[.9,.999]", [(0.9, 0.9), (0.9, 0.999)]),
+        ("gradient_limit=none,.5", [None, 0.5]),
+        ("slow=1,[2,3]", [(1,), (2, 3)]),
+        ("reward=[kills]", [("kills",)]),
+        ("perceive=kind:bamboo,squid", ["kind:bamboo,squid"]),
+    ],
+)
+def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(said: str, values: list[object]) -> None:
+    key, _, text = said.partition("=")
+    study, settings = load_study("activation"), {key: read_value(text)}
+    plan = make_plan(study, Selection(seeds=(0,), conditions=("tanh",), settings=settings))
+    assert [getattr(cell.run, key) for cell in plan.cells] == values
+    for cell in plan.cells if len(values) > 1 else ():  # its name says what it changes, and is read too
+        assert make_plan(study, Selection(seeds=(0,), conditions=(cell.condition,))).cells[0].run == cell.run
 
 
 @pytest.mark.usefixtures("unshipped")

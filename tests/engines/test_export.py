@@ -123,6 +123,43 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
 # --- ONNX ------------------------------------------------------------------------------------------
 
 
+def test_both_files_choose_several_as_the_policy_does() -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
+    policy = replace(random_policy(run, 11, 7), choices=np.array([[2, 3, 2]]))
+    observations = random_observations(50, 11)
+    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
+    logits = session.run(["logits"], {"observation": observations})[0]
+    np.testing.assert_allclose(logits, policy.logits(observations), rtol=1e-5, atol=1e-5)
+    assert session.get_modelmeta().custom_metadata_map["choices"] == "[[2, 3, 2]]"
+    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    chosen, _ = model.predict(observations, deterministic=True)
+    np.testing.assert_array_equal(chosen, policy.best(observations)[:, 0])
+
+
+def test_both_files_clip_numbers_as_the_policy_does() -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
+    bounds = np.array([[[0, 10], [-1, -1]], [[1, 12], [1, 0]]], np.float32)
+    policy = replace(random_policy(run, 11, 4), bounds=bounds, deviation=np.array([1, 2, 3, 4], np.float32))
+    observations = random_observations(50, 11)
+    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
+    told = dict(
+        zip(
+            [each.name for each in session.get_outputs()],
+            session.run(None, {"observation": observations}),
+            strict=True,
+        )
+    )
+    assert [*told] == ["mean_action", "value"]
+    np.testing.assert_allclose(told["mean_action"], policy.best(observations), rtol=1e-5, atol=1e-5)
+    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    chosen, _ = model.predict(observations, deterministic=True)
+    np.testing.assert_allclose(chosen, policy.best(observations), rtol=1e-5, atol=1e-5)
+    deviation = model.policy.log_std.exp().detach().numpy()
+    np.testing.assert_allclose(deviation, [1, 2, 3, 4], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("algorithm", "activation"), [*(("ppo", activation) for activation in ACTIVATIONS), ("dqn", "tanh")]
 )

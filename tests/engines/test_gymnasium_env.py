@@ -36,6 +36,8 @@ CASES: dict[str, dict[str, Any]] = {
     "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
     "normalized": {"env": "CartPole-v1", **NORMALIZED, "learning_rate_schedule": "linear"},
     "normalized sb3": {"env": "Pendulum-v1", "engine": "sb3", **NORMALIZED, "clip_range_schedule": "linear"},
+    "pairs": {**CORRIDOR, "env_kwargs": {"kind": "pairs", "first": 3}, "engine": "sb3"},
+    "bits": {**CORRIDOR, "env_kwargs": {"kind": "bits"}, "engine": "sb3", "algorithm": "trpo"},
     "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
 }
 
@@ -96,12 +98,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "module": ({"env_module": "no_such_module"}, "module no_such_module cannot be imported"),
     "argument": ({"env_kwargs": {"speed": 2}}, "env = Corridor-v0: TypeError: .*speed"),
     "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),
-    "actions": ({"env_kwargs": {"kind": "pairs"}}, "actions in MultiDiscrete"),
-    "observations": ({"env_kwargs": {"kind": "text"}}, "as their space is Sequence: wrap it"),
-    "words": (
-        {"env_kwargs": {"kind": "mission"}},
-        "cannot be flattened, as the space of mission is Words: wrap it",
-    ),
+    "actions": ({"env_kwargs": {"kind": "tuple"}}, "actions in Tuple"),
+    "choices": ({"env_kwargs": {"kind": "pairs"}}, 'several choices, which engine = "sb3" alone'),
+    "observations": ({"env_kwargs": {"kind": "sequence"}}, "observations in Sequence cannot be flattened"),
+    "text": ({"env_kwargs": {"kind": "text"}}, r"observations in text \(mission\) cannot be flattened"),
+    "strange": ({"env_kwargs": {"kind": "strange"}}, r"observations in text \(0\) cannot be flattened"),
+    "minigrid": ({"env": "MiniGrid-Nowhere-v0", "env_module": "nowhere"}, r"'nowhere'; pip.*\[minigrid\]"),
     "numbers": ({"env": "Pendulum-v1"}, 'engine = "sb3" alone'),
     "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "have no bounds"),
     "values": ({"env": "Pendulum-v1", "algorithm": "dqn"}, "which dqn cannot"),
@@ -160,16 +162,58 @@ def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
         assert row["grad_norm_critic"] == 0 < row["grad_norm_actor"]
 
 
+def test_a_policy_of_several_choices_by_hand() -> None:
+    """Two and three to choose from, of 1/4 and 3/4, and of 1/4, 1/4 and 1/2."""
+    bias = np.log(np.array([1, 3, 1, 1, 2], np.float32))
+    layers, value = ((np.zeros((3, 5), np.float32), bias),), ((np.zeros((3, 1), np.float32), bias[:1]),)
+    policy = read_sound_policy(Policy("tanh", layers, value, choices=np.array([[2, 3]])).to_bytes())
+    seen = np.zeros((40_000, 3), np.float32)
+    assert policy.best(seen[:2]).tolist() == [[[1, 2]], [[1, 2]]]
+    drawn = policy.sample(seen, np.random.default_rng(0))
+    assert drawn.shape == (40_000, 1, 2)
+    for place, shares in enumerate(([0.25, 0.75], [0.25, 0.25, 0.5])):
+        np.testing.assert_allclose(np.bincount(drawn[:, 0, place]) / 40_000, shares, atol=0.01)
+    by_hand = 0.25 * np.log(4) + 0.75 * np.log(4 / 3) + 1.5 * np.log(2)
+    assert policy.entropy(seen[:1]) == pytest.approx(by_hand)
+    with pytest.raises(UserError, match="is no policy"):
+        read_sound_policy(replace(policy, choices=np.array([2, 2])).to_bytes())
+
+
+def test_a_policy_of_several_choices_plays_in_the_action_space() -> None:
+    run = make_run({**SMALL, **CASES["pairs"]})
+    policy, evaluation = train(run)[0].policy, Evaluation(run)
+    assert policy is not None and policy.choices is not None and policy.choices.tolist() == [[2, 3], [2, 2]]
+    right = np.array([-9, 9, 0, 0, 0, 0, 0, 0, 0], np.float32)
+    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], right))
+    row = evaluation.evaluate(replace(policy, actor=layers), 0)  # an action outside is an error there
+    assert row["length"] == 5 and row["success"] == 1.0
+
+
 def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
     layers = ((np.zeros((3, 2), np.float32), np.array([1, -1], np.float32)),)
     value = ((np.zeros((3, 1), np.float32), np.zeros(1, np.float32)),)
-    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32))
+    wide = np.array([[-99, -99], [99, 99]], np.float32)
+    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32), bounds=wide)
     again = read_sound_policy(policy.to_bytes())
     drawn = again.sample(np.zeros((20_000, 3), np.float32), np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [1, -1], atol=0.05)
     np.testing.assert_allclose(drawn.std(axis=0), [0.5, 2], rtol=0.03)
     entropy = 2 * 0.5 * np.log(2 * np.pi * np.e) + np.log(0.5 * 2)
     assert again.entropy(np.zeros((1, 3), np.float32)) == pytest.approx(entropy)
+
+
+def test_what_a_policy_of_numbers_plays_lies_in_the_action_space() -> None:
+    """Two rows of numbers in two rows of bounds; the mean (1.55, 0.02, 0, 0.5) is clipped by hand."""
+    run = make_run({**SMALL, **CORRIDOR, "env_kwargs": {"kind": "numbers"}, "engine": "sb3"})
+    space = make_env(run).action_space
+    policy = train(run)[0].policy
+    assert policy is not None
+    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], np.array([1.55, 0.02, 0, 0.5], np.float32)))
+    policy = replace(read_sound_policy(policy.to_bytes()), actor=layers)
+    seen = np.zeros((50, 2), np.float32)
+    np.testing.assert_array_equal(policy.best(seen)[7], [[1, 10], [0, 0.5]])
+    assert all(map(space.contains, [*policy.best(seen), *policy.sample(seen, np.random.default_rng(0))]))
+    assert Evaluation(run).evaluate(policy, 0)["argmax_return"] == 10 * 11.5  # the space's sum in ten steps
 
 
 def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path: Any) -> None:

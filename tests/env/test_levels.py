@@ -91,7 +91,11 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"ground": "1,1,1,1\n1,x,1,1\n1,1,1,1\n"}, "ground.csv: could not convert string 'x' to int64"),
+        ({"ground": "1,1,1,1\n\n1,x,1,1\n"}, "ground.csv: row 3, column 2: 'x' is not allowed"),
+        ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2 has 3 columns, where 4 are asked for"),
+        ({"ground": "4294967296\n"}, "ground.csv: row 1, column 1: '4294967296' is not allowed"),
+        ({"objects": "code,x,y\n400,0\n"}, "objects.csv: row 2 has 2 columns, where 3 are asked for"),
+        ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2, column 3: 'nan' is not allowed"),
         ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
         ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv: unknown code 399; known are 400, 390"),
         ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: no start place"),
@@ -101,6 +105,22 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 def test_what_cannot_be_is_told_with_file_and_row(tmp_path: Path, files: dict[str, str], told: str) -> None:
     folder = write_folder(tmp_path, **files)
     assert complaint(level=str(folder)).startswith(f"{folder}{'' if told.startswith(':') else '/'}{told}")
+
+
+@pytest.mark.parametrize("turned", [2**31, 2**30, 2**29, 2**28, -(2**31), -(2**30), 2**29 - 2**31])
+def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) -> None:
+    """Water is code 0, a start place 400, 7 an obstacle; bits 28 to 31 are Tiled's, with or without sign."""
+    level = load(
+        write_folder(
+            tmp_path,
+            ground=layer(GROUND + turned),
+            obstacles=f"-1,-1,-1,{7 + turned}\n-1,-1,-1,-1\n-1,-1,-1,-1\n",
+            objects=f"code,x,y\n{400 + turned},-96,-64\n{390 + turned},96,64\n",
+        )
+    )
+    assert np.array_equal(level.ground, GROUND)
+    assert np.array_equal(level.terrain == COAST, GROUND == 0) and level.terrain[0, 3] == SOLID
+    assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 96.0, 64.0),)
 
 
 # --- Where bodies begin, and walk ----------------------------------------------------------------

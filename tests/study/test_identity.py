@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import OF_GYMNASIUM, Run, make_run
+from pneuma.engines.environment import check_environment
 from pneuma.env.level import LEVELS
 from pneuma.errors import UserError
 from pneuma.study import identity
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
@@ -109,3 +110,73 @@ def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
     shutil.copytree(LEVELS / "thesis", tmp_path / "thesis")
     monkeypatch.chdir(tmp_path)
     assert _name("thesis") == before
+
+
+# --- A user's files, beside the study's -----------------------------------------------------------
+
+OWN = """
+title = "T"
+base = "table-6-2"
+[conditions.world]
+reward = ["thesis", "of_mine.parts:reward"]
+players = 2
+level = "isle"
+characters = "sub/mine.toml"
+[conditions.other]
+env = "CartPole-v1"
+env_module = "package_of_mine"
+wrappers = ["../up_of_mine.py:Wrapper"]
+[presets.quick]
+seeds = 1
+steps = 512
+"""
+
+
+def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever the command is called, and with the same names for the runs."""
+    there = tmp_path / "there"
+    sources = {
+        "there/of_mine/parts.py": "def reward(events, players, stats):\n    return events['kills']\n",
+        "there/package_of_mine/__init__.py": "from . import more\n",
+        "there/package_of_mine/more.py": "",
+        "up_of_mine.py": "import gymnasium\nWrapper = gymnasium.Wrapper\n",
+        "there/sub/mine.toml": "[monsters.bamboo]\nhp = 7\n",
+        "there/thesis/of_mine.py": "",
+        "there/own.toml": OWN,
+    }
+    for name, text in sources.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    shutil.copytree(LEVELS / "thesis", there / "isle")
+
+    def cells() -> list[Cell]:
+        planned = make_plan(load_study(str(there / "own.toml"), "text"), Selection()).cells
+        for cell in planned:
+            check_environment(cell.run)
+        return list(planned)
+
+    world, other = cells()
+    assert world.run.reward == ("thesis", f"{there / 'of_mine/parts.py'}:reward")
+    assert world.run.level == str(there / "isle") and world.run.characters == str(there / "sub" / "mine.toml")
+    assert other.run.env_module == str(there / "package_of_mine" / "__init__.py")
+    assert other.run.wrappers == (f"{tmp_path / 'up_of_mine.py'}:Wrapper",)
+    (there / "package_of_mine" / "more.py").write_text("\n")
+    assert cells()[1].run_id != other.run_id
+    here = tmp_path / "elsewhere" / "own.toml"
+    here.parent.mkdir()
+    here.write_text(OWN.partition("[conditions.other]")[0] + "[presets.quick]\nseeds = 1\nsteps = 512\n")
+    monkeypatch.chdir(there)
+    (found,) = make_plan(load_study(str(here), "text"), Selection()).cells
+    assert found.run.level == "isle"
+
+
+def test_a_reward_is_named_alike_by_its_module_and_by_that_ones_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "named_alike.py").write_text("def reward(events, players, stats):\n    return 1\n")
+    monkeypatch.chdir(tmp_path)
+    by_path = make_run({"reward": f"{tmp_path / 'named_alike.py'}:reward"})
+    assert run_id(by_path) == run_id(make_run({"reward": "named_alike:reward"}))

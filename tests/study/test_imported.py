@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import struct
 import warnings
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from pneuma.study.imported import (
     import_tensorboard,
     read_event_file,
 )
+from pneuma.study.measure import stored_row
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 
@@ -121,17 +123,38 @@ def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(tmp_path
         flipped = data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
         for broken in (data[:place], flipped):
             path.write_bytes(broken)
-            assert [scalar[:3] for scalar in read_event_file(path)] == sound
+            scalars, length = read_event_file(path)
+            assert [scalar[:3] for scalar in scalars] == sound and length == last
 
 
 def test_a_torn_file_is_imported_and_one_too_large_is_told(tmp_path: Path) -> None:
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
-    (run,), _ = _import(tmp_path)
+    (run,), notes = _import(tmp_path)
     assert (run.steps, len(run.points)) == (4 * 256, 4)
+    assert notes and re.search(r"a_1: .* is damaged: its last \d\d of \d\d\d bytes are left out", notes[0])
     assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
     os.truncate(path, 2**40)
     with pytest.raises(UserError, match="is larger than"):
+        _import(tmp_path)
+
+
+def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path: Path) -> None:
+    tags = ["eval/mean_reward", "eval/success_rate", "eval/share_killed", "eval/step", "rollout/ep_rew_mean"]
+    points = [(tag, step, value) for step, value in ((8, 1.0), (16, 2.0), (16, 4.0)) for tag in tags]
+    write_events(tmp_path / "logs" / "a_1" / FILE, points)
+    (run,), _ = _import(tmp_path)
+    row = stored_row(Store(tmp_path / "results"), run.run_id)
+    assert {name: row.evaluations(name).tolist() for name in row.evaluation_columns} == {
+        "step": [8, 16], "return": [1, 4], "share_killed": [1, 4], "success": [1, 4],
+    }  # fmt: skip
+
+
+def test_a_name_that_is_no_text_is_told(tmp_path: Path) -> None:
+    folder = os.fsencode(tmp_path / "logs") + b"/bad\xff_1"
+    os.makedirs(folder)
+    write_events(Path(os.fsdecode(folder)) / FILE, POINTS)
+    with pytest.raises(UserError, match=r"bad\\xff_1/.*: this name is not UTF-8"):
         _import(tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 from dataclasses import replace
@@ -43,6 +44,18 @@ def test_a_worker_that_tells_no_event_is_killed_and_tried_once_more(
     note, end = train({run_id(RUN): RUN}, tmp_path)
     assert "was killed by SIGKILL" in note["text"] and note["text"].endswith("tried once more")
     assert (end["event"], end["run_id"], end["status"]) == ("end", run_id(RUN), "killed")
+
+
+@pytest.mark.parametrize("final", [True, False])
+def test_what_a_users_own_code_raised_is_not_trained_again(
+    final: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = {"event": "end", "run_id": run_id(RUN), "status": "crashed", "step": 0, "trained": True}
+    line = json.dumps({**about, "reason": "by the corridor", "final": final})
+    no_worker(tmp_path, monkeypatch, f"read group\necho x >> {tmp_path}/begun\necho '{line}'\nexit 1")
+    *notes, end = train({run_id(RUN): RUN}, tmp_path)
+    assert end["reason"] == "by the corridor" and len(notes) == (0 if final else 1)
+    assert len((tmp_path / "begun").read_text().splitlines()) == len(notes) + 1
 
 
 def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(

@@ -121,7 +121,8 @@ def test_a_run_saved_again_holds_only_its_new_files_and_a_crash_never_replaces_a
     with ThreadPoolExecutor(8) as pool:  # two processes may save one run at once
         for done in [pool.submit(store.save_run, NAME, Status("done", 512), FILES) for _ in range(20)]:
             done.result()
-    store.save_run(NAME, Status("crashed"), CRASH)
+    with run_lock(store.run_folder(NAME)):  # of one who thought that the run was not finished
+        store.save_run(NAME, Status("crashed"), CRASH)
     assert store.status(NAME) == Status("done", 512)
     assert {path.name for path in store.run_folder(NAME).iterdir()} == {*FILES, "status.json"}
 

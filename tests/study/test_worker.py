@@ -70,6 +70,9 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
     assert read_sound_policy(store.read_file(FIRST, "policy.safetensors")).activation == "tanh"
     files = {path.name for path in store.run_folder(SECOND).iterdir()}
     assert files == {*TABLES, "run.json", "provenance.json", "row.arrow", "status.json"}
+    _, _, events = _train(_Engine(), tmp_path, monkeypatch)
+    assert [event["trained"] for event in events] == [False, False]
+    assert files == {path.name for path in store.run_folder(SECOND).iterdir()}  # no lock is left either
     (row,) = from_parquet(store.read_file(SECOND, "metrics.parquet")).to_pylist()
     assert (row["step"], row["policy_loss"]) == (256, 0.5)
     assert [store.identity(run_id(run)) for run in RUNS] == [run_identity(run) for run in RUNS]

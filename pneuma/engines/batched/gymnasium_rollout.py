@@ -26,7 +26,7 @@ class GymnasiumCollector:
         self.slots = Slots(run, slot_seeds(run), training=True)
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
-        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr]
+        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr, arg-type]
         self._begins = np.ones(run.slots, np.float32)
 
     @property

@@ -10,8 +10,8 @@ All of them guarantee:
 - The process that trains a run holds its lock in the store. Runs that other processes hold are reported and
   left to them.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
-- A run that crashes, or loses its process or node, is tried once more before it counts as failed. Slurm
-  requeues jobs whose node is lost.
+- A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless a
+  user's own code has raised. Slurm requeues jobs whose node is lost.
 - After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. The same
   command resumes, with this executor or another, and ends with the same bits. If jobs outlive the command, as
   in Slurm's queue, it raises `Detached`.

@@ -237,7 +237,7 @@ class Supervisor:
                 self._on_event(crash or end_event(name, Status("stopped")))
             elif name not in begun:
                 self._tasks.append(_Task({name: group[name]}, tries))
-            elif tries < TRIES:  # alone, so that a crash affects no other run
+            elif tries < TRIES and not (crash and crash.get("final")):  # alone, to affect no other run
                 self._tasks.append(_Task({name: group[name]}, tries + 1))
                 why = f"crashed ({crash['reason']})" if crash else _reason(code)
                 self._note(name, f"{why}; tried once more")
