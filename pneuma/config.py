@@ -31,6 +31,7 @@ from pneuma.algorithms import (
     TABULAR,
     VALUE_BASED,
 )
+from pneuma.bases import BASES as BASES
 from pneuma.env_fields import (
     ENVIRONMENT_FIELDS,
     ENVIRONMENTS,
@@ -40,7 +41,6 @@ from pneuma.env_fields import (
     resolve_world,
 )
 from pneuma.errors import UserError
-from pneuma.sb3_names import DEFAULTS
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
@@ -251,36 +251,6 @@ class Run(EnvConfig):
     @property
     def updates(self) -> int:
         return self.steps // self.steps_per_update
-
-
-BASES: dict[str, dict[str, Any]] = {
-    "table-6-1": {
-        "clip_range": 0.2,
-        "horizon": 2048,
-        "epochs": 15,
-        "value_coefficient": 1.0,
-        "betas": (0.9, 0.999),
-        "activation": "relu",
-        "gradient_limit": None,
-    },
-    "table-6-2": {
-        "clip_range": 0.1,
-        "horizon": 256,
-        "epochs": 10,
-        "value_coefficient": 0.5,
-        "betas": (0.9, 0.9),
-        "activation": "tanh",
-        "gradient_limit": 0.5,
-    },
-}
-"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2)."""
-
-for _base in BASES.values():
-    _base.update(
-        gamma=0.99, gae_lambda=0.95, learning_rate=3e-4, minibatch=64, entropy_coefficient=0.01,
-        optimizer="adam", epsilon=1e-5, actor=(128,), critic=(256,), slots=1, clip="joint",
-    )  # fmt: skip
-BASES["stable-baselines3"] = DEFAULTS
 
 
 def make_run(given: Mapping[str, object]) -> Run:

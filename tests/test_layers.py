@@ -17,6 +17,7 @@ MODULES = {
 BASE = (
     "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
     "pneuma.worlds", "pneuma.schema", "pneuma.files", "pneuma.sb3_names",
+    "pneuma.bases",
 )  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
@@ -26,11 +27,12 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.algorithms": (),
     "pneuma.config": (
         "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values", "pneuma.schema",
-        "pneuma.sb3_names",
+        "pneuma.bases",
     ),
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.files": ("pneuma.errors",),
+    "pneuma.bases": ("pneuma.sb3_names",),
     "pneuma.sb3_names": ("pneuma.errors",),
     "pneuma.schema": ("pneuma.errors", "pneuma.files"),
     "pneuma.values": (),

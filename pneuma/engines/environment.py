@@ -52,7 +52,7 @@ def make_vec_env(run: Run) -> Any:
 def make_evaluation(run: Run) -> Any:
     """Return the evaluation of a run's policies, with a method `evaluate(policy, step)`."""
     if is_gymnasium_id(run.env):
-        from pneuma.engines.gymnasium_env import Evaluation as Foreign
+        from pneuma.engines.gymnasium_evaluation import Evaluation as Foreign
 
         return Foreign(run)
     from pneuma.engines.evaluation import Evaluation

@@ -14,7 +14,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import check_environment, slot_seeds
-from pneuma.engines.gymnasium_env import Evaluation, Slots, make_env
+from pneuma.engines.gymnasium_env import Slots, make_env
+from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
