@@ -71,9 +71,7 @@ def test_pages_hold_what_their_commands_print_from_published_tables() -> None:
 def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     other = "<!-- pneuma study show activation -->\n<!-- end -->\n"
-    page.write_text(
-        f"a\n\n<!-- pneuma study list --json -->\nold\n<!-- end -->\n\nb <!-- end -->\n{other}"
-    )
+    page.write_text(f"a\n\n<!-- pneuma study list --json -->\nold\n<!-- end -->\n\nb <!-- end -->\n{other}")
     assert rewrite([page]) == [page]
     before, _, rest = page.read_text().partition("<!-- pneuma study list --json -->\n\n")
     printed, _, after = rest.partition("\n<!-- end -->\n")
