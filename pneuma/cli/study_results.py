@@ -185,11 +185,11 @@ def compare(
         from pneuma.figures.summary import draw_comparison
 
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
-        stem = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
+        basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
         again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
         files = draw_files(
-            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats, again)
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, basename, formats, again)
         )
     if json:
         return print_json({"study": data.study, "comparisons": table, "figures": files})
@@ -279,10 +279,10 @@ def collapse(
     if out is not None:
         from pneuma.figures.collapse import draw_collapse
 
-        stem = figure_basename(data, "collapse")
+        basename = figure_basename(data, "collapse")
         again = opt.drawing_command(["collapse", name, "--out", "figures"], picked, {"format": formats})
         files = draw_files(
-            store, out, lambda folder: draw_collapse(data, folder, stem, formats, command=again)
+            store, out, lambda folder: draw_collapse(data, folder, basename, formats, command=again)
         )
     if json:
         print_json({"study": data.study, "runs": found, "incidence": shares, "figures": files})
@@ -371,11 +371,13 @@ def robustness(
         from pneuma.figures.maps import contrast_word, draw_robustness
 
         other = [found.outcome] if found.outcome != primary(data) else []
-        stem = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
+        basename = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
         words = ["robustness", name, "--contrast", contrast_word(found), "--out", "figures"]
         again = opt.drawing_command(words, picked, {"outcome": other, "format": formats})
         files = draw_files(
-            store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats, command=again)
+            store,
+            out,
+            lambda folder: draw_robustness(data, [found], folder, basename, formats, command=again),
         )
     turned = find_outcome(found.outcome).better == "lower"
     if json:
