@@ -92,8 +92,8 @@ def plot(
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
     from pneuma.figures.curves import draw_study
-    from pneuma.figures.style import MOST_IN_A_PANEL
     from pneuma.figures.summary import draw_summary
+    from pneuma.figures.words import fits_panel
 
     other = open_data(opt.Chosen(Selection(), None, store), beside) if beside else None
 
@@ -101,7 +101,7 @@ def plot(
         name, world = asked
         data = open_data(replace(picked, world=world), name)
         words = ["plot", name, *(["--beside", beside] if beside else [])]
-        of_curves = quantity or band or window or beside or len(data.conditions) <= MOST_IN_A_PANEL
+        of_curves = quantity or band or window or beside or fits_panel(data)
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
         look: dict[str, Iterable[str]] = {"figure": [kind], "format": formats}
         if kind == "summary":

@@ -18,7 +18,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel, in_grid, save_page
 from pneuma.figures.lines import QUANTITIES, USUAL_BAND, Column
 from pneuma.figures.origin import origin_of
-from pneuma.figures.words import after_thesis, headline_of, merge_notes
+from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes
 from pneuma.study.quantities import EPISODE_QUANTITIES
 
 USUAL_QUANTITIES = ("return", "share_killed", "success")
@@ -60,9 +60,9 @@ def draw_study(
     """
     columns = {"": studies} if isinstance(studies, StudyData) else studies
     data = next(filter(None, columns.values()))
-    if (count := len(data.conditions)) > style.MOST_IN_A_PANEL:
+    if not all(fits_panel(each) for each in columns.values() if each):
         most = f"pick {style.MOST_IN_A_PANEL} at most by --condition, or --figure summary"
-        raise UserError(f"study {data.study}: its {count} conditions do not fit one panel: {most}")
+        raise UserError(f"study {data.study}: its conditions do not fit one panel: {most}")
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
     names = names or usual_quantities(data)
     drawn = {

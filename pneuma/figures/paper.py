@@ -217,9 +217,9 @@ def _longest(
 ) -> StudyData | None:
     every = stored_runs(index, ask(index, study, Selection(settings=settings), world))
     trained = {name for name, *_ in every}
-    shown = [name if name in trained else IN_THE_CODE.get(name, name) for name in conditions]
-    shown = [name if name in trained else old for name, old in zip(shown, conditions, strict=True)]
-    asked = ask(index, study, Selection(settings=settings, conditions=tuple(shown)), world)
+    coded = {text: code for text, code in IN_THE_CODE.items() if text not in trained and code in trained}
+    shown = tuple(coded.get(name, name) for name in conditions)
+    asked = ask(index, study, Selection(settings=settings, conditions=shown), world)
     budgets: dict[str, list[int]] = {name: [] for name in shown}
     for name, _, entry in stored_runs(index, asked):
         budgets[name].append(entry.steps)

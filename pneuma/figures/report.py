@@ -31,8 +31,9 @@ from pneuma.figures import verdicts
 from pneuma.figures.collapse import draw_collapse
 from pneuma.figures.curves import draw_study
 from pneuma.figures.maps import contrast_word, draw_robustness, study_maps
-from pneuma.figures.style import MOST_IN_A_PANEL, clean
+from pneuma.figures.style import clean
 from pneuma.figures.summary import draw_summary
+from pneuma.figures.words import fits_panel
 from pneuma.files import MADE_BY
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
@@ -154,7 +155,7 @@ def study_pictures(data: StudyData) -> list[dict[str, str]]:
     study, form = quote(data.study), ("png",)
     with TemporaryDirectory() as name:
         folder, drawn = Path(name), []
-        if curve_names(data) and len(data.conditions) <= MOST_IN_A_PANEL:
+        if curve_names(data) and fits_panel(data):
             again = f"pneuma study plot {study}"
             curves = draw_study(data, folder, formats=form, command=again)
             drawn.append((f"Curves over {data.budget:,} environment steps", again, curves))

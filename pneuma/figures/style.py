@@ -211,7 +211,7 @@ def _save_png(figure: Figure, path: Path, origin: Origin, colours: int) -> None:
     texts.add_text(KEYS["png"], origin.encode())
     if colours:
         image = image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    image.save(path, "PNG", optimize=True, dpi=(figure.dpi, figure.dpi), pnginfo=texts)
+    image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=texts)
 
 
 def clean(text: str) -> str:

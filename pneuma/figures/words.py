@@ -96,8 +96,14 @@ def label_of(data: StudyData, condition: str, name: str = "") -> str:
 
 def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the styles of conditions, which they keep where a part of the study is drawn, if it is small."""
-    every = data.every or data.conditions
-    return condition_styles(every if len(every) <= MOST_IN_A_PANEL else data.conditions)
+    trained = [name for name in data.conditions if data.of_condition(name)]
+    few = [names for names in (data.every, data.conditions) if 0 < len(names) <= MOST_IN_A_PANEL]
+    return condition_styles([*few, trained][0])
+
+
+def fits_panel(data: StudyData) -> bool:
+    """Return whether the curves of all conditions that have runs fit one panel."""
+    return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
 
 
 def format_counts(counts: Iterable[int]) -> str:
