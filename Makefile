@@ -7,7 +7,7 @@ INSTALLED := .venv/.installed
 PIP = $(BIN)/pip install --quiet --disable-pip-version-check
 
 .PHONY: help install constraints study figures docs test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-collapse reproduction-slow
+.PHONY: reproduction reproduction-rest reproduction-causes reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
 help:            ## Say what each target does
@@ -36,8 +36,9 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study run activation
 	$(BIN)/pneuma study plot activation
 
-figures: install  ## Draw everything in paper_figures/, the verdicts among it
+figures: install  ## Draw everything in paper_figures/, and write the tables that pages hold
 	$(BIN)/python -P -m pneuma.figures.paper paper_figures --results results --beside published-logs=author-logs
+	$(BIN)/python -P -m pneuma.cli.pages README.md docs/*.md
 
 # --- The reproduction ---------------------------------------------------------------------------
 #
@@ -56,8 +57,8 @@ reproduction-slow: install  ## Train chapter 6's mid and big networks
 reproduction-rest: install  ## Train chapters 3 to 5, and the published logs again
 	$(REPRODUCE) other-chapters $(DO) $(ARGS)
 
-reproduction-collapse: install  ## Train the studies of collapse, and robustness
-	$(REPRODUCE) collapse $(DO) $(ARGS)
+reproduction-causes: install  ## Train the studies of collapse and other causes
+	$(REPRODUCE) causes $(DO) $(ARGS)
 
 RIVALS_optimizers = adam l2 upgd sgd momentum rmsprop
 RIVALS_algorithms = ppo trpo a2c dqn double-dqn

@@ -28,6 +28,7 @@ TABULAR = ("q-learning", "double-q-learning")
 _NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots")
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
 _GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
+_PPO = ("first_layer_scale", "normalize_advantage")
 _EXPLORATION = ("exploration", "exploration_fraction")
 _DQN = (
     *_NETWORK, *_EXPLORATION, "minibatch", "gradient_limit", "buffer_size", "learning_starts", "train_every",
@@ -36,7 +37,7 @@ _DQN = (
 _TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
 ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
-    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, "clip_range", "minibatch", "epochs"),
+    "ppo": (*_ACTOR_CRITIC, *_GRADIENT, *_PPO, "clip_range", "minibatch", "epochs"),
     "a2c": (*_ACTOR_CRITIC, *_GRADIENT),
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
     "dqn": _DQN,

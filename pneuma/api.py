@@ -82,7 +82,12 @@ def run_study(
         conditions=(conditions,) if isinstance(conditions, str) else tuple(conditions),
         settings=settings,
     )
-    planned, store = plan.make_plan(spec.load_study(os.fspath(study), world), selection), _store(results)
+    asked = spec.load_study(os.fspath(study), world)
+    if preset == spec.CLAIMS:
+        from pneuma.analysis.claims_preset import with_claims
+
+        asked = with_claims(asked, steps)
+    planned, store = plan.make_plan(asked, selection), _store(results)
     how = Supervision(
         workers=workers or available_cores(),
         keep_checkpoints=planned.study.keep_checkpoints,

@@ -137,6 +137,8 @@ class Run(EnvConfig):
     actor: Layers = (128,)
     critic: Layers = (256,)
     activation: Annotated[str, OneOf(ACTIVATIONS)] = "tanh"
+    first_layer_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
+    """Factor on the initial weights of both first layers."""
 
     gamma: Share = 0.99
     gae_lambda: Share = 0.95
@@ -154,6 +156,8 @@ class Run(EnvConfig):
     """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
     value_baseline: bool = True
     """Whether the critic's values are subtracted from returns to make advantages (thesis section 4.2)."""
+    normalize_advantage: bool = True
+    """Whether each minibatch's advantages are given mean 0 and standard deviation 1."""
 
     target_kl: Annotated[float, Interval(gt=0, le=100)] | None = None
     """TRPO's trust region: the greatest mean KL divergence of one update (thesis Eq. 4.12)."""

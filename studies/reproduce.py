@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from pneuma.study.claimed import fixed_amounts
+from pneuma.analysis.claims_preset import fixed_amounts
 from pneuma.study.spec import load_study
 
 PARTS = {
@@ -30,7 +30,10 @@ PARTS = {
         "tabular", "policy-gradient", "perception", "vision", "algorithms", "generalisation",
         "published-logs",
     ),
-    "collapse": ("collapse", "late-collapse", "robustness"),
+    "causes": (
+        "collapse", "late-collapse", "robustness", "noise-scale", "betas-and-units", "three-updates",
+        "greedy-gap",
+    ),
 }  # fmt: skip
 """Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
 WORLDS = ("arena", "text", "godot")

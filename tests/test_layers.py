@@ -45,9 +45,9 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.study.live": ("pneuma.engines.loop", "pneuma.engines.records"),
     # what says that programs have to be compiled:
     "pneuma.study.checkpoints": ("pneuma.engines.loop", "pneuma.engines.records"),
-    # what reads records, what produced them, and which of them claims fixed:
+    # what reads records, and what produced them:
     "pneuma.analysis": (
-        "pneuma.study.store", "pneuma.study.spec", "pneuma.study.claimed", "pneuma.study.plan",
+        "pneuma.study.store", "pneuma.study.spec", "pneuma.study.plan",
         "pneuma.study.provenance", "pneuma.study.documents", "pneuma.study.identity", "pneuma.study.rows",
         "pneuma.study.published",
         "pneuma.study.measure", "pneuma.study.series", "pneuma.study.quantities",

@@ -1,7 +1,8 @@
-"""What README and docs tell people to type is there: commands, their options, and the study to copy."""
+"""What README and docs tell people to type is there, and what they say that commands print is so."""
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 from typer.main import get_command
 
 from pneuma.cli import app
+from pneuma.cli.pages import renewed, rewrite
+from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
@@ -58,6 +61,32 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
     links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
     near = [link for link in links if "://" not in link]
     assert [link for link in near if not (page.parent / link).exists()] == []
+
+
+def test_pages_hold_what_their_commands_print_from_published_tables() -> None:
+    """`make figures` writes them anew."""
+    assert [page.name for page, text in renewed(PAGES) if text != page.read_text(encoding="utf-8")] == []
+
+
+def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("a\n\n<!-- pneuma study list --json -->\nold\n<!-- end -->\n\nb <!-- end -->\n")
+    assert rewrite([page]) == [page]
+    before, _, rest = page.read_text().partition("<!-- pneuma study list --json -->\n\n")
+    printed, _, after = rest.partition("\n<!-- end -->\n")
+    assert (before, after) == ("a\n\n", "\nb <!-- end -->\n")
+    assert "activation" in {study["study"] for study in json.loads(printed)["studies"]}
+    assert rewrite([page]) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "told"), [("study run activation", "pages hold what"), ("study show nothing", "nothing")]
+)
+def test_a_block_that_trains_or_fails_is_refused(tmp_path: Path, command: str, told: str) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"<!-- pneuma {command} -->\n<!-- end -->\n")
+    with pytest.raises(UserError, match=told):
+        rewrite([page])
 
 
 def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.claimed import fixed_amounts
+from pneuma.analysis.claims_preset import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import list_studies, load_study
+from pneuma.study.spec import Study, list_studies, load_study
 from pneuma.study.store import Store
 
 from .hand_made import healthy, learning, make_id, save_collapse, study_of
@@ -28,9 +28,13 @@ def _trained(part: str) -> set[str]:
         _, _, study, *rest = words
         options = dict(zip(rest[::2], rest[1::2], strict=True))
         steps = int(options["--steps"]) if "--steps" in options else None
-        plan = make_plan(load_study(study, options["--world"]), Selection(options["--preset"], steps=steps))
-        ids.update(cell.run_id for cell in plan.cells)
+        ids |= _planned(load_study(study, options["--world"]), Selection(options["--preset"], steps=steps))
     return ids
+
+
+def _planned(study: Study, selection: Selection) -> set[str]:
+    asked = with_claims(study, selection.steps) if selection.preset == "claims" else study
+    return {cell.run_id for cell in make_plan(asked, selection).cells}
 
 
 @pytest.mark.slow
@@ -42,7 +46,7 @@ def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
             (study, Selection("claims", steps=steps)) for study in studies for steps in fixed_amounts(study)
         ]
         for study, selection in fixed or [(study, Selection("paper")) for study in studies]:
-            assert {cell.run_id for cell in make_plan(study, selection).cells} <= trained, study.name
+            assert _planned(study, selection) <= trained, study.name
 
 
 def test_options_narrow_the_commands_of_a_part() -> None:
@@ -51,7 +55,7 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     assert " ".join(one) == "study publish architecture --world arena --results mine"
     (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
     assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
-    assert [each[4] for each in commands("collapse", "status", ["collapse"], ["text"])] == ["text"]
+    assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
 def test_makefile_names_every_part() -> None:

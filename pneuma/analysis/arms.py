@@ -1,18 +1,27 @@
-"""Arms: the runs that a claim fixed in a world → one value per run, or why they cannot be compared."""
+"""The runs that a claim fixed in a world, found by their ids → arms.
+
+An arm has one value per run, or says why its runs cannot be compared.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from pneuma.analysis.claims import MINUS, Claim
+from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
 from pneuma.analysis.outcomes import QUIET, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.pvalues import student_tails
-from pneuma.study.plan import Cell
+from pneuma.analysis.run_index import RunIndex
+from pneuma.config import as_fields
+from pneuma.study.plan import Cell, Selection, make_plan
 from pneuma.study.provenance import processors
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study, load_study
+from pneuma.worlds import world_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -60,7 +69,7 @@ class ClaimRuns:
     def found(self, condition: str) -> list[FinishedRun]:
         return self.data.of_condition(condition) if self.data else []
 
-    def hindrance(self, outcome: str, names: Sequence[str]) -> str:
+    def why_incomparable(self, outcome: str, names: Sequence[str]) -> str:
         """Return why arms cannot be compared, before any value is read; empty if they can."""
         runs = [self.cells[name][0].run for name in names]
         if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
@@ -135,3 +144,71 @@ def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None
     error = scores.std(ddof=1) / np.sqrt(scores.size)
     p_greater, _ = student_tails(scores.mean(), np.array(error), scores.size - 1)
     return bool(p_greater <= FLOOR_LEVEL) and bool(scores.mean() > 0)
+
+
+# --- Finding runs ----------------------------------------------------------------------------------
+
+
+def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
+    """Yield the runs of each claim of a list in each of its worlds, in the list's order."""
+    read_study = cache(load_study)
+
+    @cache
+    def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:
+        study = read_study(name, world)
+        selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
+        return make_plan(study, selection).cells
+
+    rest = " --unpublished" if index.store.published(shipped=False) else ""
+    for claim in claims.claims.values():
+        is_path = claim.study.endswith(".toml")
+        path = str(claims.path.parent / claim.study) if is_path else claim.study
+        for world in claim.worlds:
+            study = read_study(path, world)
+            seeds = claim.seeds_in(world)
+            cells = {
+                condition: plan(path, world, condition, seeds[condition], claim.steps[condition])
+                for condition in claim.compared
+            }
+            commands = _preset_commands(claims, claim, study) or _commands(claim, path, world, study.worlds)
+            mend = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
+            data = _read(index, study, cells)
+            yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.problems)
+
+
+def _read(index: RunIndex, study: Study, cells: Mapping[str, Sequence[Cell]]) -> StudyData | None:
+    """Return the finished runs among some cells; None if there are none."""
+    every = [cell for each in cells.values() for cell in each]
+    rows = index.rows(index.entries[cell.run_id] for cell in every if cell.run_id in index.entries)
+    found = [
+        FinishedRun(cell.condition, cell.seed, rows[cell.run_id]) for cell in every if cell.run_id in rows
+    ]
+    fields = {condition: as_fields(each[0].run) for condition, each in cells.items()}
+    return StudyData(study.name, study.title, study.figure, "", fields, found) if found else None
+
+
+def _preset_commands(claims: ClaimList, claim: Claim, study: Study) -> list[str]:
+    """Return the commands, one a budget, that train a study's claimed runs; none if the list is elsewhere."""
+    if study.path is None or claims.path.resolve() != (study.path.parent / CLAIMS_FILE).resolve():
+        return []
+    alike = [one for one in claims.claims.values() if one.study == claim.study and study.world in one.worlds]
+    several = len({steps for one in alike for steps in one.steps.values()}) > 1
+    name = study.own_path or study.name
+    words = ["pneuma", "study", "run", name, "--preset", CLAIMS, *world_option(study.world, study.worlds)]
+    budgets = sorted({*claim.steps.values()}) if several else [0]
+    return [shlex.join([*words, *(["--steps", str(steps)] if steps else [])]) for steps in budgets]
+
+
+def _commands(claim: Claim, study: str, world: str, worlds: Sequence[str]) -> list[str]:
+    """Return the commands that train the runs of a claim in a list that is not beside the study's file."""
+    alike: dict[tuple[tuple[int, ...], int], list[str]] = {}
+    for name in claim.conditions:
+        alike.setdefault((tuple(sorted(claim.seeds[name])), claim.steps[name]), []).append(name)
+    commands = []
+    for (seeds, steps), names in alike.items():
+        every = seeds == tuple(range(seeds[0], seeds[-1] + 1))
+        listed = f"{seeds[0]}..{seeds[-1]}" if every else ",".join(map(str, seeds))
+        words = ["pneuma", "study", "run", study, *world_option(world, worlds)]
+        words += [word for name in names for word in ("--condition", name)]
+        commands.append(shlex.join([*words, "--seeds", listed, "--steps", str(steps)]))
+    return commands

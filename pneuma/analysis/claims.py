@@ -3,11 +3,11 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
-    [pilot]                     spreads between runs, for `pneuma.analysis.design`
+    [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `judgement.py`. A checksum of the file and of the code that judges
-is printed with the verdicts. docs/claims.md explains each key; `pneuma.study.claimed` reads its runs.
+studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of `claims_preset.py`. A checksum
+of the file and of the code that judges is printed with the verdicts. docs/claims.md explains each key.
 """
 
 from __future__ import annotations
@@ -25,20 +25,37 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
-from pneuma.schema import CONFIG, Table, TomlFile, passes, read_model, read_toml
-from pneuma.study.claimed import ClaimedRuns, SeedsHead, SeedsOf, StepsOf, World, fix_runs, listed
-from pneuma.study.spec import CLAIMS_FILE, load_study, studies_folder
+from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
+from pneuma.study.spec import CLAIMS_FILE, SEEDS_ALLOWED, Study, load_study, read_seeds, studies_folder
+from pneuma.values import OneOf, Reads
+from pneuma.worlds import WORLDS
 
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
 JUDGES = (
     "study/series", "study/measure", "analysis/outcomes", "analysis/collapse", "analysis/claims",
-    "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts", "analysis/design",
+    "analysis/claim_table", "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts",
     "analysis/judgement",
 )  # fmt: skip
 """The modules that turn the records of runs into verdicts."""
+
+
+def _listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+def _by_condition(value: Any) -> Any:
+    """Return one value per condition; a single value for all conditions gets the key ''."""
+    return value if isinstance(value, Mapping) else {"": value}
+
+
+def _seeds_as_written(value: Any) -> Any:
+    """Check seeds but keep a count as it is, because the list says which seed is the first."""
+    read_seeds(value)
+    return value
 
 
 def _one_line(value: object) -> object:
@@ -59,13 +76,21 @@ def _find_measured(name: str) -> None:
         _find_outcomes((re.split(" (?:above|below) ", name)[0],))
 
 
+World = Annotated[str, OneOf(tuple(WORLDS))]
+Seed = Annotated[int, Field(ge=0)]
+Conditions = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+SeedsOf = Annotated[
+    dict[str, Annotated[tuple[int, ...], Reads(_seeds_as_written, SEEDS_ALLOWED)]],
+    BeforeValidator(_by_condition),
+]
+StepsOf = Annotated[dict[str, Steps], BeforeValidator(_by_condition)]
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
 Kind = Literal["mean", "incidence", "spread", "range"]
 Direction = Literal["greater", "less", "different", "equal", "no-less"]
 Outcomes = Annotated[
-    tuple[Words, ...], BeforeValidator(listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
+    tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
 ]
 Measured = Annotated[str, passes(_find_measured)]
 ByWorld = Positive | dict[World, Positive]
@@ -76,18 +101,22 @@ Value = float | dict[str, float | dict[World, float]] | None
 Arms = tuple[str, ...]
 
 
-class ListHead(SeedsHead, extra="forbid"):
+class ListHead(Table):
     """The head of a list: what holds for all its claims.
 
     Attributes:
         title: of the list.
         learned: what the earlier list taught.
         alpha: the chance of any false verdict of the whole list in each world.
+        seeds_from: the first seed if a claim fixes a number of seeds; smaller ones are refused.
+        seen: worlds in which nothing is trained anew, with the first and last seed of their earlier runs.
     """
 
     title: Text = ""
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
+    seeds_from: Seed = 0
+    seen: dict[World, tuple[Seed, Seed]] = {}
 
 
 class Pilot(Table):
@@ -103,7 +132,7 @@ class Pilot(Table):
     spreads: dict[World, dict[Measured, Annotated[float, Field(ge=0)]]] = {}
 
 
-class Claim(ClaimedRuns, Table):
+class Claim(Table):
     """A sentence of the thesis as a test; see docs/claims.md.
 
     Each condition of a is compared with each of b; for a range, all of a together with all of b.
@@ -113,6 +142,13 @@ class Claim(ClaimedRuns, Table):
         quote: the sentence of the thesis.
         context: what is compared, in one line.
         section: of the thesis.
+        study: the name of a shipped study, or the path of a file beside the claims.
+        a, b: conditions that are compared; b may be empty.
+        control: a condition that must show what the claim says is cured; may be empty.
+        beside: conditions that are trained and told beside the claim, and not tested.
+        seeds, steps: of each condition, after `_fix_runs`.
+        seen: for worlds in which nothing is trained anew, the seeds of earlier runs, after `_fix_runs`.
+        worlds: those of `WORLDS` that the claim is about; default: all of the study's.
         value: a constant that a is compared with instead of b, or one for each outcome.
         outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
         above, below: the threshold of an incidence.
@@ -122,12 +158,19 @@ class Claim(ClaimedRuns, Table):
         note: why it is tested so.
     """
 
-    model_config = CONFIG
-
     name: str
     quote: Words
     context: Text = ""
     section: Words
+    study: Words
+    a: Annotated[Conditions, Field(min_length=1)]
+    b: Conditions = ()
+    control: Annotated[Conditions, Field(max_length=1)] = ()
+    beside: Conditions = ()
+    seeds: SeedsOf
+    steps: StepsOf
+    worlds: tuple[World, ...] = ()
+    seen: dict[str, tuple[int, ...]] = {}
     value: Value = None
     outcome: Outcomes
     above: float | None = None
@@ -137,6 +180,19 @@ class Claim(ClaimedRuns, Table):
     margin: ByOutcome = None
     spread: ByOutcome = None
     note: Text = ""
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Every condition that its verdict needs."""
+        return tuple(dict.fromkeys((*self.a, *self.b, *self.control)))
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Every condition that is trained for it."""
+        return tuple(dict.fromkeys((*self.compared, *self.beside)))
+
+    def seeds_in(self, world: str) -> dict[str, tuple[int, ...]]:
+        return dict.fromkeys(self.compared, self.seen[world]) if world in self.seen else self.seeds
 
     @property
     def event(self) -> str:
@@ -251,11 +307,42 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
         study = load_study(path)
     except UserError as error:
         raise file.mistake(where, f"study: {error}", "study") from None
-    claim = fix_runs(claim, file, where, study)
+    claim = _fix_runs(claim, said.list, file, where, study)
     claim = claim.model_copy(update={"margin": _filled(claim, said.margins)})
     if found := _mistake(claim, said.list):
         raise file.mistake(where, found[1], found[0])
     return claim
+
+
+def _fix_runs(claim: Claim, head: ListHead, file: TomlFile, where: Where, study: Study) -> Claim:
+    """Return a claim with the seeds and steps of each condition, after checking that its study has them."""
+    for key in ("a", "b", "control", "beside"):
+        names = getattr(claim, key)
+        for name in names:
+            if name not in study.conditions:
+                unknown = unknown_name(f"condition of study {study.name}", name, study.conditions)
+                raise file.mistake(where, f"{key}: {unknown}", key)
+            if names.count(name) > 1:
+                raise file.mistake(where, f"{key}: {name} stands there twice", key)
+    for name in claim.worlds:
+        if name not in study.worlds:
+            known = ", ".join(study.worlds)
+            raise file.mistake(where, f"worlds: study {study.name} is run in {known}, not {name}", "worlds")
+    first = head.seeds_from
+    spread: dict[str, dict[str, Any]] = {}
+    for key in ("seeds", "steps"):
+        value = getattr(claim, key)
+        spread[key] = dict.fromkeys(claim.conditions, value[""]) if value.keys() == {""} else value
+        if spread[key].keys() != {*claim.conditions}:
+            listed = ", ".join(claim.conditions)
+            raise file.mistake(where, f"{key}: one value, or one for each of {listed}", key)
+    seeds = {
+        name: tuple(range(first, first + given)) if isinstance(given, int) else given
+        for name, given in spread["seeds"].items()
+    }
+    worlds = tuple(name for name in WORLDS if name in (claim.worlds or study.worlds))
+    seen = {world: tuple(range(least, most + 1)) for world, (least, most) in head.seen.items()}
+    return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds, "seen": seen})
 
 
 def _filled(claim: Claim, usual: Mapping[str, ByWorld]) -> ByOutcome:

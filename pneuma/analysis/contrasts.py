@@ -36,6 +36,7 @@ class Contrast:
         smallest: the smallest p-values, above and below zero, that so many runs can give.
         simultaneous: its interval at the level of a whole list of contrasts.
         margin: that of the means; None without one, and of shares.
+        means: the two numbers whose difference the effect is.
     """
 
     effect: float
@@ -46,6 +47,7 @@ class Contrast:
     smallest: tuple[float, float] = (0.0, 0.0)
     simultaneous: Interval = no_interval()
     margin: float | None = None
+    means: tuple[float, float] = (float("nan"), float("nan"))
 
     @property
     def p_different(self) -> float:
@@ -79,8 +81,10 @@ def compare(
     effect, make = estimate(kind, first, second if value is None else value)
     if too_few := _too_few(kind, n if value is not None else min(seeds)):
         return undecided(too_few, seeds, effect)
+    means = _mean_of(kind, first), _mean_of(kind, second) if value is None else float(value)
+    made = replace(_contrast(effect, make, level, seeds), means=means)
     if kind == "incidence":
-        return _compare_shares(_contrast(effect, make, level, seeds), first, second, value, margin)
+        return _compare_shares(made, first, second, value, margin)
     if kind == "spread":
         tested = pvalues.spread_p_values(first[None], second[None], margin)
         smallest = 0.0
@@ -92,8 +96,11 @@ def compare(
         ways = _relabelings(n, m)
         tested = pvalues.mean_p_values(first[None], second[None], margin, ways)
         smallest = 1 / len(ways)
-    made = _contrast(effect, make, level, seeds)
     return replace(made, p=_only(tested), smallest=(smallest,) * 2, margin=margin)
+
+
+def _mean_of(kind: str, arm: np.ndarray) -> float:
+    return float((intervals.distances(arm) if kind == "spread" else arm).mean())
 
 
 @lru_cache(maxsize=4)  # 50 MB for 30 runs against 30
@@ -190,7 +197,8 @@ def compare_ranges(
     greater, less = beyond[0], [beyond[1][0], *beyond[1][:0:-1]]  # of b over a, shifts are turned
     tested = pvalues.p_values(greater, less, 1)
     made = _contrast(float(effect.min(axis=1).max()), ends, level, seeds)
-    return replace(made, p=_only(tested), smallest=(0.0, 0.0), margin=margin)
+    ranges = float(np.ptp(means[[*a]])), value if isinstance(b, int | float) else float(np.ptp(means[[*b]]))
+    return replace(made, p=_only(tested), smallest=(0.0, 0.0), margin=margin, means=ranges)
 
 
 def _errors(values: Sequence[np.ndarray]) -> np.ndarray:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 
+import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EDGED_BANDS
@@ -85,8 +86,10 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     shown = pd.DataFrame(_read_rows(frame), columns=frame.columns)
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     if form == "latex":
-        columns = "".join("r" if right else "l" for right in numeric)
-        return shown.to_latex(index=False, escape=True, column_format=columns).encode()
+        columns = "".join(map(_latex_column, numeric, shown.to_numpy().T))
+        lines = shown.map(lambda cell: cell.replace("\n", _NEW_LINE))
+        text = lines.to_latex(index=False, escape=True, column_format=columns)
+        return text.replace(_NEW_LINE, r" \newline ").encode()
     rows = [
         [str(name).translate(_MARKDOWN) for name in shown.columns],
         ["---:" if right else "---" for right in numeric],
@@ -124,4 +127,14 @@ def _cell(cell: object) -> str:
     return str(cell)
 
 
-_MARKDOWN = str.maketrans({"|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"})
+def _latex_column(right: bool, cells: np.ndarray) -> str:
+    return "r" if right else PARAGRAPH if max(map(len, cells), default=0) > LONGEST_IN_A_LINE else "l"
+
+
+LONGEST_IN_A_LINE = 40
+PARAGRAPH = r"p{0.2\linewidth}"
+"""A LaTeX column whose cells may have several lines."""
+_NEW_LINE = "\x00"
+_MARKDOWN = str.maketrans(
+    {"\n": "<br>", "|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"}
+)

@@ -49,7 +49,7 @@ class Outcome:
         bounds: least and greatest possible value, for the checks of floor and ceiling.
         source: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: the function that computes it.
-        supposes_rise: whether it is 0 for a run that never learned, and meaningful only for others.
+        requires_learning: whether it is 0 for a run that never learned, and meaningful only for others.
         alike: how near the floor or ceiling a run counts as there, if a claim has no margin.
     """
 
@@ -59,7 +59,7 @@ class Outcome:
     bounds: tuple[float, float]
     source: str
     measure: Callable[[RunView], float]
-    supposes_rise: bool = False
+    requires_learning: bool = False
     alike: float = 1e-9
 
 
@@ -305,7 +305,7 @@ OUTCOMES: dict[str, Outcome] = {
         _evaluations("argmax_share_killed", _late), alike=NEAR_AN_END),
     "late-slope": Outcome(
         "rise of monsters killed over the last five evaluations, by a straight line", "share", "",
-        (-1.2, 1.2), EVALUATED, _evaluations("share_killed", _rise), supposes_rise=True),
+        (-1.2, 1.2), EVALUATED, _evaluations("share_killed", _rise), requires_learning=True),
     "auc-share-killed": Outcome(
         "monsters killed, mean over all evaluations", *KILLED, _share_area, alike=NEAR_AN_END),
     "argmax-share-killed": Outcome(
@@ -380,10 +380,10 @@ OUTCOMES: dict[str, Outcome] = {
         _diagnosed("relearned")),
     "fall-from-best": Outcome(
         "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, EVALUATED,
-        _evaluations("share_killed", _fall), supposes_rise=True),
+        _evaluations("share_killed", _fall), requires_learning=True),
     "curve-roughness": Outcome(
         "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
-        EVALUATED, _evaluations("share_killed", _roughness), supposes_rise=True),
+        EVALUATED, _evaluations("share_killed", _roughness), requires_learning=True),
     "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", _wall_seconds),
     "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", _pace),
     "q-overestimation": Outcome(

@@ -24,7 +24,7 @@ MOST_COUNTED = 200_000
 """With more relabelings than this, some are drawn at random. Ten runs against ten have 184,756."""
 DRAWS = 100_000
 """Relabelings drawn: enough that whether a claim is decided hardly depends on them. A list of 170 contrasts
-needs 3e-4. Two p-values can both be the smallest possible; `judgement.what_it_shows` decides."""
+needs 3e-4. Two p-values can both be the smallest possible; `judgement.significant_direction` decides."""
 FEW_COUNTED = 20_000
 """Up to this many relabelings are enumerated, however few draws are asked for."""
 _AT_ONCE = 20_000

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from pneuma.cli import complete
+from pneuma.cli.output import OUTPUT_FORMATS
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
@@ -138,6 +139,9 @@ Results = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
 ]
 Json = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
+OutputFormat = Annotated[
+    str, choice("--format", OUTPUT_FORMATS, "How to print it; --json is short for json.")
+]
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
 Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
 Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -84,6 +85,50 @@ def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
     Console(file=drawn, width=width, color_system=None, highlight=False).print(table)
     print("\n".join(line.rstrip() for line in drawn.getvalue().splitlines()))
+
+
+# --- Results in any form --------------------------------------------------------------------------
+
+OUTPUT_FORMATS = ("table", "markdown", "latex", "csv", "json")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command found, for `print_result`.
+
+    Attributes:
+        table: for people, with cells as text.
+        document: for programs.
+        numbers: the table as CSV, with whole numbers; `table` if None.
+        title: the line above the table on a terminal.
+        notes: what must be known to read the table; on standard error where the output is a table alone.
+        legend: what the columns mean, below the table on a terminal.
+    """
+
+    table: pd.DataFrame
+    document: Mapping[str, Any]
+    numbers: pd.DataFrame | None = None
+    title: str = ""
+    notes: Sequence[str] = ()
+    legend: str = ""
+
+
+def print_result(result: Result, form: str) -> None:
+    """Print a result in one of `OUTPUT_FORMATS`."""
+    if form == "json":
+        return print_json(result.document)
+    people = form == "table"
+    above = [*filter(None, [result.title] * people), *filter(None, result.notes)]
+    for line in above:
+        say(line, aside=not people)
+    if people:
+        print("\n" * bool(above), end="")
+        print_table([*result.table], result.table.to_numpy())
+        return print(f"\n{result.legend}") if result.legend else None
+    from pneuma.analysis.export import encode_frame
+
+    frame = result.table if form != "csv" or result.numbers is None else result.numbers
+    return print("\n".join(map(plain, encode_frame(frame, form).decode().split("\n"))), end="")
 
 
 # --- For programs ---------------------------------------------------------------------------------

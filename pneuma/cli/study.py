@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneuma.cli import complete, study_files, study_results, study_run, study_verify
+from pneuma.cli import complete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
 from pneuma.errors import UserError, unknown_name
@@ -23,8 +23,8 @@ app.command(short_help="Train a study's runs that are not stored yet.")(study_ru
 app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_files.plot)
 app.command()(study_files.export)
 app.command(short_help="Write a study's runs as one small table.")(study_files.publish)
-app.command(short_help="Say what each condition's runs come to.")(study_results.summary)
-app.command(short_help="Compare two conditions.")(study_results.compare)
+app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
+app.command(short_help="Compare two conditions.")(study_summary.compare)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_results.collapse)
 app.command(short_help="Say in which other settings a contrast holds.")(study_results.robustness)
 app.command(short_help="Test what matters where settings are crossed.")(study_results.effects)
@@ -104,7 +104,7 @@ def show(
             say(f"  {key} = {shown_value(value)}")
     if study is None:
         return say(f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}")
-    from pneuma.study.claimed import fixed_amounts
+    from pneuma.analysis.claims_preset import fixed_amounts
 
     print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]

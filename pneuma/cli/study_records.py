@@ -50,3 +50,18 @@ def each_study(names: Iterable[Name], read: Callable[[Name], Read]) -> list[Read
     for unread in errors:
         say(f"Note: {unread}.", aside=True)
     return found
+
+
+def told_step(data: StudyData) -> str:
+    """Return at which step runs are compared, if their budgets differ; empty otherwise."""
+    from pneuma.analysis.frames import common_step, step_words
+
+    step = common_step(data)
+    return f"Budgets differ: all values are those at step {step:,}, {step_words(data)}." if step else ""
+
+
+def with_unit(outcome: str) -> str:
+    from pneuma.analysis.outcomes import find_outcome
+
+    unit = "" if outcome == "diverged" else find_outcome(outcome).unit  # a run's status
+    return f"{outcome} ({unit})" if unit else outcome

@@ -1,14 +1,10 @@
-"""`pneuma study summary`, `compare`, `collapse`, `effects` and `robustness`: results of a study."""
+"""`pneuma study collapse`, `effects` and `robustness`: what happened in a study, and what it depends on."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     draw_files,
@@ -19,216 +15,12 @@ from pneuma.cli.output import (
     say,
     tell_written,
 )
-from pneuma.cli.study_records import open_data
+from pneuma.cli.study_records import open_data, told_step, with_unit
 from pneuma.cli.study_run import train
-from pneuma.errors import UserError, counted, nearest_name
+from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import Supervision
 from pneuma.study.fork import plan_cause_forks
-from pneuma.study.spec import list_studies
-from pneuma.study.store import Store
 from pneuma.values import shown_level, shown_value
-
-if TYPE_CHECKING:
-    from pneuma.analysis.frames import StudyData
-
-COLUMNS = 3
-"""Outcomes that `summary` prints by default."""
-
-
-def _tell_step(data: StudyData) -> None:
-    from pneuma.analysis.frames import common_step, step_words
-
-    if step := common_step(data):
-        say(f"Budgets differ: all values are those at step {step:,}, {step_words(data)}.")
-
-
-FEW_EPISODES = 10
-"""With fewer, the last point of a return is said to average few."""
-
-
-def _tell_episodes(data: StudyData, outcomes: Iterable[str]) -> None:
-    """Say how many runs' last returns average few episodes."""
-    counts = sorted(run.row.last_episodes for run in data.runs if 0 < run.row.last_episodes < FEW_EPISODES)
-    if counts and "final-return" in outcomes:
-        between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
-        say(f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}.")
-
-
-def _with_unit(outcome: str) -> str:
-    from pneuma.analysis.outcomes import find_outcome
-
-    unit = "" if outcome == "diverged" else find_outcome(outcome).unit  # a run's status
-    return f"{outcome} ({unit})" if unit else outcome
-
-
-# --- summary --------------------------------------------------------------------------------------
-
-
-@opt.grouped
-def summary(
-    name: opt.StudyName,
-    picked: opt.Chosen,
-    outcome: opt.Outcomes = None,
-    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
-    json: opt.Json = False,
-) -> None:
-    """Summarize each condition: means with 95 % intervals; with --outcome, all statistics."""
-    data = open_data(picked, name)
-    from pneuma.analysis.frames import common_step
-    from pneuma.analysis.intervals import shown_with_interval
-    from pneuma.analysis.summaries import summary_table
-
-    table = summary_table(data, outcome or ())
-    if json:
-        step = common_step(data)
-        left_out = [run.run_id for run in data.runs if run.ends_before(step)]
-        return print_json({"study": data.study, "at_step": step, "left_out": left_out, "summary": table})
-    say(data.full_title)
-    _tell_step(data)
-    print()
-    cells = {
-        (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
-            row["value"], row["low"], row["high"]
-        )
-        for row in table.to_dict("records")
-    }
-    measured = list(dict.fromkeys(table["outcome"][table["statistic"] == "mean"]))
-    every = [name for name in dict.fromkeys(table["outcome"]) if name != "runs"]
-    if outcomes_shown := every if all_ else outcome:
-        statistics = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes_shown))
-        heads = ["outcome", "condition", "n", *statistics]
-        runs = table.groupby(["outcome", "condition"])["runs"].first()
-        rows: list[tuple[object, ...]] = []
-        for name, condition in product(outcomes_shown, data.conditions):
-            if (name, condition) in runs:
-                shown = (cells.get((condition, name, each), "–") for each in statistics)
-                rows.append((_with_unit(name), condition, runs[name, condition], *shown))
-        print_table(heads, rows)
-        for name, condition in product(outcome or (), data.conditions):
-            if (name, condition) not in runs:
-                say(f"{name}, {condition}: {_lack(data, condition, name)}")
-        return _tell_episodes(data, outcomes_shown)
-    names = measured[:COLUMNS]
-    shares = ("collapsed", "diverged")
-    pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
-    rows = []
-    for condition in data.conditions:
-        shown = (cells.get((condition, *pair), "–") for pair in pairs)
-        rows.append((condition, len(data.of_condition(condition)), *shown))
-    print_table(("condition", "runs", *map(_with_unit, names), *shares), rows)
-    lacking = " –: no run has it." * any("–" in row for row in rows)
-    return print(
-        f"\nMeans, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
-    )
-
-
-def _lack(data: StudyData, condition: str, outcome: str) -> str:
-    """Return why no run of a condition has a value."""
-    from pneuma.analysis.frames import common_step
-    from pneuma.analysis.outcomes import reason
-
-    runs = data.of_condition(condition)
-    return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
-
-
-# --- compare --------------------------------------------------------------------------------------
-
-
-@opt.grouped
-def compare(
-    name: opt.StudyName,
-    a: Annotated[
-        str, opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions)
-    ],
-    picked: opt.Chosen,
-    b: Annotated[
-        str | None, opt.argument("B", "The condition that A is compared with.", complete.conditions)
-    ] = None,
-    outcome: opt.Outcomes = None,
-    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
-    out: opt.PlotFolder = None,
-    format: opt.Formats = None,
-    json: opt.Json = False,
-) -> None:
-    """Compare two conditions: the difference of their means, and how likely a run of A is better.
-
-    Without B, each condition of NAME is compared with that of the same name of the study or variant A.
-    """
-    formats = read_formats(format, out, "" if plot else "--plot")
-    selected = replace(picked.selection, conditions=(a, b) if b else picked.selection.conditions)
-    data, heads = open_data(replace(picked, selection=selected), name), [a, b or ""]
-    pairs = {"": (a, b or "")}
-    if b is None:
-        from pneuma.analysis.frames import join_studies
-
-        if others := [condition for condition in data.conditions if condition != a and a in data.conditions]:
-            raise UserError(
-                f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
-            )
-        if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
-            raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
-        other = open_data(replace(picked, selection=replace(selected, conditions=(), settings=None)), a)
-        heads = [data.study, other.study]
-        data, pairs = join_studies(data, other)
-        if not pairs:
-            raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
-    import pandas as pd
-
-    from pneuma.analysis.frames import figure_basename
-    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
-    from pneuma.analysis.summaries import compare_conditions
-
-    tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
-    table = pd.concat(tables.values(), ignore_index=True)
-    files = []
-    if plot:
-        from pneuma.figures.summary import draw_comparison
-
-        narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
-        basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
-        words = ["compare", name, a, *([b] if b else []), "--plot"]
-        again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
-        files = draw_files(
-            picked.store, out, lambda folder: draw_comparison(data, table, folder, basename, formats, again)
-        )
-    if json:
-        return print_json({"study": data.study, "comparisons": table, "figures": files})
-    say(f"{data.full_title}: {heads[0]} against {heads[1]}")
-    _tell_step(data)
-    _tell_engines(data, [*pairs.values()])
-    print()
-    rows = []
-    compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
-    for condition, row in compared:
-        difference = row["difference"], row["low"], row["high"]
-        digits = {} if math.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
-        means = (shown(row[key], decimals(row[key], **digits)) for key in ("mean_a", "mean_b"))
-        better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
-        runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
-        rows.append(
-            (condition, _with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
-        )
-    print_table(("", "outcome", *heads, "difference", "P(better)", "runs", "no value"), rows)
-    print("\nMeans, and their difference with a 95 % interval (Welch). P(better): the probability that a run")
-    print("of the first is better than one of the second. no value: runs without one, which are left out.")
-    _tell_episodes(data, [row["outcome"] for _, row in compared])
-    return tell_written(files)
-
-
-def _tell_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> None:
-    """Say where what is compared was trained by different engines; claims refuse that."""
-    for pair in pairs:
-        engines = [", ".join(sorted(data.engines(name))) or "not known" for name in pair]
-        if engines[0] != engines[1]:
-            return say(f"Note: trained by different engines ({' and '.join(engines)}).")
-    return None
-
-
-def _is_study(store: Store, name: str) -> bool:
-    from pneuma.analysis.run_index import RunIndex
-
-    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())
-
 
 # --- collapse -------------------------------------------------------------------------------------
 
@@ -328,7 +120,7 @@ def effects(
     from pneuma.analysis.intervals import decimals, shown
 
     without = f", and {found.without} without it left out" if found.without else ""
-    say(f"{data.full_title}: {_with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
+    say(f"{data.full_title}: {with_unit(found.outcome)}, {found.runs} runs in {found.cells} cells{without}")
     print()
     rows = []
     for row in found.table.to_dict("records"):
@@ -341,7 +133,8 @@ def effects(
         listed = ";  ".join(f"{level}: {shown(value, decimals(value))}" for level, value in means.items())
         say(f"  {factor} = {listed}")
     print("\nPartial R²: share of the variance that the other effects leave. Holm: over this table.")
-    return _tell_step(data)
+    if told := told_step(data):
+        say(told)
 
 
 # --- robustness -----------------------------------------------------------------------------------
@@ -396,7 +189,8 @@ def robustness(
         effect = shown_with_interval(cell["value"], cell["low"], cell["high"])
         label = f"{cell['label']}: {cell['reason']}" if cell["reason"] else cell["label"]
         rows.append((levels, effect, f"{cell['p']:.4f}", label))
-    print_table(("cell", f"difference of {_with_unit(found.outcome)}", "p (Holm)", ""), rows)
+    print_table(("cell", f"difference of {with_unit(found.outcome)}", "p (Holm)", ""), rows)
     print("Each interval is at 95 % by itself; p and the label are corrected over the map (Holm).")
-    _tell_step(data)
+    if told := told_step(data):
+        say(told)
     return tell_written(files)

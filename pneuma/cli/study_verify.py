@@ -1,25 +1,29 @@
-"""`pneuma study verify`: verdicts on the thesis's claims."""
+"""`pneuma study verify`: verdicts on the thesis's claims, all of them views of one table of contrasts."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Progress, print_json, print_table
+from pneuma.cli.output import Progress, Result, print_result, print_table, say
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
+    from pneuma.analysis.claim_table import ClaimContrast
     from pneuma.analysis.claims import ClaimList
     from pneuma.analysis.intervals import Interval
-    from pneuma.analysis.judgement import Comparison, Verdict
+    from pneuma.analysis.judgement import Verdict
 
-_HEAD = ("claim", "section", *WORLDS, "numbers of", "effect", "interval", "seeds")
+WIDTH = 100
+"""Characters in a line of a sentence."""
+NAME_WIDTH = 16
+"""Those of the name of a world, and of a verdict's word."""
 
 
 def verify(
@@ -30,147 +34,198 @@ def verify(
         bool, opt.flag("--design", "Say how near the seeds of each claim tell its effect, and read no runs.")
     ] = False,
     results: opt.Results = opt.RESULTS,
+    format: opt.OutputFormat = "table",
     json: opt.Json = False,
 ) -> None:
-    """Judge the thesis's claims by the runs that each one fixed in advance."""
+    """Judge the thesis's sentences by the runs that each one fixed in advance.
+
+    Name claims to see also what is compared, how many runs there are, and the reason.
+    """
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
 
-    known = load_claims(file)
+    known, form = load_claims(file), "json" if json else format
     for name in claims or ():
         if name not in known.claims:
             raise unknown_name("claim", name, known.claims)
     if design:
-        return _check_design(known, claims or (), world, json)
+        return _print_design(known, claims or (), world, form)
     every = judge(known, Store(results), on_progress=Progress("verdicts"))
-    shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.place)]
-    alpha = known.head.alpha
-    if json:
-        contrasts = {place: known.contrasts(place) for place in WORLDS}
-        head = {"claims_hash": known.digest, "alpha": alpha, "contrasts": contrasts}
-        return print_json({**head, "claims": [_document(one) for one in shown]})
+    shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.world)]
+    if form != "table":
+        return print_result(_result(known, shown), form)
     if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
         print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
-    _print_table(shown)
-    for one in shown if claims else ():
-        if one.reason:
-            print(f"\n{plain(one.claim.name)}, {one.place}: {one.verdict}: {plain(one.reason)}")
-    fixed = ", fixed before the runs" if file is None else ""
-    print(f"\nClaims: {known.path.name} and the code that judges, SHA-256 {known.digest[:16]}…{fixed}.")
-    print(f"At most {100 * alpha:g}% chance of any false verdict in each world, by Bonferroni's correction.")
-    print("Intervals are simultaneous: all of a world hold together with that chance of error.")
-    for place in known.head.seen:
-        print(
-            f"In {WORLDS[place].title} runs were seen before the claims were stated: a description, no test."
-        )
-    return None
+    return _print_claims(known, shown, bool(claims))
 
 
-# --- JSON ----------------------------------------------------------------------------------------
+# --- For people ----------------------------------------------------------------------------------
+
+
+def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -> None:
+    """Print each sentence, and below it for each world the word, and the effect or why there is none."""
+    from pneuma.analysis.verdict_words import (
+        WORLD_NAMES,
+        by_claim,
+        count_words,
+        sentence,
+        told,
+        word,
+    )
+
+    grouped, quoted = by_claim(shown), set()
+    for name, judged in grouped.items():
+        claim = next(iter(judged.values())).claim
+        say(f"{name} (section {claim.section})")
+        _print_indented(f"“{sentence(claim)}”", 2)
+        if claim.context and (in_detail or claim.quote in quoted):
+            _print_indented(claim.context, 2)
+        quoted.add(claim.quote)
+        for one in judged.values():
+            say(f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{told(one)}".rstrip())
+            for line in _details(one) if in_detail else ():
+                _print_indented(line, 6)
+        print()
+    counts = count_words(grouped)
+    print_table([*counts], counts.to_numpy())
+    print("\nIn brackets: where the difference lies. All of a world's hold together, with")
+    print(f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words.")
+    for world in {one.world for one in shown} & {*known.head.seen}:
+        print(f"Runs of {WORLDS[world].title} were seen before the sentences were stated as tests.")
+    say(f"Stated in {known.path.name}; with the code that judges, SHA-256 {known.digest[:16]}….")
+
+
+def _details(one: Verdict) -> Iterator[str]:
+    """Yield for each contrast its arms, numbers of runs and effect; and why there is no verdict."""
+    from pneuma.analysis.verdict_words import effect
+
+    for row in one.contrasts if not one.lacks_runs else ():
+        runs = " and ".join(str(count) for count in row.contrast.seeds if count)
+        yield f"{' against '.join(row.names)}, {runs} runs: {row.contrast.reason or effect(row)}"
+    if one.lacks_runs or not one.contrasts:
+        yield one.reason
+
+
+def _print_indented(text: str, spaces: int) -> None:
+    indent = " " * spaces
+    print(fill(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent))
+
+
+# --- The table of contrasts ------------------------------------------------------------------------
+
+
+def _result(known: ClaimList, shown: Sequence[Verdict]) -> Result:
+    import pandas as pd
+
+    from pneuma.analysis.verdict_words import by_claim, verdict_table
+
+    contrasts = {world: known.contrasts(world) for world in WORLDS}
+    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
+    document = {**head, "claims": [_document(one) for one in shown]}
+    rows = [{"claim": one.claim.name, **_flat(_record(row))} for one in shown for row in one.contrasts]
+    return Result(verdict_table(by_claim(shown)), document, pd.DataFrame(rows))
 
 
 def _document(one: Verdict) -> dict[str, Any]:
-    claim = one.claim
-    decisive: dict[str, Any] = _contrast(one.decisive) if one.decisive else {"seeds": []}
-    of_claim = ("section", "quote", "context", "study", "kind", "direction")
+    from pneuma.analysis.verdict_words import word
+
+    claim, decisive = one.claim, one.decisive
+    found: dict[str, Any] = _record(decisive) if decisive else {"seeds": []}
     return {
         "claim": claim.name,
-        "world": one.place,
-        **{key: getattr(one, key) for key in ("verdict", "standing", "reason", "run_ids")},
-        **{key: decisive.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
-        **{key: getattr(claim, key) for key in of_claim},
-        "seen": one.seen,
-        "outcome": claim.outcome[0],
+        "world": one.world,
+        "word": word(one),
+        **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
+        **{key: found.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
+        **{key: getattr(claim, key) for key in ("section", "quote", "context", "study", "kind", "direction")},
+        "seen": one.world in claim.seen,
+        **{key: found.get(key) for key in ("outcome", "margin")},
         "outcomes": list(claim.outcome),
-        "margin": claim.of("margin", claim.outcome[0]),
-        "contrasts": [_contrast(comparison) for comparison in one.comparisons],
+        "contrasts": [_record(row) for row in one.contrasts],
     }
 
 
-def _contrast(comparison: Comparison) -> dict[str, Any]:
-    def ends(interval: Interval) -> list[float] | None:
-        return [interval.low, interval.high] if interval.exists else None
-
+def _record(row: ClaimContrast) -> dict[str, Any]:
+    """Return a row of the table: what was planned, and what was found."""
+    contrast = row.contrast
     return {
-        **{key: getattr(comparison, key) for key in ("a", "b", "outcome", "verdict", "p")},
-        **{key: getattr(comparison.contrast, key) for key in ("effect", "reason")},
-        "seeds": list(comparison.contrast.seeds),
-        "interval": ends(comparison.contrast.interval),
-        "simultaneous": ends(comparison.contrast.simultaneous),
+        **_planned(row),
+        "effect": contrast.effect,
+        "means": list(contrast.means),
+        "interval": _ends(contrast.interval),
+        "simultaneous": _ends(contrast.simultaneous),
+        "p": row.p,
+        "verdict": row.verdict,
+        "reason": contrast.reason,
+        "seeds": list(contrast.seeds),
+    }
+
+
+def _planned(row: ClaimContrast) -> dict[str, Any]:
+    a, b = row.names
+    planned = {key: getattr(row, key) for key in ("alpha", "spread", "half_width", "margin")}
+    return {"world": row.world, "outcome": row.outcome, "a": a, "b": b, **planned}
+
+
+def _ends(interval: Interval) -> list[float] | None:
+    return [interval.low, interval.high] if interval.exists else None
+
+
+_PAIRS = {
+    "seeds": ("seeds_a", "seeds_b"),
+    "means": ("mean_a", "mean_b"),
+    "interval": ("low", "high"),
+    "simultaneous": ("simultaneous_low", "simultaneous_high"),
+}
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row without pairs, for CSV."""
+    pairs = {
+        name: dict(zip(names, record[name] or (None, None), strict=True)) for name, names in _PAIRS.items()
+    }
+    return {
+        name: number for key, value in record.items() for name, number in pairs.get(key, {key: value}).items()
     }
 
 
 # --- The design check --------------------------------------------------------------------------------
 
 
-def _check_design(known: ClaimList, claims: Sequence[str], world: str | None, json: bool) -> None:
+def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, form: str) -> None:
     """Print how near the seeds of claims tell their effects, and which claims are not admitted."""
-    from pneuma.analysis.design import check_design, not_admitted
+    import pandas as pd
 
-    refused = not_admitted(known)
-    keys = ("world", "outcome", "a", "b", "seeds", "alpha", "spread", "half_width", "margin", "reason")
+    from pneuma.analysis.claim_table import not_admitted, plan_contrasts
+
+    refused, numbers = not_admitted(known), ("spread", "half_width", "margin")
     plans = [
         {
-            "claim": plan.claim.name,
-            **{key: getattr(plan, key) for key in keys},
-            "admitted": (plan.claim.name, plan.world) not in refused,
+            "claim": row.claim.name,
+            **_planned(row),
+            "seeds": list(row.planned),
+            "reason": row.why_undecidable,
+            "admitted": (row.claim.name, row.world) not in refused,
         }
-        for plan in check_design(known)
-        if (not claims or plan.claim.name in claims) and world in (None, plan.world)
+        for row in plan_contrasts(known)
+        if not row.seen and (not claims or row.claim.name in claims) and world in (None, row.world)
     ]
-    if json:
-        head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
-        return print_json({**head, "design": plans})
     rows = []
     for plan in plans:
-        numbers = (plan[key] for key in ("spread", "half_width", "margin"))
-        cells = ["-" if number is None else f"{number:.3g}" for number in numbers]
+        shown = ("-" if plan[key] is None else f"{plan[key]:.3g}" for key in numbers)
         about = plan["claim"], plan["world"], plan["outcome"], "/".join(map(str, plan["seeds"]))
-        rows.append((*about, *cells, plan["reason"] or "decidable"))
-    print_table(("claim", "world", "outcome", "seeds", "spread", "half width", "margin", ""), rows)
-    if known.pilot is None:
-        print("\nThe list has no pilot: every claim is admitted.")
-        return None
-    print(f"\nNot admitted, of {len({(plan['claim'], plan['world']) for plan in plans})} claims in worlds:")
-    for (name, where), reason in refused.items():
-        print(f"  {plain(name)}, {where}: {plain(reason)}")
-    print("half width: that of the simultaneous interval, as the pilot's spread lets expect.")
-    return None
-
-
-# --- For people ----------------------------------------------------------------------------------
-
-
-def _print_table(shown: Sequence[Verdict]) -> None:
-    """Print one line per claim: its verdict in each world, and the numbers of the first world with some."""
-    from pneuma.analysis.judgement import STANDINGS
-
-    by_claim: dict[str, dict[str, Verdict]] = {}
-    counts: dict[str, Counter[str]] = {}
-    for one in shown:
-        by_claim.setdefault(one.claim.name, {})[one.place] = one
-        counts.setdefault(one.place, Counter())[one.standing] += 1
-    print_table(_HEAD, [_row(places) for places in by_claim.values()])
-    print()
-    print_table(
-        ("", *STANDINGS), [(at, *(count[word] for word in STANDINGS)) for at, count in counts.items()]
+        rows.append([*about, *shown, plan["reason"] or "decidable"])
+    columns = ["claim", "world", "outcome", "seeds", "spread", "half width", "margin", ""]
+    legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
+    notes = [f"Not admitted: {name}, {where}: {reason}" for (name, where), reason in refused.items()]
+    notes = notes or [
+        "Every claim is admitted." if known.pilot else "Without a pilot every claim is admitted."
+    ]
+    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
+    document = {**head, "design": plans}
+    print_result(
+        Result(
+            pd.DataFrame(rows, columns=columns), document, pd.DataFrame(plans), notes=notes, legend=legend
+        ),
+        form,
     )
-
-
-def _row(places: dict[str, Verdict]) -> tuple[str, ...]:
-    from pneuma.analysis.judgement import NOT_RUN
-
-    numbers, verdicts = [""] * 4, []
-    for place in WORLDS:
-        one = places.get(place)
-        if one is None or one.standing == NOT_RUN:
-            verdicts.append(NOT_RUN if one else "-")
-            continue
-        verdicts.append(one.verdict)
-        if one.decisive and not one.decisive.contrast.reason and not numbers[0]:
-            contrast, interval = one.decisive.contrast, one.decisive.contrast.simultaneous
-            between = f"{interval.low:.3g} to {interval.high:.3g}" if interval.exists else ""
-            seeds = " and ".join(str(count) for count in contrast.seeds if count)
-            numbers = [place, f"{contrast.effect:.3g}", between, seeds]
-    claim = next(iter(places.values())).claim
-    return (claim.name, claim.section, *verdicts, *numbers)

@@ -73,9 +73,18 @@ def make_model(run: Run, env: VecEnv) -> Any:
         device="cpu",
         **arguments,
     )
+    if run.first_layer_scale != 1:
+        _scale_first_layers(model.policy, run.first_layer_scale)
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
+
+
+def _scale_first_layers(policy: Any, scale: float) -> None:
+    networks = policy.mlp_extractor
+    with torch.no_grad():
+        for network in (networks.policy_net, networks.value_net):
+            network[0].weight.mul_(scale)
 
 
 def seed_streams(model: Learner, run: Run) -> None:
@@ -138,6 +147,13 @@ class WithoutBaseline(RolloutBuffer):
 
 _ROLLOUT = {"n_steps": "horizon", "gae_lambda": "gae_lambda"}
 _LOSS = {**_ROLLOUT, "ent_coef": "entropy_coefficient", "vf_coef": "value_coefficient"}
+_PPO = {
+    **_LOSS,
+    "batch_size": "minibatch",
+    "n_epochs": "epochs",
+    "clip_range": "clip_range",
+    "normalize_advantage": "normalize_advantage",
+}
 _DQN = {
     "batch_size": "minibatch",
     "buffer_size": "buffer_size",
@@ -157,7 +173,7 @@ _TRPO = {
 }
 
 LEARNERS: dict[str, tuple[type[Learner], Mapping[str, str]]] = {
-    "ppo": (PPO, {**_LOSS, "batch_size": "minibatch", "n_epochs": "epochs", "clip_range": "clip_range"}),
+    "ppo": (PPO, _PPO),
     "a2c": (A2C, _LOSS),
     "trpo": (TRPO, _TRPO),
     "dqn": (DQN, _DQN),

@@ -22,6 +22,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pneuma import __version__
+from pneuma.analysis import verdict_words
 from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
@@ -106,8 +107,9 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
-        version=__version__, words=verdicts, places=verdicts.places_of(claims),
-        counts=verdicts.standings_of(claims), run_places=run_places, anchor=_anchor,
+        version=__version__, words=verdict_words, claim_of=verdicts.claim_of,
+        worlds={world: verdict_words.WORLD_NAMES[world] for world in verdict_words.worlds_of(claims)},
+        counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave

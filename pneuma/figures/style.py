@@ -205,7 +205,7 @@ def save_figure(
 
 def _save_png(figure: Figure, path: Path, origin: Origin, colours: int) -> None:
     """Draw a figure once, and write it; `savefig` would draw it twice."""
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     image, texts = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"), PngInfo()
     texts.add_text(KEYS["png"], origin.encode())

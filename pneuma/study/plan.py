@@ -238,14 +238,14 @@ def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, d
 def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
     """Return the preset's seeds and steps for each of its conditions."""
     name = selection.preset or ("quick" if "quick" in study.presets else next(iter(study.presets), "quick"))
-    if name == CLAIMS:
-        from pneuma.study.claimed import claims_preset  # pydantic: not for `--help`
-
-        return claims_preset(study, selection.steps)
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
     preset = study.presets[name]
-    return {condition: preset.conditions.get(condition, preset) for condition in study.conditions}
+    return {
+        condition: preset.conditions.get(condition, preset)
+        for condition in study.conditions
+        if condition in preset.conditions or preset.seeds
+    }
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}

@@ -25,7 +25,7 @@ from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
-"""The preset that comes from claims (`claimed.py`) and not from a study's file."""
+"""The preset that comes from claims (`analysis/claims_preset.py`) and not from a study's file."""
 CLAIMS_FILE = "claims.toml"
 """The file of claims, in the folder of studies."""
 
@@ -38,7 +38,7 @@ class Preset:
     """How much of a study to run: seeds, and agent steps of each run.
 
     Attributes:
-        seeds, steps: of every condition.
+        seeds, steps: of every condition; without seeds, of those in `conditions` alone.
         conditions: exceptions for single conditions, such as large networks.
     """
 

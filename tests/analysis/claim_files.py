@@ -141,7 +141,7 @@ def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Verdi
 
 def judge_one(store: Store, folder: Path, claims: str = CLAIMS) -> Verdict:
     """Judge the one claim that there is, in the text's world."""
-    (one,) = [own for own in judge_claims(store, folder, claims) if own.place == "text"]
+    (one,) = [own for own in judge_claims(store, folder, claims) if own.world == "text"]
     return one
 
 

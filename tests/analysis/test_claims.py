@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from pneuma.analysis import claims as claims_module
+from pneuma.analysis.claim_table import not_admitted, plan_contrasts
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.design import check_design, not_admitted
+from pneuma.analysis.claims_preset import with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -75,7 +76,7 @@ def test_what_matches_nothing_is_refused(tmp_path: Path, wrong: str, changes: li
 def test_every_shipped_claim_is_admitted_and_each_of_its_contrasts_is_decidable() -> None:
     assert len(SHIPPED.claims) <= 24
     assert not_admitted(SHIPPED) == {}
-    assert [plan.reason for plan in check_design(SHIPPED) if plan.reason] == []
+    assert [row for row in plan_contrasts(SHIPPED) if row.why_undecidable] == []
 
 
 def test_no_shipped_claim_compares_what_is_the_same() -> None:
@@ -97,5 +98,5 @@ def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> No
                 key = (claim.study, claim.steps[name])
                 fixed[key] = fixed.get(key, set()) | {(name, seed) for seed in seeds}
     for (study, steps), cells in fixed.items():
-        plan = make_plan(load_study(study, world), Selection("claims", steps=steps))
+        plan = make_plan(with_claims(load_study(study, world), steps), Selection("claims", steps=steps))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells

@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.contrasts import compare
-from pneuma.analysis.judgement import Verdict, what_it_shows
+from pneuma.analysis.judgement import Verdict, significant_direction
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -84,7 +84,7 @@ def test_the_worlds_are_judged_side_by_side(store: Store, tmp_path: Path) -> Non
     claims = changed(('worlds = ["text"]\n', ""))
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, steps=1024, world="godot")
-    verdicts = {one.place: one.verdict for one in judge_claims(store, tmp_path, claims)}
+    verdicts = {one.world: one.verdict for one in judge_claims(store, tmp_path, claims)}
     assert verdicts == {"text": "supported", "godot": "refuted", "arena": "untestable"}
 
 
@@ -132,7 +132,7 @@ def test_where_relabelings_can_give_no_smaller_p_values_the_size_decides(effect:
     arms = effect + np.linspace(-0.1, 0.1, 30), np.linspace(-0.1, 0.1, 30)
     contrast = compare("mean", *arms, 1.0)
     assert contrast.p.equivalent == contrast.p_different / 2 == contrast.smallest[1]
-    assert what_it_shows(contrast) == shown
+    assert significant_direction(contrast) == shown
 
 
 # --- Two outcomes, ranges, spreads, cures, gaps ----------------------------------------------------
@@ -157,7 +157,7 @@ def test_two_outcomes_are_judged_together(
     save_runs(store, tmp_path, {"low": low}, returns=other)
     one = judge_one(store, tmp_path, claims)
     assert one.verdict == verdict
-    assert [own.outcome for own in one.comparisons] == ["final-share-killed", "final-return"]
+    assert [own.outcome for own in one.contrasts] == ["final-share-killed", "final-return"]
 
 
 def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
     for arm, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
         save_runs(store, tmp_path, {arm: shares}, returns=returns)
     one = judge_one(store, tmp_path, changed(*both))
-    assert [own.verdict for own in one.comparisons] == ["supported", "inconclusive", "supported", "supported"]
+    assert [own.verdict for own in one.contrasts] == ["supported", "inconclusive", "supported", "supported"]
     assert one.verdict == "supported" and one.decisive is not None
     assert one.decisive.outcome == "final-return"
 
@@ -184,7 +184,7 @@ def test_ranges_of_two_ladders(store: Store, tmp_path: Path) -> None:
     one = judge_one(store, tmp_path, changed(*ranges))
     own = one.decisive
     assert one.verdict == "supported" and own is not None
-    assert (own.a, own.b) == ("low, high", "middle, low")
+    assert own.names == ("low, high", "middle, low")
     assert own.contrast.effect == pytest.approx(0.4)
     assert judge_one(store, tmp_path, changed(*ranges, ('"greater"', '"less"'))).verdict == "refuted"
 
@@ -200,7 +200,6 @@ def test_a_range_is_held_against_a_number_of_each_outcome(store: Store, tmp_path
         for value in (0.2, 0.9)
     ]
     assert [one.verdict for one in told] == ["supported", "refuted"]
-    assert told[0].standing == "decided with content"
 
 
 def test_spreads_of_two_arms(store: Store, tmp_path: Path) -> None:
@@ -229,7 +228,7 @@ def test_a_cure_is_tested_where_its_control_is_ill(store: Store, tmp_path: Path)
     well = Store(tmp_path / "well")
     save_runs(well, tmp_path, {"high": LOW, "low": [*HIGH[:4], *LOW[:4]]})
     one = judge_one(well, tmp_path, CURE)
-    assert (one.verdict, one.standing) == ("untestable", "could not be decided")
+    assert one.verdict == "untestable"
     assert one.reason == "nothing to cure: 4 of 8 runs of low are not shown to be more than 0.5"
 
 
@@ -244,8 +243,8 @@ def test_runs_that_were_seen_before_are_said_to_be(store: Store, tmp_path: Path)
     seen = changed(("[defaults]", "[list]\nseeds_from = 50\nseen = { text = [0, 7] }\n[defaults]"))
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     one = judge_one(store, tmp_path, seen)
-    assert (one.verdict, one.seen, len(one.run_ids)) == ("supported", True, 16)
-    assert not judge_one(store, tmp_path).seen
+    assert (one.verdict, one.contrasts[0].seen, len(one.run_ids)) == ("supported", True, 16)
+    assert not judge_one(store, tmp_path).contrasts[0].seen
 
 
 def test_a_gap_is_between_two_outcomes_of_one_run(store: Store, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.intervals import no_interval
-from pneuma.analysis.judgement import decide, smallest_p, together, what_it_shows
+from pneuma.analysis.judgement import combine_contrasts, decide, significant_direction, smallest_p
 from pneuma.analysis.pvalues import PValues, holm
 
 
@@ -90,7 +90,7 @@ def test_no_loss_is_shown_by_its_own_side_alone() -> None:
 def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, ...]) -> None:
     """Every combination of three contrasts' truths and verdicts."""
     for verdicts in product(("supported", "refuted", "inconclusive", "untestable"), repeat=3):
-        verdict = together(verdicts)
+        verdict = combine_contrasts(verdicts)
         false = verdict == ("refuted" if all(truth) else "supported")
         false_ones = ["refuted" if so else "supported" for so in truth]
         assert not false or any(own == wrong for own, wrong in zip(verdicts, false_ones, strict=True))
@@ -117,11 +117,15 @@ def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
         ]
         verdicts = judged(*claims)
         assert verdicts.count("refuted") > 30
-        told = {what_it_shows(c) for v, (c, _) in zip(verdicts, claims, strict=True) if v != "inconclusive"}
+        told = {
+            significant_direction(c)
+            for v, (c, _) in zip(verdicts, claims, strict=True)
+            if v != "inconclusive"
+        }
         wrong += told > {"equal"}
         in_steps = holm([min(own.p_different, own.p.equivalent) for own, _ in claims]) <= 0.05
         wrong_in_steps += any(
-            what_it_shows(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
+            significant_direction(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
         )
     assert wrong_in_steps / 400 > 0.6
     assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)

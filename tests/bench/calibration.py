@@ -22,7 +22,7 @@ from pneuma.analysis import intervals, pvalues
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.curves import BANDS
 from pneuma.analysis.intervals import mean
-from pneuma.analysis.judgement import INCONCLUSIVE, decide, what_it_shows
+from pneuma.analysis.judgement import INCONCLUSIVE, decide, significant_direction
 from pneuma.analysis.pvalues import ManyPValues, PValues
 from pneuma.cli.output import print_rows
 
@@ -160,7 +160,7 @@ def is_false(verdict: str, contrast: Contrast, truth: str, claimed: str) -> bool
         return False
     if claimed == "equal":
         return verdict != TRUE_OF_EQUAL[truth]
-    return what_it_shows(contrast) not in TRUE_FINDINGS[truth]
+    return significant_direction(contrast) not in TRUE_FINDINGS[truth]
 
 
 def _make_arms(lists: int, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> Arms:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.judgement import STANDINGS
+from pneuma.analysis.verdict_words import WORDS
 from pneuma.study import spec
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.store import Store
@@ -62,9 +62,9 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
             assert (f"pneuma study run {name} --world {world}" in words) >= named
     assert page.all("img") == []
     document = described("study", "verify", "--results", store.root, "--json")
-    counted = Counter((claim["world"], claim["standing"]) for claim in document["claims"])
-    rows = [each.text for each in page.elements if each.tag == "td"][: len(STANDINGS) * len(WORLDS)]
-    assert [int(cell) for cell in rows] == [counted[place, word] for place in WORLDS for word in STANDINGS]
+    counted = Counter((claim["world"], claim["word"]) for claim in document["claims"])
+    rows = [each.text for each in page.elements if each.tag == "td"][: len(WORDS) * len(WORLDS)]
+    assert [int(cell) for cell in rows] == [counted[world, word] for world in WORLDS for word in WORDS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
     assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
     assert document["claims_hash"] in words

@@ -113,7 +113,7 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
         words = ("study", "compare", "activation", "tanh", "relu", *options, "--results", store.root)
         code, out, err = call(*words)
         (told,) = err.splitlines()
-        (row,) = (line for line in out.splitlines() if line.startswith("  final-share-killed"))
+        (row,) = (line for line in out.splitlines() if line.startswith("final-share-killed"))
         assert code == 0
         return told, row.split("  ")[-2].strip()
 

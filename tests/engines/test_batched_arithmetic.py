@@ -53,6 +53,7 @@ CASES: dict[str, dict[str, object]] = {
     "players": {"players": 2, "slots": 2, "steps": 1536, "episode_steps": 70},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
+    "advantages as they are": {"normalize_advantage": False},
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
 }
@@ -181,6 +182,19 @@ def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3() ->
             assert not bias.any()
     other = initial_networks(make_run({"actor": (128,), "critic": (32, 256), "seed": 1}), 60, 5)
     assert not np.array_equal(networks["actor"][0][0], other["actor"][0][0])
+
+
+@pytest.mark.parametrize("engine", ["batched", "sb3"])
+def test_the_first_layers_alone_are_scaled(engine: str) -> None:
+    run = make_run({"engine": engine, "actor": (8,), "critic": (16, 4), "first_layer_scale": 0.25})
+    if engine == "batched":
+        weights = [weight for layers in initial_networks(run, 60, 5).values() for weight, _ in layers]
+    else:
+        policy = sb3_learners.make_model(run, make_vec_env(run)).policy
+        weights = [p.detach().numpy() for name, p in policy.named_parameters() if name.endswith("weight")]
+    greatest = [float(np.linalg.norm(weight, 2)) for weight in weights]  # of an orthogonal matrix, its gain
+    gain = 2**0.5
+    assert np.allclose(sorted(greatest), sorted([gain / 4, 0.01, gain / 4, gain, 1.0]), atol=1e-5)
 
 
 def test_advantages_worked_out_by_hand() -> None:

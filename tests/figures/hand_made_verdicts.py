@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from pneuma.analysis.claim_table import ClaimContrast
 from pneuma.analysis.claims import Claim
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.intervals import Interval, no_interval
-from pneuma.analysis.judgement import Comparison, Verdict
+from pneuma.analysis.judgement import Verdict
 from pneuma.analysis.pvalues import PValues
 
 
@@ -28,15 +29,18 @@ def comparison(
     p: float = 1.0,
     seeds: tuple[int, int] = (10, 10),
     of: Claim | None = None,
+    means: tuple[float, float] | None = None,
     **more: Any,
-) -> Comparison:
+) -> ClaimContrast:
     """Return a contrast of tanh against relu that came to an effect."""
     own = of or claim()
     interval = Interval(*ends, "written") if ends else no_interval()
-    contrast = Contrast(effect, interval, PValues(*[1.0] * 6), seeds, simultaneous=interval)
-    return Comparison("tanh", "relu", own.outcome[0], contrast, verdict=verdict, p=p, **more)
+    levels = means or (0.5 + effect, 0.5)
+    contrast = Contrast(effect, interval, PValues(*[1.0] * 6), seeds, simultaneous=interval, means=levels)
+    where: dict[str, Any] = {"world": "text", "outcome": own.outcome[0], "a": own.a, "b": own.b, **more}
+    return ClaimContrast(own, **where, contrast=contrast, verdict=verdict, p=p)
 
 
-def judged(own: Claim, **verdicts: tuple[str, str, tuple[Comparison, ...]]) -> dict[str, Verdict]:
-    """Return a claim with its verdict, reason and contrasts in each place."""
-    return {place: Verdict(own, place, *each) for place, each in verdicts.items()}
+def judged(own: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:
+    """Return a claim with its verdict, reason and contrasts in each world."""
+    return {world: Verdict(own, world, *each) for world, each in verdicts.items()}

@@ -56,7 +56,7 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert {*origins} == {"fig-6-5", "mine", "verdicts"}
     assert _samples(origins["mine"]) == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
     assert _samples(origins["fig-6-5"]) == [("activation", "tanh", "0..1"), ("activation", "relu", "0..1")]
-    assert "| Judged in |" in (folder / "verdicts.md").read_text()
+    assert "| holds | does not hold |" in (folder / "verdicts.md").read_text()
     paper.draw_all(folder, published, {"mine": "activation"})
     assert _samples(read_origin(folder / "mine.png"))[1:3] == [
         ("mine", "relu", "0..1"),

@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import as_fields
-from pneuma.errors import UserError
-from pneuma.study.claimed import claims_preset
 from pneuma.study.plan import Selection, differing_fields, make_plan
-from pneuma.study.spec import Preset, Study, load_study
+from pneuma.study.spec import Study, load_study
 
 STUDY = """\
 title = "Optimizers"
@@ -86,70 +84,3 @@ def test_a_preset_may_say_less_for_one_condition(tmp_path: Path) -> None:
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
         ("adam", 5, 512), ("sgd", 5, 512),
     ]  # fmt: skip
-
-
-# --- The preset claims: the runs that a file of claims fixes --------------------------------------
-
-CLAIMS = """\
-[defaults]
-seeds = 2
-steps = 1024
-
-[claims.better]
-study = "mine.toml"
-a = "high"
-b = ["low", "middle"]
-
-[claims.steadier]
-study = "mine.toml"
-a = "high"
-b = "low"
-seeds = { high = 4, low = [1, 7] }
-worlds = ["text"]
-
-[claims.of-another]
-study = "activation"
-a = "tanh"
-seeds = 9
-"""
-
-
-CLAIMED = """title = "Mine"
-base = "table-6-2"
-[conditions.low]
-epochs = 5
-[conditions.middle]
-epochs = 6
-[conditions.high]
-epochs = 7
-[presets.quick]
-seeds = 3
-steps = 1024
-"""
-
-
-def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
-    (folder / "claims.toml").write_text(claims)
-    (folder / "mine.toml").write_text(CLAIMED)
-    return load_study(str(folder / "mine.toml"), world)
-
-
-def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
-    assert claims_preset(_study(tmp_path)) == {
-        "low": Preset((0, 1, 7), 1024),
-        "middle": Preset((0, 1), 1024),
-        "high": Preset((0, 1, 2, 3), 1024),
-    }
-
-
-def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
-    there = claims_preset(_study(tmp_path, world="godot"))
-    assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
-
-
-def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
-    study = _study(tmp_path, CLAIMS.replace("seeds = { high", "steps = 512\nseeds = { high"))
-    with pytest.raises(UserError, match="runs of 1,024 or 512 steps: say which with --steps"):
-        claims_preset(study)
-    assert {preset.steps for preset in claims_preset(study, 512).values()} == {512}
-    assert "high" in claims_preset(study, 512)

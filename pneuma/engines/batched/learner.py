@@ -27,9 +27,10 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 def initial_networks(run: Run, features: int, actions: int) -> Networks:
     """Return orthogonal weights and zero biases, from the run's random stream for weights."""
     generator = np.random.default_rng(stream_seed(run.stream, "weights"))
+    scale = run.first_layer_scale
     return {
-        "actor": _layers(generator, (features, *run.actor, actions), ACTOR_GAIN),
-        "critic": _layers(generator, (features, *run.critic, 1), CRITIC_GAIN),
+        "actor": _layers(generator, (features, *run.actor, actions), scale, ACTOR_GAIN),
+        "critic": _layers(generator, (features, *run.critic, 1), scale, CRITIC_GAIN),
     }
 
 
@@ -73,6 +74,7 @@ class Learner:
             run.optimizer,
             run.minibatch,
             decays=bool(self._numbers["weight_decay"] != 0),
+            normalizes=run.normalize_advantage,
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         return {
@@ -132,8 +134,10 @@ def _explained_variance(values: np.ndarray, returns: np.ndarray) -> float:
     return float("nan") if spread == 0 else float(1 - np.var(returns - values) / spread)
 
 
-def _layers(generator: np.random.Generator, widths: Sequence[int], last_gain: float) -> Layers:
-    gains = [HIDDEN_GAIN] * (len(widths) - 2) + [last_gain]
+def _layers(
+    generator: np.random.Generator, widths: Sequence[int], first_scale: float, last_gain: float
+) -> Layers:
+    gains = [HIDDEN_GAIN * first_scale, *[HIDDEN_GAIN] * (len(widths) - 3), last_gain]
     return tuple(
         (_orthogonal(generator, inputs, outputs) * np.float32(gain), np.zeros(outputs, np.float32))
         for inputs, outputs, gain in zip(widths[:-1], widths[1:], gains, strict=True)

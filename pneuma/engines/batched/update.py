@@ -95,10 +95,14 @@ def look_back(parameters: Tree, observations: Any, actions: Any, activation: str
     return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
-@partial(jax.jit, static_argnames=("activation", "optimizer", "minibatch", "decays"), donate_argnums=(0, 1))
+@partial(
+    jax.jit,
+    static_argnames=("activation", "optimizer", "minibatch", "decays", "normalizes"),
+    donate_argnums=(0, 1),
+)
 def learn(
     parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
-    activation: str, optimizer: str, minibatch: int, decays: bool,
+    activation: str, optimizer: str, minibatch: int, decays: bool, normalizes: bool,
 ) -> tuple[Tree, Tree, Any]:  # fmt: skip
     """Take all gradient steps of an update.
 
@@ -112,6 +116,7 @@ def learn(
         optimizer: its name.
         minibatch: its size.
         decays: whether the numbers have a weight decay.
+        normalizes: whether the advantages of each minibatch are normalised.
 
     Returns:
         Parameters, state, and `METRICS`, (metrics,).
@@ -120,7 +125,7 @@ def learn(
 
     def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
         part = {name: array[index] for name, array in batch.items()}
-        return _step(carry, part, numbers, activation, optimizer, decays)
+        return _step(carry, part, numbers, activation, optimizer, decays, normalizes)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
         carry, metrics = jax.lax.scan(take, carry, order[: whole * minibatch].reshape(whole, minibatch))
@@ -163,11 +168,17 @@ def _is_layer(node: Any) -> bool:
 
 
 def _step(
-    carry: Tree, batch: Mapping[str, Any], numbers: Any, activation: str, optimizer: str, decays: bool
+    carry: Tree,
+    batch: Mapping[str, Any],
+    numbers: Any,
+    activation: str,
+    optimizer: str,
+    decays: bool,
+    normalizes: bool,
 ) -> tuple[Tree, Any]:
     """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
     parameters, state = carry
-    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation)
+    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation, normalizes)
     squares = {part: sum((g**2).sum() for g in jax.tree.leaves(gradients[part])) for part in gradients}
     norm = jnp.sqrt(squares["actor"] + squares["critic"])
     norms = {part: jnp.sqrt(square) for part, square in squares.items()}
@@ -187,12 +198,14 @@ def _shrink(norm: Any, limit: Any) -> Any:
     return jnp.minimum(limit / (norm + 1e-6), 1.0)
 
 
-def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str) -> tuple[Any, Any]:
+def _loss(
+    parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str, normalizes: bool
+) -> tuple[Any, Any]:
     """Return the loss of a minibatch and the first five `METRICS`."""
     _, logits = _forward(parameters["actor"], activation, batch["observations"])
     _, values = _forward(parameters["critic"], activation, batch["observations"])
     advantages = batch["advantages"]
-    if advantages.shape[0] > 1:
+    if normalizes and advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
     logs = jax.nn.log_softmax(logits)
     difference = _of_chosen(logs, batch["actions"]) - batch["log_probabilities"]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pneuma.analysis.claim_table import ClaimContrast, not_admitted, plan_contrasts
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.design import Plan, check_design, not_admitted
 from pneuma.analysis.intervals import incidence_interval
 from pneuma.study.store import Store
 
@@ -29,17 +29,17 @@ INCIDENCE = (
 )  # fmt: skip
 
 
-def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> Plan:
+def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> ClaimContrast:
     text = changed(*changes).replace("seeds = 8", f"seeds = {seeds}") + PILOT
-    (plan,) = check_design(load_claims(write_files(folder, text)))
+    (plan,) = plan_contrasts(load_claims(write_files(folder, text)))
     return plan
 
 
 def test_the_half_width_of_means_is_welchs(tmp_path: Path) -> None:
     """0.1 sqrt(2 / 50) times Student's quantile; 8 runs against 50 have Welch's degrees of freedom."""
     plan = plan_of(tmp_path)
-    assert (plan.alpha, plan.seeds, plan.spread, plan.margin) == (0.05, (50, 50), 0.1, 0.04)
-    assert plan.half_width == pytest.approx(0.02 * stats.t.ppf(0.975, 98)) and plan.reason == ""
+    assert (plan.alpha, plan.planned, plan.spread, plan.margin) == (0.05, (50, 50), 0.1, 0.04)
+    assert plan.half_width == pytest.approx(0.02 * stats.t.ppf(0.975, 98)) and plan.why_undecidable == ""
     unlike = plan_of(tmp_path, seeds="{ high = 8, low = 50 }")
     parts = np.array([0.01 / 8, 0.01 / 50])
     freedom = parts.sum() ** 2 / (parts**2 / [7, 49]).sum()
@@ -48,10 +48,10 @@ def test_the_half_width_of_means_is_welchs(tmp_path: Path) -> None:
 
 def test_a_half_width_beyond_the_margin_decides_nothing(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, seeds=8)
-    assert plan.reason == "16 runs tell it to ±0.107 only, and the margin is 0.04"
-    assert plan_of(tmp_path, ("margin = 0.04", "margin = 0.2"), seeds=8).reason == ""
+    assert plan.why_undecidable == "16 runs tell it to ±0.107 only, and the margin is 0.04"
+    assert plan_of(tmp_path, ("margin = 0.04", "margin = 0.2"), seeds=8).why_undecidable == ""
     own = plan_of(tmp_path, ("margin = 0.04", "margin = 0.04\nspread = 0.01"), seeds=8)
-    assert (own.spread, own.reason) == (0.01, "")  # of the claim's own arms
+    assert (own.spread, own.why_undecidable) == (0.01, "")  # of the claim's own arms
 
 
 def test_a_share_is_planned_by_the_interval_of_its_expected_count(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: 
     text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + PILOT
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
     one = judge_one(store, tmp_path, text)
-    assert one.standing == "could not be decided"
+    assert one.verdict == "untestable"
     assert one.reason.startswith("not admitted: 16 runs tell it to ±")
     assert one.reason.endswith("; no pilot has a spread of final-return")
     enough = text.replace("[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.01")

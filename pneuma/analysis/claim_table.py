@@ -1,0 +1,164 @@
+"""The table of contrasts: one row for each claim, world, outcome and pair of arms.
+
+    ClaimList → [ClaimContrast], planned here before any run; `judgement.py` fills in what the runs show
+
+Every verdict, the design check, pages and pictures are views of these rows. The plan says how near the seeds
+can tell the effect: the half width that the simultaneous interval is expected to have, which must not exceed
+the margin. It is the interval of arms that have so many runs, spread normally as the pilot's, and do not
+differ, made by the code that makes the real intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+from scipy import special
+
+from pneuma.analysis.claims import Arms, Claim, ClaimList
+from pneuma.analysis.contrasts import Contrast, compare_ranges, estimate, undecided
+from pneuma.analysis.intervals import Interval
+
+UNKNOWN_SHARE = 0.5
+"""The share of runs with an event if no pilot tells it: where shares vary most."""
+
+
+@dataclass(frozen=True)
+class ClaimContrast:
+    """One row: a contrast of a claim in a world.
+
+    Attributes:
+        claim: as it is in the world.
+        a, b: the conditions of either arm, several for a range; b is empty for a constant.
+        planned: the number of seeds of each condition.
+        alpha: the contrast's own part of the list's error rate in the world.
+        spread: between runs, from the pilot; for an incidence the share of runs; None without a pilot.
+        half_width: expected, of its simultaneous interval; None without a spread.
+        why_undecidable: why so many seeds cannot decide it; empty if they can.
+        contrast: what the runs show; its reason is not empty if nothing can be concluded.
+        run_ids: of the runs that were read.
+        verdict: on this contrast alone; empty before it is judged.
+        p: corrected for the whole list.
+    """
+
+    claim: Claim
+    world: str
+    outcome: str
+    a: Arms
+    b: Arms
+    planned: tuple[int, ...] = ()
+    alpha: float = 1.0
+    spread: float | None = None
+    half_width: float | None = None
+    why_undecidable: str = ""
+    contrast: Contrast = undecided("")
+    run_ids: tuple[str, ...] = ()
+    verdict: str = ""
+    p: float = 1.0
+
+    @property
+    def margin(self) -> float | None:
+        return self.claim.of("margin", self.outcome)
+
+    @property
+    def value(self) -> float:
+        """The constant that arm a is compared with; 0 if there is none."""
+        return float(self.claim.of("value", self.outcome) or 0)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The arms as text; b may be a number."""
+        return ", ".join(self.a), ", ".join(self.b) or f"{self.value:g}"
+
+    @property
+    def seen(self) -> bool:
+        """Whether its runs were seen before the claim was stated: a description, and no test."""
+        return self.world in self.claim.seen
+
+    @property
+    def has_effect(self) -> bool:
+        return math.isfinite(self.contrast.effect)
+
+
+def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
+    """Return all contrasts of a list, claim by claim and world by world, as they are planned."""
+    return [
+        _plan(claims, claim.in_world(world), world, outcome, a, b)
+        for claim in claims.claims.values()
+        for world in claim.worlds
+        for outcome in claim.outcome
+        for a, b in claim.pairs
+    ]
+
+
+def by_claim(table: list[ClaimContrast]) -> dict[tuple[str, str], tuple[ClaimContrast, ...]]:
+    """Return the rows of each claim in each world."""
+    return {key: tuple(rows) for key, rows in groupby(table, key=lambda row: (row.claim.name, row.world))}
+
+
+def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
+    """Return why claims are not admitted, by claim and world; empty if the list has no pilot.
+
+    A claim is admitted if one of its outcomes can be decided in all contrasts.
+    """
+    if claims.pilot is None:
+        return {}
+    refused = {}
+    for key, rows in by_claim(plan_contrasts(claims)).items():
+        undecidable = {row.outcome for row in rows if row.why_undecidable}
+        if undecidable == {row.outcome for row in rows}:
+            refused[key] = "; ".join(dict.fromkeys(filter(None, (row.why_undecidable for row in rows))))
+    return refused
+
+
+def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: Arms, b: Arms) -> ClaimContrast:
+    seeds = {name: len(claim.seeds_in(world)[name]) for name in (*a, *b)}
+    planned = tuple(seeds[name] for name in (*a, *b))
+    alpha = claims.head.alpha / claims.contrasts(world)
+    row = ClaimContrast(claim, world, outcome, a, b, planned, alpha)
+    return row if row.seen else _with_half_width(row, seeds, _spread(claims, row))
+
+
+def _spread(claims: ClaimList, row: ClaimContrast) -> float | None:
+    spreads = claims.pilot.spreads.get(row.world, {}) if claims.pilot else {}
+    event = row.claim.event
+    known = row.claim.of("spread", row.outcome) or spreads.get(f"{row.outcome} {event}".strip())
+    return UNKNOWN_SHARE if event and known is None else known
+
+
+def _with_half_width(row: ClaimContrast, seeds: Mapping[str, int], spread: float | None) -> ClaimContrast:
+    """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
+    if spread is None:
+        return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
+    interval = _expected(row, seeds, spread)
+    half = (interval.high - interval.low) / 2 if interval.exists else 0.0  # runs that are all alike
+    reason = ""
+    if row.margin is None:
+        reason = f"no margin of {row.outcome} is stated"
+    elif not half <= row.margin:
+        told = f"{sum(row.planned)} runs tell it to ±{half:.3g} only"
+        reason = f"{told}, and the margin is {row.margin:.3g}"
+    return replace(row, spread=spread, half_width=half, why_undecidable=reason)
+
+
+def _expected(row: ClaimContrast, seeds: Mapping[str, int], spread: float) -> Interval:
+    """Return the interval of arms that spread as the pilot's, and do not differ."""
+    sample, level = _share if row.claim.event else _normal, 1 - row.alpha
+    arms = {name: sample(count, spread) for name, count in seeds.items()}
+    if row.claim.kind == "range":
+        a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
+        return compare_ranges([*arms.values()], a, b or 0.0, None, level).simultaneous
+    return estimate(row.claim.kind, arms[row.a[0]], arms[row.b[0]] if row.b else row.value)[1](level)
+
+
+def _normal(runs: int, spread: float) -> np.ndarray:
+    """Return runs as a normal sample of mean 0 has them, (runs,)."""
+    scores = special.ndtri((np.arange(runs) + 0.5) / runs)
+    return spread * scores / scores.std(ddof=1)
+
+
+def _share(runs: int, share: float) -> np.ndarray:
+    return (np.arange(runs) < round(share * runs)).astype(float)

@@ -1,0 +1,99 @@
+"""Pages hold what commands print. `make figures` writes such blocks anew, and a test refuses stale ones.
+
+    <!-- pneuma study verify --format markdown -->
+
+    the command's output
+
+    <!-- end -->
+
+    python -m pneuma.cli.pages README.md docs/findings.md
+
+Commands read published tables alone, so that every clone prints the same.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pneuma.cli import main
+from pneuma.errors import UserError
+from pneuma.study.store import PUBLISHED, shipped_tables
+
+READING = (
+    "study list", "study show", "study summary", "study compare", "study collapse", "study effects",
+    "study robustness", "study verify", "env list",
+)  # fmt: skip
+"""Commands that print the same wherever they run, and write nothing."""
+RESULTS = "PNEUMA_RESULTS"
+_BLOCK = re.compile(r"^<!-- pneuma (.+) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
+
+
+def rewrite(pages: Sequence[Path]) -> list[Path]:
+    """Write all blocks of pages anew; return the pages that this changed.
+
+    Raises:
+        UserError: for a block of an unknown command, or one that fails.
+    """
+    changed = []
+    for page, text in renewed(pages):
+        if text != page.read_text(encoding="utf-8"):
+            page.write_text(text, encoding="utf-8")
+            changed.append(page)
+    return changed
+
+
+def renewed(pages: Sequence[Path]) -> Iterator[tuple[Path, str]]:
+    """Yield the text of each page with what its commands print now."""
+    with _published_alone():
+        run = cache(_output)
+        for page in pages:
+            yield (
+                page,
+                _BLOCK.sub(
+                    lambda block: f"<!-- pneuma {block[1]} -->\n\n{run(block[1])}\n<!-- end -->",
+                    page.read_text(encoding="utf-8"),
+                ),
+            )
+
+
+@contextmanager
+def _published_alone() -> Iterator[None]:
+    """Let commands read a results folder of published tables without runs."""
+    with TemporaryDirectory() as folder:
+        shutil.copytree(shipped_tables(), Path(folder, PUBLISHED))
+        before = os.environ.get(RESULTS)
+        os.environ[RESULTS] = folder
+        try:
+            yield
+        finally:
+            os.environ.pop(RESULTS)
+            os.environ |= {RESULTS: before} if before else {}
+
+
+def _output(command: str) -> str:
+    if not command.startswith(tuple(f"{name} " for name in READING)):
+        raise UserError(f"<!-- pneuma {command} -->: pages hold what {', '.join(READING)} print")
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main(shlex.split(command))
+    if code:
+        raise UserError(f"<!-- pneuma {command} -->: {err.getvalue().strip()}")
+    return out.getvalue()
+
+
+if __name__ == "__main__":
+    try:
+        for name in rewrite([Path(name) for name in sys.argv[1:]]):
+            print(f"wrote {name}")
+    except (UserError, OSError) as error:
+        sys.exit(f"pneuma: {error}")

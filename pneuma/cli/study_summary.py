@@ -1,0 +1,281 @@
+"""`pneuma study summary` and `compare`: what conditions come to, in numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pneuma.cli import complete
+from pneuma.cli import options as opt
+from pneuma.cli.output import OUTPUT_FORMATS, Result, draw_files, print_result, read_formats, tell_written
+from pneuma.cli.study_records import open_data, told_step, with_unit
+from pneuma.errors import UserError, counted, nearest_name
+from pneuma.figures import FIGURE_FORMATS
+from pneuma.study.spec import list_studies
+from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pneuma.analysis.frames import StudyData
+
+COLUMNS = 3
+"""Outcomes that `summary` prints by default."""
+PRINTED = ("markdown", "latex")
+"""Forms of a table for pages and papers."""
+FEW_EPISODES = 10
+"""With fewer, the last point of a return is said to average few."""
+
+
+def _told_episodes(data: StudyData, outcomes: Iterable[str]) -> str:
+    """Say how many runs' last returns average few episodes; empty if none do."""
+    counts = sorted(run.row.last_episodes for run in data.runs if 0 < run.row.last_episodes < FEW_EPISODES)
+    if not counts or "final-return" not in outcomes:
+        return ""
+    between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
+    return f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}."
+
+
+# --- summary --------------------------------------------------------------------------------------
+
+
+@opt.grouped
+def summary(
+    name: opt.StudyName,
+    picked: opt.Chosen,
+    outcome: opt.Outcomes = None,
+    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
+    format: opt.OutputFormat = "table",
+    cells: Annotated[
+        str | None,
+        opt.choice(
+            "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
+        ),
+    ] = None,
+    json: opt.Json = False,
+) -> None:
+    """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
+
+    --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD (n) in it.
+    """
+    form = "json" if json else format
+    if cells and form not in PRINTED:
+        raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
+    data = open_data(picked, name)
+    from pneuma.analysis.frames import common_step
+    from pneuma.analysis.summaries import summary_table
+
+    found, step = summary_table(data, outcome or ()), common_step(data)
+    left_out = [run.run_id for run in data.runs if run.ends_before(step)]
+    document = {"study": data.study, "at_step": step, "left_out": left_out, "summary": found}
+    every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
+    listed = every if all_ else outcome or ()
+    if form in PRINTED:
+        table = _thesis_table(data, found, listed, cells or "sd")
+    else:
+        table = _statistics(data, found, listed) if listed else _overview(data, found)
+    legend = ""
+    if not listed:
+        lacking = " –: no run has it." * bool((table == "–").any(axis=None))
+        legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
+    notes = [told_step(data), *_told_lacks(data, found, outcome or ())]
+    notes += [_told_episodes(data, listed)]
+    print_result(Result(table, document, found, data.full_title, notes, legend), form)
+
+
+def _statistics(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
+    """Return a row for each outcome and condition, with all statistics."""
+    import pandas as pd
+
+    cells = _cells(found)
+    names = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes))
+    runs = found.groupby(["outcome", "condition"])["runs"].first()
+    rows = [
+        [with_unit(name), condition, runs[name, condition],
+         *(cells.get((condition, name, each), "–") for each in names)]
+        for name, condition in product(outcomes, data.conditions)
+        if (name, condition) in runs
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["outcome", "condition", "n", *names])
+
+
+def _overview(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each condition: means of the first outcomes, and shares of runs that failed."""
+    import pandas as pd
+
+    cells, shares = _cells(found), ("collapsed", "diverged")
+    names = list(dict.fromkeys(found["outcome"][found["statistic"] == "mean"]))[:COLUMNS]
+    pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
+    rows = [
+        [
+            condition,
+            len(data.of_condition(condition)),
+            *(cells.get((condition, *pair), "–") for pair in pairs),
+        ]
+        for condition in data.conditions
+    ]
+    return pd.DataFrame(rows, columns=["condition", "runs", *map(with_unit, names), *shares])
+
+
+def _cells(found: pd.DataFrame) -> dict[tuple[str, str, str], str]:
+    from pneuma.analysis.intervals import shown_with_interval
+
+    return {
+        (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
+            row["value"], row["low"], row["high"]
+        )
+        for row in found.to_dict("records")
+    }
+
+
+def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], cells: str) -> pd.DataFrame:
+    """Return a row for each condition and a column for each outcome, as in '0.68 ± 0.11 (n = 30)'."""
+    import pandas as pd
+
+    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
+
+    rows = {(row["condition"], row["outcome"], row["statistic"]): row for row in found.to_dict("records")}
+    means = dict.fromkeys(name for _, name, statistic in rows if statistic == "mean")
+    names = [name for name in outcomes or [*means][:COLUMNS] if name in means]
+
+    def cell(condition: str, name: str) -> str:
+        if not (row := rows.get((condition, name, "mean"))):
+            return "–"
+        value, runs = row["value"], f"(n = {row['runs']})"
+        if cells == "interval":
+            return f"{shown_with_interval(value, row['low'], row['high'])} {runs}"
+        deviation = rows[condition, name, "deviation"]["value"]
+        places = decimals(value, value - deviation, value + deviation)
+        return f"{shown(value, places)} ± {shown(deviation, places)} {runs}"
+
+    table = [[condition, *(cell(condition, name) for name in names)] for condition in data.conditions]
+    return pd.DataFrame(table, columns=["condition", *map(with_unit, names)])
+
+
+def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
+    """Say which conditions have no value of an outcome that was asked for, and why."""
+    known = {*zip(found["outcome"], found["condition"], strict=True)}
+    pairs = [pair for pair in product(outcomes, data.conditions) if pair not in known]
+    return [f"{name}, {condition}: {_lack(data, condition, name)}" for name, condition in pairs]
+
+
+def _lack(data: StudyData, condition: str, outcome: str) -> str:
+    """Return why no run of a condition has a value."""
+    from pneuma.analysis.frames import common_step
+    from pneuma.analysis.outcomes import reason
+
+    runs = data.of_condition(condition)
+    return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
+
+
+# --- compare --------------------------------------------------------------------------------------
+
+
+@opt.grouped
+def compare(
+    name: opt.StudyName,
+    a: Annotated[
+        str, opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions)
+    ],
+    picked: opt.Chosen,
+    b: Annotated[
+        str | None, opt.argument("B", "The condition that A is compared with.", complete.conditions)
+    ] = None,
+    outcome: opt.Outcomes = None,
+    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
+    out: opt.PlotFolder = None,
+    format: Annotated[
+        list[Any] | None,
+        opt.choice(
+            "--format",
+            (*OUTPUT_FORMATS, *FIGURE_FORMATS),
+            "Of the table; with --plot also of figures (repeatable).",
+        ),
+    ] = None,
+    json: opt.Json = False,
+) -> None:
+    """Compare two conditions: the difference of their means, and how likely a run of A is better.
+
+    Without B, each condition of NAME is compared with that of the same name of the study or variant A.
+    """
+    form = ["table", *(each for each in format or () if each in OUTPUT_FORMATS), *["json"] * json][-1]
+    drawn = [each for each in format or () if each in FIGURE_FORMATS]
+    formats = read_formats(drawn, out, "" if plot else "--plot")
+    selected = replace(picked.selection, conditions=(a, b) if b else picked.selection.conditions)
+    data, heads = open_data(replace(picked, selection=selected), name), [a, b or ""]
+    pairs = {"": (a, b or "")}
+    if b is None:
+        from pneuma.analysis.frames import join_studies
+
+        if others := [condition for condition in data.conditions if condition != a and a in data.conditions]:
+            raise UserError(
+                f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
+            )
+        if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
+            raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
+        other = open_data(replace(picked, selection=replace(selected, conditions=(), settings=None)), a)
+        heads = [data.study, other.study]
+        data, pairs = join_studies(data, other)
+        if not pairs:
+            raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
+    import pandas as pd
+
+    from pneuma.analysis.frames import figure_basename
+    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
+    from pneuma.analysis.summaries import compare_conditions
+
+    tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
+    table = pd.concat(tables.values(), ignore_index=True)
+    files = []
+    if plot:
+        from pneuma.figures.summary import draw_comparison
+
+        narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
+        basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
+        words = ["compare", name, a, *([b] if b else []), "--plot"]
+        again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
+        files = draw_files(
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, basename, formats, again)
+        )
+    rows = []
+    compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
+    for condition, row in compared:
+        difference = row["difference"], row["low"], row["high"]
+        digits = {} if math.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
+        means = (shown(row[key], decimals(row[key], **digits)) for key in ("mean_a", "mean_b"))
+        better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
+        runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
+        rows.append(
+            (condition, with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
+        )
+    columns = ["", "outcome", *heads, "difference", "P(better)", "runs", "no value"]
+    result = Result(
+        pd.DataFrame(rows, columns=columns).iloc[:, 1 if b else 0 :],
+        {"study": data.study, "comparisons": table, "figures": files},
+        table,
+        f"{data.full_title}: {heads[0]} against {heads[1]}",
+        [told_step(data), _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])],
+        "Means, and their difference with a 95 % interval (Welch). P(better): the probability that a run\n"
+        "of the first is better than one of the second. no value: runs without one, which are left out.",
+    )
+    print_result(result, form)
+    if form == "table":
+        tell_written(files)
+
+
+def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
+    """Say where what is compared was trained by different engines; claims refuse that."""
+    for pair in pairs:
+        engines = [", ".join(sorted(data.engines(name))) or "not known" for name in pair]
+        if engines[0] != engines[1]:
+            return f"Note: trained by different engines ({' and '.join(engines)})."
+    return ""
+
+
+def _is_study(store: Store, name: str) -> bool:
+    from pneuma.analysis.run_index import RunIndex
+
+    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())

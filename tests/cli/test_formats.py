@@ -1,0 +1,72 @@
+"""Tables as pages, papers and programs take them: `--format` of summary, compare and verify."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import pytest
+
+from pneuma.study.store import Store
+
+from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
+from .calls import call, described, printed, refused
+
+SUMMARY = """\
+| condition | final-share-killed (share) | final-return |
+| --- | --- | --- |
+| low | – | – |
+| high | 0.40 ± 0.20 (n = 3) | 0.40 ± 0.20 (n = 3) |
+| middle | 0.200 ± 0.000 (n = 3) | 0.200 ± 0.000 (n = 3) |
+| low-too | – | – |
+| other | – | – |
+| reference | – | – |
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> list[str]:
+    """A study of one's own: of its conditions two have three runs each."""
+    save_runs(Store(tmp_path / "results"), tmp_path, {"high": [0.2, 0.4, 0.6], "middle": [0.2] * 3})
+    return [str(tmp_path / "mine.toml"), "--world", "text", "--results", str(tmp_path / "results")]
+
+
+def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
+    """0.2, 0.4 and 0.6 have a mean of 0.4 and a standard deviation of 0.2; the score's return is the same."""
+    asked = ("--outcome", "final-share-killed", "--outcome", "final-return")
+    assert printed("study", "summary", *mine, *asked, "--format", "markdown") == SUMMARY
+    paper = printed("study", "summary", *mine, *asked, "--format", "latex")
+    assert "high & 0.40 ± 0.20 (n = 3) & 0.40 ± 0.20 (n = 3) \\\\" in paper
+    wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
+    assert "| high | 0.400 (n = 3) |" in wide  # of three runs there is no interval
+    assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")
+
+
+def test_a_comparison_in_every_form(mine: list[str]) -> None:
+    name, *rest = mine
+    asked = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]
+    lines = printed(*asked, "--format", "markdown").splitlines()
+    assert lines[0] == "| outcome | high | middle | difference | P(better) | runs | no value |"
+    assert lines[2] == "| final-share-killed (share) | 0.400 | 0.200 | 0.200 | 0.83 | 3 and 3 | 0 |"
+    (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
+    assert (row["a"], row["b"]) == ("high", "middle") and float(row["difference"]) == pytest.approx(0.2)
+    assert described(*asked, "--json") == described(*asked, "--format", "json")
+    assert "high against middle" in printed(*asked)
+
+
+def test_verdicts_in_every_form(tmp_path: Path) -> None:
+    """0.735 against 0.235: a difference of one half in every run."""
+    save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
+    asked = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
+    effect = "kills 74 % against 24 %: 50 points more"
+    lines = printed(*asked, "--format", "markdown").splitlines()
+    assert lines[0] == "| Section | The thesis's sentence | text |"
+    assert lines[2].startswith(f"| 6 | “a quote” | holds<br>{effect} (")
+    assert f"holds \\newline {effect.replace('%', chr(92) + '%')} (" in printed(*asked, "--format", "latex")
+    (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
+    assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
+    assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
+    told = call(*asked, "better").out
+    assert told.startswith("better (section 6)\n  “a quote”\n    text            holds           kills")
+    assert "high against low, 8 and 8 runs: kills" in told

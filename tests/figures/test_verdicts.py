@@ -1,0 +1,152 @@
+"""Verdicts in words and as a picture: the words by hand, and the same bytes again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pneuma.analysis import verdict_words
+from pneuma.analysis.claims import load_claims
+from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL
+from pneuma.analysis.verdict_words import cell, effect, sentence, short_sentence, verdict_table, why
+from pneuma.figures.verdicts import SMALL, draw_verdicts
+
+from .hand_made_verdicts import claim, comparison, judged
+
+Numbers = tuple[tuple[float, float], tuple[float, float]]
+KILLS = "kills 85 % against 83 %: 2 points more (−1 to 5)"
+MEANS = (0.85, 0.83), (-0.012, 0.052)
+
+
+@pytest.mark.parametrize(
+    ("fields", "numbers", "told"),
+    [
+        ({}, MEANS, KILLS),
+        (
+            {"outcome": "final-return"},
+            ((8.6, 7.5), (0.3, 2.0)),
+            "return 8.6 against 7.5: 1.1 more (0.3 to 2.0)",
+        ),
+        (
+            {"outcome": "final-return", "direction": "less"},
+            ((3401, 3902), (-900, -101)),
+            "return 3,400 against 3,900: 500 less (100 to 900)",
+        ),
+        (
+            {"kind": "spread"},
+            ((0.025, 0.04), (-0.037, 0.007)),
+            "spread of kills 2 % against 4 %: 2 points less (−1 to 4)",
+        ),
+        (
+            {"kind": "range", "a": ("x", "y"), "b": ("y", "z")},
+            ((0.4, 0.1), (0.1, 0.5)),
+            "range of kills 40 % against 10 %: 30 points more (10 to 50)",
+        ),
+        (
+            {"kind": "incidence", "b": (), "value": 0.2, "outcome": "one-action", "above": 0.9},
+            ((1, 0.2), (0.7, 0.8)),
+            "runs with one action 100 % against 20 %: 80 points more (70 to 80)",
+        ),
+        (
+            {"outcome": "log-max-grad-norm"},
+            ((4.605, 3.912), (0.0, 1.386)),  # 100, 50; 1 to 4
+            "greatest gradient norm 100 against 50: 2.0 times as much (1.0 to 4.0)",
+        ),
+        (
+            {"outcome": "late-slope", "b": (), "value": 0},
+            ((-0.01, 0), (-0.05, 0.03)),
+            "late rise of kills −1 % (−5 to 3)",
+        ),
+    ],
+)
+def test_effects_are_told_in_plain_units(fields: dict[str, Any], numbers: Numbers, told: str) -> None:
+    (a, b), ends = numbers
+    row = comparison("supported", a - b, ends, of=claim(**fields), means=(a, b))
+    assert effect(row) == told
+
+
+@pytest.mark.parametrize(
+    ("verdict", "reason", "told"),
+    [
+        ("supported", "", f"holds\n{KILLS}"),
+        ("refuted", "", f"does not hold\n{KILLS}"),
+        (
+            "mixed",
+            "",
+            f"undecided\n{KILLS}; its two measures disagree",
+        ),
+        ("inconclusive", "", f"undecided\n{KILLS}"),
+        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nno runs yet"),
+        ("untestable", "arms at floor: none of tanh, relu", "not tested\nthe agents learned nothing there"),
+        ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
+        ("untestable", "nothing to cure: 4 of 8 runs", "not tested\nnothing to cure"),
+    ],
+)
+def test_a_cell_is_one_of_four_words_and_the_effect_or_why_there_is_none(
+    verdict: str, reason: str, told: str
+) -> None:
+    row = comparison(verdict, 0.02, MEANS[1], means=MEANS[0])
+    assert cell(judged(claim(), text=(verdict, reason, (row,)))["text"]) == told
+
+
+def test_what_a_word_does_not_say_is_said_beside_it() -> None:
+    verdicts = judged(
+        claim(),
+        text=("mixed", "", ()),
+        arena=("refuted", AS_CLAIMED_BUT_SMALL, ()),
+        godot=("supported", "", ()),
+    )
+    assert {world: why(one) for world, one in verdicts.items()} == {
+        "text": "its two measures disagree", "arena": AS_CLAIMED_BUT_SMALL, "godot": "",
+    }  # fmt: skip
+
+
+def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> None:
+    known = load_claims().claims
+    assert {*verdict_words._SHORT} <= {*known}
+    assert "where β₁ = β₂ = 0.9, rather than" in sentence(known["betas-solve"])
+    assert sentence(known["leaky-helps"]).endswith("the clipping limit of the norm to ‖∇L(ϑₜ)‖₂ ≤ 0.5.")
+    for own in known.values():
+        assert not {*sentence(own)} & {*"\\$*{}"}
+        for part in short_sentence(own).split("…"):
+            assert part.strip(" ,") in sentence(own)
+
+
+def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
+    claims = {
+        name: judged(claim(name, section=section, context=name), text=("inconclusive", "", ()))
+        for name, section in (("first", "5.10"), ("second", "5.9"), ("third", "6"))
+    }
+    ordered = verdict_words.by_claim(one for worlds in claims.values() for one in worlds.values())
+    assert [*ordered] == ["second", "first", "third"]
+    assert verdict_table(ordered)["The thesis's sentence"].tolist() == [
+        "“improves performance”", "first", "third",
+    ]  # fmt: skip
+
+
+def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claims = {
+        name: judged(
+            claim(name, section=section),
+            text=("supported", "", (comparison("supported", 0.02, MEANS[1], means=MEANS[0]),)),
+            arena=("untestable", "A/A: the same", ()),
+        )
+        for name, section in (("one", "6.1"), ("two", "6.2"))
+    }
+    drawn: list[Figure] = []
+    monkeypatch.setattr(plt, "close", drawn.append)
+    (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
+    assert path.name == "verdicts.png" and path.read_bytes() == again.read_bytes()
+    with Image.open(path) as image:
+        assert image.width / image.info["dpi"][0] == pytest.approx(7.4, abs=0.01)
+    texts = drawn[0].axes[0].texts
+    assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
+    assert [text.get_text() for text in texts].count("holds") == 2
+    assert "kills 85 % against 83 %:\n2 points more (−1 to 5)" in [text.get_text() for text in texts]
