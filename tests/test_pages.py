@@ -70,11 +70,13 @@ def test_pages_hold_what_their_commands_print_from_published_tables() -> None:
 
 def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("a\n\n<!-- pneuma study list --json -->\nold\n<!-- end -->\n\nb <!-- end -->\n")
+    other = "<!-- pneuma study show activation -->\n<!-- end -->\n"
+    page.write_text(f"a\n\n<!-- pneuma study list --json -->\nold\n<!-- end -->\n\nb <!-- end -->\n{other}")
     assert rewrite([page]) == [page]
     before, _, rest = page.read_text().partition("<!-- pneuma study list --json -->\n\n")
     printed, _, after = rest.partition("\n<!-- end -->\n")
-    assert (before, after) == ("a\n\n", "\nb <!-- end -->\n")
+    assert before == "a\n\n"
+    assert after.startswith("\nb <!-- end -->\n<!-- pneuma study show activation -->\n\nActivation function")
     assert "activation" in {study["study"] for study in json.loads(printed)["studies"]}
     assert rewrite([page]) == []
 

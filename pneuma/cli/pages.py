@@ -35,7 +35,7 @@ READING = (
 )  # fmt: skip
 """Commands that print the same wherever they run, and write nothing."""
 RESULTS = "PNEUMA_RESULTS"
-_BLOCK = re.compile(r"^<!-- pneuma (.+) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^<!-- pneuma ([^\n]+) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
 
 
 def rewrite(pages: Sequence[Path]) -> list[Path]:

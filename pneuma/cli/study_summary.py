@@ -59,7 +59,7 @@ def summary(
 ) -> None:
     """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
 
-    --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD (n) in it.
+    --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD in it.
     """
     form = "json" if json else format
     if cells and form not in PRINTED:
@@ -132,7 +132,10 @@ def _cells(found: pd.DataFrame) -> dict[tuple[str, str, str], str]:
 
 
 def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], cells: str) -> pd.DataFrame:
-    """Return a row for each condition and a column for each outcome, as in '0.68 ± 0.11 (n = 30)'."""
+    """Return a row for each condition with a value and a column for each outcome, as in '0.68 ± 0.11'.
+
+    A value of fewer runs than the condition has says of how many.
+    """
     import pandas as pd
 
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
@@ -144,15 +147,20 @@ def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str],
     def cell(condition: str, name: str) -> str:
         if not (row := rows.get((condition, name, "mean"))):
             return "–"
-        value, runs = row["value"], f"(n = {row['runs']})"
+        value, fewer = row["value"], ""
+        if row["runs"] < len(data.of_condition(condition)):
+            fewer = f" (n = {row['runs']})"
         if cells == "interval":
-            return f"{shown_with_interval(value, row['low'], row['high'])} {runs}"
+            return f"{shown_with_interval(value, row['low'], row['high'])}{fewer}"
         deviation = rows[condition, name, "deviation"]["value"]
         places = decimals(value, value - deviation, value + deviation)
-        return f"{shown(value, places)} ± {shown(deviation, places)} {runs}"
+        return f"{shown(value, places)} ± {shown(deviation, places)}{fewer}"
 
-    table = [[condition, *(cell(condition, name) for name in names)] for condition in data.conditions]
-    return pd.DataFrame(table, columns=["condition", *map(with_unit, names)])
+    told = {name: [cell(name, outcome) for outcome in names] for name in data.conditions}
+    table = [
+        [name, len(data.of_condition(name)), *values] for name, values in told.items() if {*values} != {"–"}
+    ]
+    return pd.DataFrame(table, columns=["condition", "runs", *map(with_unit, names)])
 
 
 def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:

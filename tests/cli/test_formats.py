@@ -14,14 +14,10 @@ from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
 from .calls import call, described, printed, refused
 
 SUMMARY = """\
-| condition | final-share-killed (share) | final-return |
-| --- | --- | --- |
-| low | – | – |
-| high | 0.40 ± 0.20 (n = 3) | 0.40 ± 0.20 (n = 3) |
-| middle | 0.200 ± 0.000 (n = 3) | 0.200 ± 0.000 (n = 3) |
-| low-too | – | – |
-| other | – | – |
-| reference | – | – |
+| condition | runs | final-share-killed (share) | final-return |
+| --- | ---: | --- | --- |
+| high | 3 | 0.40 ± 0.20 | 0.40 ± 0.20 |
+| middle | 3 | 0.200 ± 0.000 | 0.200 ± 0.000 |
 """
 
 
@@ -37,9 +33,9 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     asked = ("--outcome", "final-share-killed", "--outcome", "final-return")
     assert printed("study", "summary", *mine, *asked, "--format", "markdown") == SUMMARY
     paper = printed("study", "summary", *mine, *asked, "--format", "latex")
-    assert "high & 0.40 ± 0.20 (n = 3) & 0.40 ± 0.20 (n = 3) \\\\" in paper
+    assert "high & 3 & 0.40 ± 0.20 & 0.40 ± 0.20 \\\\" in paper
     wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
-    assert "| high | 0.400 (n = 3) |" in wide  # of three runs there is no interval
+    assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
     assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")
 
 
