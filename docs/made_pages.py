@@ -1,7 +1,7 @@
 """A hook of MkDocs: pages of the site that no file in docs/ holds, made when the site is built.
 
 The front page is the README, the commands' reference comes from the program itself, and the reference of
-modules from their docstrings. Pictures that pages show are taken along, and a table that one links to.
+modules from their docstrings. Pictures that pages show, and tables that they link to, are taken along.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pneuma.cli import app
 
 ROOT = Path(__file__).parents[1]
 PICTURES = "paper_figures"
-TABLE = f"{PICTURES}/tables/table-6-1-and-6-2.md"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -27,7 +26,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     made = {"index.md": _front_page(), "commands.md": _commands(), "api.md": _modules()}
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))
-    for path in (*sorted((ROOT / PICTURES).glob("*.png")), ROOT / TABLE):
+    for path in sorted(path for path in (ROOT / PICTURES).rglob("*.*") if path.is_file()):
         files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
     return files
 

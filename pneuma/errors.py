@@ -48,6 +48,8 @@ def plain(text: str) -> str:
     For terminals and figures: titles and names may come from untrusted files, and control characters could
     drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
     """
+    if text.isprintable():
+        return text
     return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
 
 

@@ -55,7 +55,7 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
     runs, action, env = told.splitlines()[-1].split()
     assert (runs, env) == ("4", "pneuma/PneumaArena-v0") and 0 <= int(action) < 5
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
-    curves = {f"study-horizon-arena-return-entropy-std.{form}" for form in ("png", "svg")}
+    curves = {f"study-horizon-arena-return-entropy-minmax.{form}" for form in ("png", "svg")}
     assert figures == {*curves, "study-horizon-arena-summary.pdf"}
 
 

@@ -99,3 +99,15 @@ def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
     cells = make_plan(load_study(str(path)), Selection()).cells
     assert {(cell.condition, cell.run.horizon) for cell in cells} == {("short", 128), ("long", 1024)}
     assert {cell.seed for cell in cells} == {0, 1, 2}
+
+
+def test_every_picture_and_table_is_shown_by_a_page_and_no_link_to_one_is_broken() -> None:
+    folder = ROOT / "paper_figures"
+    made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    linked = {
+        name
+        for page in PAGES
+        for name in re.findall(r"\]\((?:\.\./)?paper_figures/([^)#]+)\)", page.read_text())
+    }
+    assert linked == made
+    assert len(made) <= 60 and sum((folder / name).stat().st_size for name in made) <= 8_000_000

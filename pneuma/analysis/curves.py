@@ -56,11 +56,9 @@ class Curve:
         return self._back(_mean(self._values))
 
     def band(self, name: str) -> Edges:
-        if name not in BANDS:
-            raise unknown_name("band", name, BANDS)
-        edges = BANDS[name].edges
-        low, high = edges(self._values) if edges else (np.full(self.step.shape, np.nan),) * 2
-        enough = self.count >= BANDS[name].least_runs
+        band = BANDS[checked_band(name)]
+        low, high = band.edges(self._values) if band.edges else (np.full(self.step.shape, np.nan),) * 2
+        enough = self.count >= band.least_runs
         return self._back(np.where(enough, low, np.nan)), self._back(np.where(enough, high, np.nan))
 
     @property
@@ -155,7 +153,7 @@ def _curve(runs: Sequence[FinishedRun], step: np.ndarray, values: np.ndarray) ->
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     """Return curves as a tidy table, one row per point, condition and quantity."""
-    frames = []
+    frames, band = [], checked_band(band)
     for quantity, group in curves.items():
         for curve in group:
             low, high = curve.band(band)
@@ -223,14 +221,10 @@ def _variance(runs: np.ndarray) -> np.ndarray:
     return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
 
 
-def _standard_error(runs: np.ndarray) -> np.ndarray:
-    return np.sqrt(_variance(runs) / np.maximum(np.isfinite(runs).sum(axis=0), 1))
-
-
 def _t_half(runs: np.ndarray) -> np.ndarray:
     """Return half the width of Student's interval for the mean, (points,)."""
-    freedom = np.maximum(np.isfinite(runs).sum(axis=0) - 1, 1)
-    return special.stdtrit(freedom, 0.975) * _standard_error(runs)
+    count = np.maximum(np.isfinite(runs).sum(axis=0), 1)
+    return special.stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(_variance(runs) / count)
 
 
 def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
@@ -244,9 +238,16 @@ def _extremes(runs: np.ndarray) -> Edges:
 
 
 BANDS = {
-    "ci": Band("95 % interval of the mean (Student's t)", _around(_t_half), LEAST_RUNS, 20),
-    "se": Band("± 1 standard error", _around(_standard_error), LEAST_RUNS, math.inf),
-    "std": Band("± 1 standard deviation", _around(lambda runs: np.sqrt(_variance(runs)))),
-    "minmax": Band("least to greatest", _extremes),
-    "runs": Band("every run as a thin line", None),
+    "sd": Band("± 1 SD between runs", _around(lambda runs: np.sqrt(_variance(runs)))),
+    "ci": Band("95 % interval of the mean", _around(_t_half), LEAST_RUNS, 20),
+    "minmax": Band("least to greatest run", _extremes),
+    "runs": Band("every run", None),
 }
+
+
+def checked_band(name: str) -> str:
+    """Return a band's name in `BANDS`: people ask for mean and variance, whose root is drawn."""
+    name = "sd" if name == "variance" else name
+    if name not in BANDS:
+        raise unknown_name("band", name, BANDS)
+    return name

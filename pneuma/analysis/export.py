@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import EXPORTED_BAND
+from pneuma.analysis import EDGED_BANDS
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
@@ -26,7 +26,7 @@ def encode_table(
     form: str,
     store: Store,
     window: str | None = None,
-    band: str = EXPORTED_BAND,
+    band: str = EDGED_BANDS[0],
 ) -> tuple[bytes, int]:
     """Encode one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`; also return its number of rows.
 

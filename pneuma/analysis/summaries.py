@@ -146,16 +146,20 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
     """
     if min(len(a), len(b)) < LEAST_RUNS:
         return no_interval()
-    first, second = (  # how often each run is drawn, (resamples, runs)
-        np.array([np.bincount(row, minlength=n) for row in generator.integers(0, n, (RESAMPLES, n))])
-        for n in (len(a), len(b))
-    )
+    first, second = (_times_drawn(generator.integers(0, n, (RESAMPLES, n))) for n in (len(a), len(b)))
     above = (a[:, None] > b) + 0.5 * (a[:, None] == b)  # (runs of a, runs of b)
     drawn = (first @ above * second).sum(axis=1) / (len(a) * len(b))
     if np.ptp(drawn) == 0:
         return no_interval()
     low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(float(low), float(high), "bootstrap percentiles")
+
+
+def _times_drawn(drawn: np.ndarray) -> np.ndarray:
+    """Return how often each run is drawn, (resamples, runs)."""
+    resamples, runs = drawn.shape
+    places = drawn + runs * np.arange(resamples)[:, None]
+    return np.bincount(places.ravel(), minlength=drawn.size).reshape(drawn.shape)
 
 
 def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:

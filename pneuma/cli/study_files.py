@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES, EXPORTED_BAND
+from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -55,8 +55,13 @@ def plot(
         list[str] | None, opt.argument("NAME", "Studies; left out: all that were run.", complete.studies)
     ] = None,
     figure: Annotated[
-        str, opt.choice("--figure", FIGURE_KINDS, "Curves over steps, or what the runs came to.")
-    ] = FIGURE_KINDS[0],
+        opt.Text,
+        opt.choice(
+            "--figure",
+            FIGURE_KINDS,
+            "Curves over steps (default for seven conditions or less), or a summary.",
+        ),
+    ] = None,
     quantity: Annotated[
         list[Any] | None,
         opt.choice(
@@ -66,7 +71,12 @@ def plot(
             "NAME",
         ),
     ] = None,
-    band: Annotated[opt.Text, opt.choice("--band", BAND_NAMES, "What the band shows (default: ci).")] = None,
+    band: Annotated[
+        opt.Text,
+        opt.choice(
+            "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
+        ),
+    ] = None,
     window: Annotated[opt.Text, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
     beside: Annotated[
         opt.Text, opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
@@ -81,8 +91,9 @@ def plot(
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
-    from pneuma.figures.curves import draw_study, settle
+    from pneuma.figures.curves import draw_study
     from pneuma.figures.summary import draw_summary
+    from pneuma.figures.words import fits_panel
 
     other = open_data(opt.Chosen(Selection(), None, store), beside) if beside else None
 
@@ -90,14 +101,15 @@ def plot(
         name, world = asked
         data = open_data(replace(picked, world=world), name)
         words = ["plot", name, *(["--beside", beside] if beside else [])]
-        look: dict[str, Iterable[str]] = {"figure": [figure], "format": formats}
-        if figure == "summary":
+        of_curves = quantity or band or window or beside or fits_panel(data)
+        kind = figure or FIGURE_KINDS[0 if of_curves else 1]
+        look: dict[str, Iterable[str]] = {"figure": [kind], "format": formats}
+        if kind == "summary":
             return draw_summary(data, folder, formats, command=opt.drawing_command(words, picked, look))
-        settled = settle(data, band, window, quantities=_quantities(data, quantity or []))
-        given = [band] if band else []  # one that was not asked for may need more runs than there are
-        look |= {"quantity": settled.quantities, "band": given, "window": [settled.window]}
-        again = opt.drawing_command(words, picked, look)
-        return draw_study(data, folder, settled, formats, beside=other, command=again)
+        quantities = _quantities(data, quantity or [])
+        given = {"band": filter(None, [band]), "window": filter(None, [window])}
+        again = opt.drawing_command(words, picked, {**look, "quantity": quantities, **given})
+        return draw_study(data, folder, quantities, band, window, formats, beside=other, command=again)
 
     def draw(folder: Path) -> list[Path]:
         one = partial(draw_one, folder)
@@ -146,7 +158,7 @@ def export(
     picked: opt.Chosen,
     band: Annotated[
         opt.Text,
-        opt.choice("--band", EDGED_BANDS, f"Of curves: what low and high are (else {EXPORTED_BAND})."),
+        opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
     ] = None,
     window: Annotated[
         opt.Text, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
@@ -165,7 +177,7 @@ def export(
     from pneuma.analysis.export import encode_table
 
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
-    encoded, rows = encode_table(data, table, form, picked.store, window, band or EXPORTED_BAND)
+    encoded, rows = encode_table(data, table, form, picked.store, window, band or EDGED_BANDS[0])
     if printed:
         sys.stdout.buffer.write(encoded)
         return None

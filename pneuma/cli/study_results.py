@@ -71,10 +71,10 @@ def collapse(
     if out is not None:
         from pneuma.figures.collapse import draw_collapse
 
-        stem = figure_basename(data, "collapse")
+        basename = figure_basename(data, "collapse")
         again = opt.drawing_command(["collapse", name, "--out", "figures"], picked, {"format": formats})
         files = draw_files(
-            store, out, lambda folder: draw_collapse(data, folder, stem, formats, command=again)
+            store, out, lambda folder: draw_collapse(data, folder, basename, formats, command=again)
         )
     if json:
         print_json({"study": data.study, "runs": found, "incidence": shares, "figures": files})
@@ -165,11 +165,13 @@ def robustness(
         from pneuma.figures.maps import contrast_word, draw_robustness
 
         other = [found.outcome] if found.outcome != primary(data) else []
-        stem = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
+        basename = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
         words = ["robustness", name, "--contrast", contrast_word(found), "--out", "figures"]
         again = opt.drawing_command(words, picked, {"outcome": other, "format": formats})
         files = draw_files(
-            store, out, lambda folder: draw_robustness(data, [found], folder, stem, formats, command=again)
+            store,
+            out,
+            lambda folder: draw_robustness(data, [found], folder, basename, formats, command=again),
         )
     turned = find_outcome(found.outcome).better == "lower"
     if json:

@@ -247,11 +247,11 @@ def compare(
         from pneuma.figures.summary import draw_comparison
 
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
-        stem = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
+        basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
         again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
         files = draw_files(
-            picked.store, out, lambda folder: draw_comparison(data, table, folder, stem, formats, again)
+            picked.store, out, lambda folder: draw_comparison(data, table, folder, basename, formats, again)
         )
     rows = []
     compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]

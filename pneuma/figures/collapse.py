@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection
 
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
 from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import UserError
-from pneuma.figures import panels, style
+from pneuma.figures import grid, style
+from pneuma.figures.grid import LONGEST_INCHES, Page, Panel, in_grid, save_page
 from pneuma.figures.origin import origin_of
 from pneuma.figures.style import GREY, INK
+from pneuma.figures.words import headline_of, notes_of, styles_of
 from pneuma.study.quantities import ACTION_QUANTITIES
 from pneuma.study.series import LEAST_ENTROPY, LOSS, MOST_OF_ONE, NO_ENTROPY, Series
 
-PANELS_INCHES, LONGEST_INCHES, BAR_INCHES = 3.5, 7.6, 0.24
-"""Heights in inches: of panels as usual, of panels that fill a page, and of a condition's row."""
+PANELS_INCHES, BAR_INCHES = 3.5, 0.24
+"""Heights in inches: of panels as usual, and of a condition's row."""
 MOST_ROWS = 24
 """With more conditions than this, only those with a collapse are shown."""
 
@@ -38,28 +42,21 @@ PANELS = {
 Colours = Mapping[str, str]
 
 
-def collapsed_shares(data: StudyData) -> pd.DataFrame:
-    """Return the `incidence` of all conditions; no rows if no run is known to have collapsed."""
-    if not data.evaluated:
-        return pd.DataFrame()
-    shares = incidence(data, diagnoses(data))
-    return shares[shares["collapsed"] > 0]
-
-
 def draw_collapse(
     data: StudyData,
     folder: Path,
-    stem: str,
-    formats: tuple[str, ...] = ("png", "svg"),
+    basename: str,
+    formats: Sequence[str] = ("png", "svg"),
     *,
+    found: pd.DataFrame | None = None,
     command: str = "",
 ) -> list[Path]:
     """Draw a study's collapses and return the files written.
 
     On the left are the curves of every run that collapsed, with steps counted from the onset. On the right is
-    the share of each condition's runs that collapsed, with its interval.
+    the share of each condition's runs that collapsed, with its interval. `found` are the `diagnoses`.
     """
-    found = diagnoses(data)
+    found = diagnoses(data) if found is None else found
     shares = incidence(data, found)
     known = shares[shares["runs"] > 0]
     if known.empty:
@@ -68,35 +65,45 @@ def draw_collapse(
         )
     shown = known if len(known) <= MOST_ROWS else known[known["collapsed"] > 0]
     onsets = {row["run_id"]: row["onset_step"] for row in found[found["collapsed"]].to_dict("records")}
-    runs = [run for run in data.runs if run.run_id in onsets]
     by_return = is_foreign(data) or found["signs"].str.contains(LOSS).any()  # else it decides nothing
-    drawn = [name for name in PANELS if name != "return" or by_return]
-    curves = {name: [_series(data, run, name) for run in runs] for name in drawn}
-    curves = {name: series for name, series in curves.items() if any(len(step) for step, _ in series)}
-    rows = 2 if len(curves) > 1 else 1
-    usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
-    inches = max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES))
+    colours = {name: look["color"] for name, look in styles_of(data).items()}
+    falls = [_falls(data, name, onsets, colours) for name in PANELS if name != "return" or by_return]
     names, parts = style.short_names(list(shown["condition"]))
-    colours = {name: look["color"] for name, look in panels.looks_of(data).items()}
-    with style.house_style():
-        figure = Figure(layout="constrained")
-        columns = -(-len(curves) // rows)
-        cells = [*curves, "."][: rows * columns]
-        grid = figure.subplot_mosaic([[*cells[r * columns :][:columns], "bars"] for r in range(rows)])
-        for name in [*curves][1:]:
-            grid[name].sharex(grid[next(iter(curves))])
-        for name, series in curves.items():
-            falls = [(step - onsets[run.run_id], values, colours[run.condition])
-                     for run, (step, values) in zip(runs, series, strict=True)]  # fmt: skip
-            _draw_falls(grid[name], name, falls)
-        counts: list[dict[Any, Any]] = shown.to_dict("records")
-        _draw_bars(grid["bars"], colours, counts)
-        labels = [f"{names[row['condition']]} ({row['collapsed']} of {row['runs']})" for row in counts]
-        panels.label_rows(grid["bars"], labels, inches / len(shown))
-        headline = f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"
-        caption = [*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."]
-        panels.put_texts(figure, inches, panels.headline_of(data, headline), caption=caption)
-        return style.save_figure(figure, folder, stem, formats, origin_of(command, data))
+    counts: list[dict[Any, Any]] = shown.to_dict("records")
+    labels = [f"{names[row['condition']]} ({row['collapsed']} of {row['runs']})" for row in counts]
+    bars = Panel(
+        partial(_draw_bars, colours=colours, rows=counts),
+        "How often",
+        "Share of runs",
+        x_ticks=_halves,
+        rows=labels,
+    )
+    panels = [panel for panel in falls if panel]
+    rows = 2 if len(panels) > 1 else 1
+    cells = in_grid(panels, -(-len(panels) // rows)) if panels else [[]]
+    usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
+    page = Page(
+        [[*row, bars] for row in cells],
+        max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)),
+        headline_of(data, f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"),
+        caption=[*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."],
+    )
+    return save_page(page, folder, basename, formats, origin_of(command, data))
+
+
+def _falls(data: StudyData, name: str, onsets: Mapping[str, int], colours: Colours) -> Panel | None:
+    """Return one of `PANELS` for the runs that collapsed; None if none has data for it."""
+    runs = [run for run in data.runs if run.run_id in onsets]
+    falls = [
+        (step - onsets[run.run_id], values, colours[run.condition])
+        for run in runs
+        for step, values in [_series(data, run, name)]
+        if len(step)
+    ]
+    shares = grid.numbers if name in ("entropy", "return") else grid.shares
+    draw = partial(_draw_falls, name=name, falls=falls)
+    ticks = partial(grid.steps, most=4)
+    return Panel(draw, PANELS[name][0], "Steps from onset", x_ticks=ticks, y_ticks=shares) if falls else None
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
@@ -112,21 +119,19 @@ def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
 
 def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
     """Draw one of `PANELS`: steps from the onset, values and colour of each collapsed run."""
-    title, reach, threshold = PANELS[name]
+    _, reach, threshold = PANELS[name]
     axes.axvline(0, color=GREY, linewidth=0.8)
     if threshold is not None:
         axes.axhline(threshold, color=GREY, linewidth=0.8, linestyle="--")
-    for step, values, colour in falls:
-        axes.plot(step, values, color=colour, linewidth=0.7, alpha=0.8 if len(falls) < 20 else 0.4)
-    panels.set_steps(axes, 4)
-    top = 1.02 * max(axes.dataLim.y1, reach)
+    lines, colours = [np.column_stack(fall[:2]) for fall in falls], [fall[2] for fall in falls]
+    alpha = 0.8 if len(falls) < 20 else 0.4
+    axes.add_collection(LineCollection(lines, colors=colours, linewidths=0.7, alpha=alpha, zorder=2))
+    axes.autoscale_view()
     if name == "return":
         axes.axhline(0, color=GREY, linewidth=0.8)
     else:
-        axes.set_ylim(-panels.BELOW_ZERO * top, top)
-    if name not in ("entropy", "return"):
-        panels.set_shares(axes)
-    axes.set(title=title, xlabel="Steps from onset")
+        top = 1.02 * max(axes.dataLim.y1, reach)
+        axes.set_ylim(-grid.BELOW_ZERO * top, top)
 
 
 def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) -> None:
@@ -139,14 +144,17 @@ def _draw_bars(axes: Axes, colours: Colours, rows: Sequence[Mapping[Any, Any]]) 
         axes.plot([row["low"], row["high"]], [place, place], color=INK, linewidth=1.1)
         if not row["collapsed"]:
             axes.plot(0, place, marker="o", markersize=3, color=colour, clip_on=False, zorder=4)
-    axes.set(xlim=(0, 1), xlabel="Share of runs", title="How often")
-    panels.set_shares(axes, upright=False)
-    axes.set_xticks((0, 0.5, 1))
+    axes.set(xlim=(0, 1))
+
+
+def _halves(axis: Axis) -> None:
+    grid.shares(axis)
+    axis.set_ticks((0, 0.5, 1))
 
 
 def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_out: int) -> list[str]:
     """Return the notes in the caption, the most important first."""
-    notes = panels.notes_of(data)
+    notes = notes_of(data)
     if blind := shares["unknown"].sum():
         notes.append(f"Left out: {blind} runs without records that a collapse shows in.")
     unseen = found[found["collapsed"].notna() & found["unseen"].str.contains(NO_ENTROPY)]["condition"]

@@ -44,7 +44,7 @@ def draw_mailman(folder: Path, command: str = "") -> list[Path]:
             )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
         axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
-        return save_figure(figure, folder, "fig-2-1", ("png", "svg"), Origin(command=command))
+        return save_figure(figure, folder, "fig-2-1", ("png",), Origin(command=command))
 
 
 def draw_level(folder: Path, command: str = "") -> list[Path]:
@@ -64,7 +64,7 @@ def draw_level(folder: Path, command: str = "") -> list[Path]:
         axes.set(xlabel="x (pixels)", ylabel="y (pixels)", title=level.title)
         axes.grid(visible=False)
         axes.legend(loc="lower right", frameon=True, facecolor="white")
-        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=command))
+        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=command), colours=0)
 
 
 def draw_screens(folder: Path, command: str = "") -> list[Path]:
@@ -77,5 +77,5 @@ def draw_screens(folder: Path, command: str = "") -> list[Path]:
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",), Origin(command=command))
+            paths += save_figure(figure, folder, stem, ("png",), Origin(command=command), colours=0)
     return paths

@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
-from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import UserError
+from pneuma.figures import grid
+from pneuma.figures.grid import Page, Panel, in_grid, save_page
 from pneuma.figures.origin import origin_of
-from pneuma.figures.panels import (
-    headline_of,
-    label_rows,
-    notes_of,
-    put_texts,
-    round_ticks,
-    runs_told,
-    set_points,
-)
-from pneuma.figures.style import COLOURS, GREY, INK, house_style, save_figure
+from pneuma.figures.style import COLOURS, GREY, INK
+from pneuma.figures.words import format_counts, headline_of, note_on_step, notes_of
 from pneuma.values import shown_level, shown_value
 
 ROW_INCHES, AROUND_INCHES = 0.17, 0.75
 """Heights in inches of a row, and of a map's title, ticks and label together."""
 
-LOOKS: dict[str, dict[str, Any]] = {
+STYLES: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": COLOURS[0], "markerfacecolor": COLOURS[0]},
     REVERSED: {"marker": "s", "color": COLOURS[1], "markerfacecolor": COLOURS[1]},
     OPEN: {"marker": "o", "color": GREY, "markerfacecolor": "white"},
@@ -64,52 +57,47 @@ def draw_robustness(
     data: StudyData,
     maps: Sequence[Map],
     folder: Path,
-    stem: str,
+    basename: str,
     formats: tuple[str, ...] = ("png", "svg"),
     *,
     command: str = "",
 ) -> list[Path]:
     columns = min(len(maps), 2)
-    rows = -(-len(maps) // columns)
-    with house_style():
-        figure = Figure(layout="constrained")
-        panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
-        for axes, found in zip(panels, maps, strict=False):
-            _draw_map(axes, found)
-            axes.xaxis.set_major_locator(round_ticks(8 // columns))
-        for axes in panels[len(maps) :]:
-            axes.remove()
-        inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
-        cells = [label for found in maps for label in found.cells["label"]]
-        entries = {
-            f"{label} ({cells.count(label)})": Line2D([], [], linestyle="", markersize=4.5, **look)
-            for label, look in LOOKS.items()
-        }
-        headline = headline_of(data, "does the contrast hold elsewhere?")
-        put_texts(figure, rows * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
-        return save_figure(figure, folder, stem, formats, origin_of(command, data))
+    panels = in_grid([_panel(found) for found in maps], columns)
+    inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
+    labels = [label for found in maps for label in found.cells["label"]]
+    entries = {
+        f"{label} ({labels.count(label)})": Line2D([], [], linestyle="", markersize=4.5, **look)
+        for label, look in STYLES.items()
+    }
+    headline = headline_of(data, "does the contrast hold elsewhere?")
+    page = Page(panels, len(panels) * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
+    return save_page(page, folder, basename, formats, origin_of(command, data))
 
 
-def _draw_map(axes: Axes, found: Map) -> None:
-    """Draw one row per cell, named by its levels; the axis names their factors."""
-    axes.axvline(0, color=INK, linewidth=0.8)
-    rows = found.cells.to_dict("records")
-    for place, cell in enumerate(rows):
-        look, ends = LOOKS[cell["label"]], [cell["low"], cell["high"]]
-        if np.isfinite(ends).all():
-            axes.plot(ends, [place, place], color=look["color"], linewidth=1.3)
-        axes.plot([cell["value"]], [place], linestyle="", markersize=4.5, **look)
-    levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in rows)
-    labels = [named or cell["better"] for named, cell in zip(levels, rows, strict=True)]
-    label_rows(axes, labels, ROW_INCHES)
-    factors = ", ".join(found.factors)
-    axes.text(
-        -0.02, 1.03, _read(factors), ha="right", va="bottom", transform=axes.transAxes, fontsize="small"
+def _panel(found: Map) -> Panel:
+    """Return a panel with one row per cell, named by its levels; above the rows stand their factors."""
+    cells = found.cells.to_dict("records")
+    levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in cells)
+    label, shares = (
+        " less ".join(map(shown_value, found.values)),
+        find_outcome(found.outcome).bounds == (0.0, 1.0),
     )
-    label = " less ".join(map(shown_value, found.values))
-    if find_outcome(found.outcome).bounds == (0.0, 1.0):
-        label += f" ({set_points(axes)})"
-    axes.set(title=f"{_read(found.setting)}: {found.label}", xlabel=label)
+    return Panel(
+        partial(_draw_cells, cells=cells, factors=_readable(", ".join(found.factors))),
+        f"{_readable(found.setting)}: {found.label}",
+        label + " (percentage points)" * shares,
+        x_ticks=grid.points if shares else grid.few,
+        rows=[named or cell["better"] for named, cell in zip(levels, cells, strict=True)],
+    )
+
+
+def _draw_cells(axes: Axes, cells: Sequence[dict[Any, Any]], factors: str) -> None:
+    axes.axvline(0, color=INK, linewidth=0.8)
+    for place, cell in enumerate(cells):
+        grid.draw_interval(axes, place, cell, markersize=4.5, **STYLES[cell["label"]])
+    where: Any = {"ha": "right", "va": "bottom", "transform": axes.transAxes}
+    axes.text(-0.02, 1.03, factors, fontsize="small", **where)
 
 
 def contrast_word(found: Map) -> str:
@@ -120,17 +108,16 @@ def contrast_word(found: Map) -> str:
     return f"{found.setting}={':'.join(shown)}".replace(", ", ",")
 
 
-def _read(field: str) -> str:
+def _readable(field: str) -> str:
     return field.replace("_", " ")
 
 
 def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     outcome = find_outcome(maps[0].outcome)
     turned = " (turned, as less is better)" if outcome.better == "lower" else ""
-    runs = runs_told(runs for found in maps for runs in found.runs)
-    step = common_step(data)
+    runs = format_counts(runs for found in maps for runs in found.runs)
     return [
         f"Differences of means in {outcome.words}{turned}, {runs} runs an arm, with 95 % intervals.",
         "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each panel (Holm).",
-        f"All as they stood at {step:,} steps, {step_words(data)}." if step else "",
+        note_on_step(data),
     ]

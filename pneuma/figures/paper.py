@@ -2,18 +2,17 @@
 
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
-It draws the environment's own figures; the thesis's tables of hyperparameters; the curves, summaries,
-collapses, maps and numbers of every study in RESULTS/published; and the verdicts on all claims. Files of an
-earlier run that are no longer drawn are removed.
+It draws the environment's own figures; the thesis's Figs. 6.2 to 6.5 with its conditions; one figure of every
+study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that pages show; and
+the verdicts on all claims. Figures of an earlier run that are no longer drawn are removed.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,48 +20,49 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.curves import curve_names
+from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import StudyData, figure_basename
+from pneuma.analysis.frames import SLACK, StudyData
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.summaries import summary_table
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import (
-    AS_IN_THESIS,
-    MOST_CURVES,
-    TRAILING_WINDOW,
-    USUAL_QUANTITIES,
-    draw_study,
-    settle,
-)
+from pneuma.figures.collapse import draw_collapse
+from pneuma.figures.curves import draw_study
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
+from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.origin import read_origin
-from pneuma.figures.style import shrink
+from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import draw_summary
 from pneuma.figures.verdicts import judged_claims, write_verdicts
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.values import shown_value
+from pneuma.worlds import WORLDS
 
 RESULTS = Path("results")
 COMMAND = "make figures"
+DRAWN: dict[str, Any] = {"formats": ("png",), "command": COMMAND}
 TABLES = "tables"
 SETTINGS_FILE = "table-6-1-and-6-2.md"
 
-CONTRASTED = {
-    "optimizer": ("stationary", "non-stationary"),
-    "actor-size": ("smallest", "small"),
+THESIS_FIGURES = {
+    "fig-6-2": ("architecture", ("small", "mid", "big")),
+    "fig-6-3": ("actor-size", ("small", "smallest", "big", "big-actor")),
+    "fig-6-4": ("optimizer", ("stationary", "non-stationary")),
+    "fig-6-5": ("activation", ("tanh", "relu", "leaky-relu")),
 }
-"""Conditions in the thesis's own figure, for studies that have more."""
-MORE_BUDGETS = {"architecture": (40_000,)}
-"""Budgets that are drawn beside the one of most runs."""
-MORE_CURVES = {"gradient-limits": "grad_norm", "collapse": "entropy"}
-"""More quantities that a study is about, beside the share killed and the return."""
+"""The study of a figure in chapter 6, and the conditions in it."""
+THESIS_QUANTITIES = ("return", "share_killed")
+IN_THE_CODE = {"small": "small-code"}
+"""A condition as the published code has it, which is shown where there are no runs of the text's."""
+WHOLE = ("architecture", "activation")
+"""Studies of which the thesis's figure shows every condition."""
+EARLIER = {"slots": 1}
+"""The fields in which runs of earlier lists differ: they were trained in one world at a time."""
+COLLAPSES = ("collapse",)
+"""Studies whose collapses a page shows."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
 
 SETTINGS = (
@@ -74,21 +74,29 @@ SETTINGS = (
 
 
 def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
-    """Draw all figures and write all tables; return the files written.
+    """Draw all figures and write the table of settings; return the files written.
 
     `beside` gives for a study's name the imported logs to draw with it.
     """
+    logs = beside or {}
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
     written = [*_draw_environment(folder), *_write_settings(folder)]
-    index = RunIndex(Store(results), stored=False, shipped=False)
-    largest_first = sorted(index.tables, key=lambda name: -len(index.tables[name].index))
+    index = _published(results)
+    sizes: dict[str, int] = {}
+    for table in index.tables.values():
+        sizes[table.about["study"]] = sizes.get(table.about["study"], 0) + len(table.index)
+    largest_first = sorted({*sizes} - {*logs.values()}, key=lambda name: (-sizes[name], name))
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         verdicts = pool.submit(_draw_verdicts, folder, results)
-        for paths in pool.map(partial(_draw_one, folder, results, beside or {}), largest_first):
+        for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
             written += paths
     written += verdicts.result()
     _remove_others(folder, written)
     return written
+
+
+def _published(results: Path) -> RunIndex:
+    return RunIndex(Store(results), stored=False, shipped=False)
 
 
 def _remove_others(folder: Path, written: Collection[Path]) -> None:
@@ -114,7 +122,7 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
 
 
 def _draw_environment(folder: Path) -> list[Path]:
-    """Draw the figures of the environment itself, which have more colours than a palette."""
+    """Draw the figures of the environment itself."""
     return [path for draw in (draw_mailman, draw_screens, draw_level) for path in draw(folder, COMMAND)]
 
 
@@ -140,57 +148,93 @@ def settings_table() -> pd.DataFrame:
 # --- One study ---------------------------------------------------------------------------------------
 
 
-def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], table: str) -> list[Path]:
-    """Draw all figures of what a published table answers, and write its numbers; return the files written.
-
-    Files are made small, because they are committed.
-    """
-    index = RunIndex(Store(results), stored=False, shipped=False)
-    about = index.tables[table].about
-    study, world, picked = about["study"], about.get("world"), Selection(settings=about.get("settings"))
-    logs = open_study(index, beside[study]) if study in beside else None
-    paths: list[Path] = []
-    for steps in (None, *MORE_BUDGETS.get(study, ())):
-        data = open_study(index, study, replace(picked, steps=steps), world)
-        data = replace(data, figure=f"{data.figure}-{steps}") if steps else data
-        drawn = [path for figure in _figures(data, folder, logs) for path in figure]
-        for path in drawn:
-            shrink(path)
-        numbers = folder / TABLES / f"{table}{f'-{steps}' if steps else ''}.md"
-        numbers.write_bytes(encode_frame(summary_table(data), "markdown"))
-        paths += [*drawn, numbers]
+def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str) -> list[Path]:
+    """Draw all figures of a study; return the files written."""
+    index, paths = _published(results), []
+    for figure, (of, conditions) in THESIS_FIGURES.items():
+        if of == study:
+            columns = {_title(world): thesis_runs(index, study, world, conditions) for world in WORLDS}
+            paths += draw_study(columns, folder, THESIS_QUANTITIES, basename=figure, **DRAWN)
+    if study not in WHOLE:
+        paths += _draw_study(folder, index, study, beside.get(study))
     return paths
 
 
-def _figures(data: StudyData, folder: Path, logs: StudyData | None) -> Iterator[list[Path]]:
-    """Draw curves and a summary, and if there are any, collapses and maps.
-
-    There are curves of the conditions in the thesis's figure, also drawn as there; of all conditions, if the
-    study has more; and with imported logs beside them.
-    """
-
-    def draw(data: StudyData, shown: str = "", beside: StudyData | None = None, **how: Any) -> list[Path]:
-        return draw_study(data, folder, settle(data, **how), shown=shown, beside=beside, command=COMMAND)
-
-    if len(data.conditions) <= MOST_CURVES and set(USUAL_QUANTITIES) & set(curve_names(data)):
-        names = [name for name in CONTRASTED.get(data.study, ()) if name in data.conditions]
-        contrasted = data.of_conditions(names) if names else data
-        yield draw(contrasted)
-        if data.figure.startswith("fig-") and "return" in data.quantities:
-            yield draw(contrasted, **AS_IN_THESIS)
-        if 0 < len(names) < len(data.conditions):
-            yield draw(replace(data, figure=f"{data.figure}-all"), "every condition")
-    more = MORE_CURVES.get(data.study)
-    if more in data.quantities:
-        yield draw(data, quantities=(more,))
+def _draw_study(folder: Path, index: RunIndex, study: str, logs: str | None) -> list[Path]:
+    """Draw a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
+    worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
+    found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
+    shown = dict.fromkeys(run.condition for data in found.values() if data for run in data.runs)
+    columns = {title: data.of_conditions([*shown]) for title, data in found.items() if data}
+    data = next(iter(columns.values()))
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
-        yield draw(data, "", logs, band="runs", window=TRAILING_WINDOW, quantities=held)
-    yield draw_summary(data, folder, command=COMMAND)
-    if len(collapsed_shares(data)):
-        yield draw_collapse(data, folder, figure_basename(data, "collapses"), command=COMMAND)
+        with_logs = open_study(index, logs)
+        return draw_study(
+            data, folder, held, "runs", TRAILING_WINDOW, basename=study, beside=with_logs, **DRAWN
+        )
     if maps := study_maps(data):
-        yield draw_robustness(data, maps, folder, figure_basename(data, "map"), command=COMMAND)
+        return draw_robustness(data, maps, folder, f"{study}-map", **DRAWN)
+    if len(shown) > MOST_IN_A_PANEL:
+        paths = draw_summary(columns if len(columns) > 1 else data, folder, basename=study, **DRAWN)
+    else:
+        paths = draw_study(columns, folder, basename=study, **DRAWN)
+    if study in COLLAPSES:
+        paths += draw_collapse(data, folder, f"{study}-collapses", **DRAWN)
+    return paths
+
+
+def _title(world: str | None) -> str:
+    title = WORLDS[world].title if world else ""
+    return title[:1].upper() + title[1:]
+
+
+def study_runs(index: RunIndex, study: str, world: str | None) -> StudyData | None:
+    """Return a study's runs in a world: those of its file, or earlier ones if these have more conditions."""
+    return _most(_opened(index, study, world, settings) for settings in ({}, EARLIER))
+
+
+def thesis_runs(index: RunIndex, study: str, world: str, conditions: Sequence[str]) -> StudyData | None:
+    """Return the runs of some conditions in a world, those of a study's file or earlier ones.
+
+    They are of the longest budget that two conditions have, and of a condition that was not trained so long,
+    of its own longest one.
+    """
+    return _most(_longest(index, study, world, conditions, settings) for settings in ({}, EARLIER))
+
+
+def _most(found: Iterable[StudyData | None]) -> StudyData | None:
+    """Return the first data of the most conditions."""
+    return max(filter(None, found), key=lambda data: len({run.condition for run in data.runs}), default=None)
+
+
+def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:
+    try:
+        return open_study(index, study, Selection(settings=settings), world)
+    except UserError:
+        return None  # no runs
+
+
+def _longest(
+    index: RunIndex, study: str, world: str, conditions: Sequence[str], settings: Mapping[str, Any]
+) -> StudyData | None:
+    every = stored_runs(index, ask(index, study, Selection(settings=settings), world))
+    trained = {name for name, *_ in every}
+    coded = {text: code for text, code in IN_THE_CODE.items() if text not in trained and code in trained}
+    shown = tuple(coded.get(name, name) for name in conditions)
+    asked = ask(index, study, Selection(settings=settings, conditions=shown), world)
+    budgets: dict[str, list[int]] = {name: [] for name in shown}
+    for name, _, entry in stored_runs(index, asked):
+        budgets[name].append(entry.steps)
+    longest = sorted((max(steps) for steps in budgets.values() if steps), reverse=True)
+    if not longest:
+        return None
+    most = (1 + SLACK) * longest[:2][-1]
+    ends = {
+        name: max((steps for steps in each if steps <= most), default=0) for name, each in budgets.items()
+    }
+    runs = [run for run in stored_runs(index, asked) if run[2].steps == ends[run[0]]]
+    return read_answer(index, Shown(asked, sorted(runs, key=lambda run: run[1])))
 
 
 def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:

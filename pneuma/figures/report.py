@@ -2,7 +2,7 @@
 
 `report.html.j2` is the page and `report.css` its style. All text is escaped by the template. The page needs
 no script, its policy forbids all requests, and it contains no date and no path, so that the same results give
-the same bytes. Figures are drawn again, each in the smaller of two formats.
+the same bytes. Figures are drawn again, as PNGs.
 """
 
 from __future__ import annotations
@@ -23,23 +23,22 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis import verdict_words
+from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import shown_with_interval
 from pneuma.errors import counted
 from pneuma.figures import verdicts
-from pneuma.figures.collapse import collapsed_shares, draw_collapse
-from pneuma.figures.curves import MOST_CURVES, draw_study
+from pneuma.figures.collapse import draw_collapse
+from pneuma.figures.curves import draw_study
 from pneuma.figures.maps import contrast_word, draw_robustness, study_maps
-from pneuma.figures.style import clean, shrink
+from pneuma.figures.style import clean
 from pneuma.figures.summary import draw_summary
+from pneuma.figures.words import fits_panel
 from pneuma.files import MADE_BY
 
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics in the first table of a study's numbers."""
-LARGE_BYTES = 120_000
-"""Bytes beyond which a figure is a PNG, if that is smaller than the SVG."""
-MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
 """Caption, columns, rows; and how many columns, from the first on, are words."""
@@ -152,44 +151,35 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
 def study_pictures(data: StudyData) -> list[dict[str, str]]:
     """Draw a study's figures for the report: curves, collapses if there are any, and maps.
 
-    Each has a data URI (an SVG is shown as an image, so that nothing in it runs), a text alternative, and a
-    caption with the command that draws it. With too many conditions for curves, it shows their summaries.
+    Each has a data URI, a text alternative, and a caption with the command that draws it. With too many
+    conditions for curves, it shows their summaries.
     """
-    study = quote(data.study)
+    study, form = quote(data.study), ("png",)
     with TemporaryDirectory() as name:
         folder, drawn = Path(name), []
-        if curve_names(data) and len(data.conditions) <= MOST_CURVES:
+        if curve_names(data) and fits_panel(data):
             again = f"pneuma study plot {study}"
-            curves = draw_study(data, folder, command=again)
+            curves = draw_study(data, folder, formats=form, command=again)
             drawn.append((f"Curves over {data.budget:,} environment steps", again, curves))
         else:
             again = f"pneuma study plot --figure summary {study}"
-            summary = draw_summary(data, folder, command=again)
+            summary = draw_summary(data, folder, form, command=again)
             drawn.append(("What every run came to, and means", again, summary))
-        if len(collapsed_shares(data)):
+        found = diagnoses(data) if data.evaluated else None
+        if found is not None and found["collapsed"].any():
             again = f"pneuma study collapse --out figures {study}"
-            drawn.append(
-                ("Runs that collapsed", again, draw_collapse(data, folder, "collapse", command=again))
-            )
+            collapses = draw_collapse(data, folder, "collapse", form, found=found, command=again)
+            drawn.append(("Runs that collapsed", again, collapses))
         if maps := study_maps(data):
             contrast = quote(contrast_word(maps[0]))
             again = f"pneuma study robustness --contrast {contrast} --out figures {study}"
-            paths = draw_robustness(data, maps, folder, "maps", command=again)
+            paths = draw_robustness(data, maps, folder, "maps", form, command=again)
             drawn.append(("In which cells contrasts hold", again, paths))
         return [
             {
-                "source": _source(paths),
+                "source": f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}",
                 "alt": f"{data.title}: {what}, for {'; '.join(data.conditions)}.",
                 "caption": f"{what}: {again}.",
             }
-            for what, again, paths in drawn
+            for what, again, (path,) in drawn
         ]
-
-
-def _source(paths: Sequence[Path]) -> str:
-    """Return a figure's SVG, which is sharp at any size, or its PNG if that is much smaller."""
-    for path in paths:
-        shrink(path)
-    files = {path.suffix: path.read_bytes() for path in paths}
-    form = ".png" if len(files[".svg"]) > max(LARGE_BYTES, len(files[".png"])) else ".svg"
-    return f"data:{MEDIA_TYPES[form]};base64,{b64encode(files[form]).decode('ascii')}"

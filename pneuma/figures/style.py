@@ -10,10 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+from scipy.optimize import isotonic_regression
 
 from pneuma.errors import plain, unknown_name
 from pneuma.figures.origin import KEYS, Origin
@@ -70,7 +74,7 @@ _RELATIVE_TYPE: Any = {
 """Relative to the text's size."""
 
 _NO_DATES = {
-    "png": {"Software": None},
+    "png": {},
     "svg": {"Date": None},
     "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
 }
@@ -109,10 +113,10 @@ _OWN_PLACES = {
     "momentum": 5,
     "upgd": 6,
 }
-"""Fixed looks of some names: settings of Table 6.2, what they are compared with, and methods."""
+"""Fixed styles of some names: settings of Table 6.2, what they are compared with, and methods."""
 
 
-def condition_looks(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
+def condition_styles(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the colour and marker of each condition, the same in all figures of a study.
 
     If there are too many conditions for one panel, those that differ only in crossed factors look alike,
@@ -163,11 +167,23 @@ def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
 
 # --- Files -------------------------------------------------------------------------------------------
 
+MOST_COLOURS = 256
+END = "end"
+"""The gid of a label at the end of a line, which is moved so that none overlap."""
+
 
 def save_figure(
-    figure: Figure, folder: Path | str, stem: str, formats: Sequence[str], origin: Origin
+    figure: Figure,
+    folder: Path | str,
+    basename: str,
+    formats: Sequence[str],
+    origin: Origin,
+    colours: int = MOST_COLOURS,
 ) -> list[Path]:
-    """Write a figure in each format, with its origin as metadata; the same figure gives the same bytes."""
+    """Write a figure in each format, with its origin as metadata; the same figure gives the same bytes.
+
+    A PNG has a palette of so many `colours`, without a visible difference; with 0 it has all its colours.
+    """
     for name in formats:
         if name not in _NO_DATES:
             raise unknown_name("format", name, _NO_DATES)
@@ -175,13 +191,27 @@ def save_figure(
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
-    paths = [folder / f"{stem}.{name}" for name in formats]
+    paths = [folder / f"{basename}.{name}" for name in formats]
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
-        _fix_places(figure)
+        _lay_out(figure)
         for path, name in zip(paths, formats, strict=True):
-            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
+            if name == "png":
+                _save_png(figure, path, origin, colours)
+            else:
+                figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
     return paths
+
+
+def _save_png(figure: Figure, path: Path, origin: Origin, colours: int) -> None:
+    """Draw a figure once, and write it; `savefig` would draw it twice."""
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    image, texts = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"), PngInfo()
+    texts.add_text(KEYS["png"], origin.encode())
+    if colours:
+        image = image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=texts)
 
 
 def clean(text: str) -> str:
@@ -189,42 +219,34 @@ def clean(text: str) -> str:
     return "\n".join(map(plain, text.split("\n")))
 
 
-def _fix_places(figure: Figure) -> None:
+def _lay_out(figure: Figure) -> None:
     """Lay out a figure once for all formats, and round the positions of its panels.
 
     The results of the layout solver differ in their last bits from call to call, and the names of clip paths
     in an SVG are hashes of these positions.
     """
-    if figure.get_layout_engine() is None:
+    if (engine := figure.get_layout_engine()) is None:
         return
-    figure.draw_without_rendering()
+    engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
         axes.set_position([round(float(value), 5) for value in axes.get_position().bounds])  # type: ignore[arg-type]
+        _spread_ends(axes, figure.dpi / 72)
 
 
-_PATH = re.compile(rb'(?<= d=")[^"]+')
-_LONG_NUMBER = re.compile(rb"-?\d+\.\d{3,}")
-
-
-def shrink(path: Path) -> None:
-    """Compress a picture without a visible difference; other files stay unchanged.
-
-    A PNG gets a palette that covers all colours, even rare ones; a palette by frequency would contain mostly
-    the greys of letters. Paths of an SVG are rounded to hundredths of a point.
-    """
-    if path.suffix == ".png":
-        with Image.open(path) as image:
-            dots, texts = image.info["dpi"], PngInfo()
-            texts.add_text(KEYS["png"], image.info[KEYS["png"]])
-            small = image.convert("RGB").quantize(
-                256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
-            )
-        small.save(path, "PNG", optimize=True, dpi=dots, pnginfo=texts)
-    elif path.suffix == ".svg":
-        drawing = path.read_bytes()
-        path.write_bytes(_PATH.sub(lambda found: _LONG_NUMBER.sub(_rounded, found[0]), drawing))
-
-
-def _rounded(number: re.Match[bytes]) -> bytes:
-    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".").encode()
+def _spread_ends(axes: Axes, dots_per_point: float) -> None:
+    """Move labels at the ends of lines up or down, as little as keeps them apart and within the panel."""
+    ends: Any = [text for text in axes.texts if text.get_gid() == END]
+    if not ends:
+        return
+    wanted = np.array([axes.transData.transform((0, text.xy[1]))[1] for text in ends]) / dots_per_point
+    order = np.argsort(wanted, kind="stable")
+    heights = np.array([1.15 * text.get_fontsize() * (text.get_text().count("\n") + 1) for text in ends])[
+        order
+    ]
+    middles = np.cumsum(heights) - heights / 2  # of labels upon each other
+    bottom, top = (edge / dots_per_point for edge in (axes.bbox.y0, axes.bbox.y1))
+    places = isotonic_regression(wanted[order] - middles).x
+    places = np.clip(places, bottom, max(bottom, top - heights.sum())) + middles
+    for number, place in zip(order, places, strict=True):
+        ends[number].xyann = (ends[number].xyann[0], place - wanted[number])

@@ -25,7 +25,7 @@ from pneuma.analysis.verdict_words import (
     verdict_table,
 )
 from pneuma.figures.origin import Origin, sample
-from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure, shrink
+from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
 from pneuma.files import write_whole
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
@@ -79,10 +79,7 @@ def write_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Pa
     tables = (encode_frame(frame, "markdown").decode() for frame in (count_words(claims), table))
     page = folder / f"{STEM}.md"
     write_whole(page, "\n".join(["# Verdicts\n", *tables]).encode())
-    drawn = draw_verdicts(claims, folder, command)
-    for path in drawn:
-        shrink(path)
-    return [*drawn, page]
+    return [*draw_verdicts(claims, folder, command), page]
 
 
 # --- The picture ----------------------------------------------------------------------------------

@@ -116,9 +116,9 @@ T_4 = 2.7764451051977987  # of a table: 97.5 % of Student's t, 4 degrees
 @pytest.mark.parametrize(
     ("band", "low", "high"),
     [
-        ("std", [4 - ROOT_6_5, 3 - ROOT_4_3], [4 + ROOT_6_5, 3 + ROOT_4_3]),
-        ("se", [4 - ROOT_1_3, NAN], [4 + ROOT_1_3, NAN]),  # sqrt(6.5 / 5); four runs are too few
-        ("ci", [4 - T_4 * ROOT_1_3, NAN], [4 + T_4 * ROOT_1_3, NAN]),
+        ("sd", [4 - ROOT_6_5, 3 - ROOT_4_3], [4 + ROOT_6_5, 3 + ROOT_4_3]),
+        ("variance", [4 - ROOT_6_5, 3 - ROOT_4_3], [4 + ROOT_6_5, 3 + ROOT_4_3]),  # another name
+        ("ci", [4 - T_4 * ROOT_1_3, NAN], [4 + T_4 * ROOT_1_3, NAN]),  # sqrt(6.5 / 5); four are too few
         ("minmax", [1, 2], [8, 4]),
         ("runs", [NAN, NAN], [NAN, NAN]),
     ],

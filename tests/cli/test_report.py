@@ -81,7 +81,7 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     words = _words(page)
     images = page.all("img")
     kind, _, data = images[0].attributes["src"].partition(";base64,")
-    assert kind == "data:image/svg+xml" and b"</svg>" in base64.b64decode(data)
+    assert kind == "data:image/png" and base64.b64decode(data).startswith(b"\x89PNG")
     assert len(images) == 1
     assert all(f"run-{cell.run_id}" in page.anchors for cell in plan.cells)
     assert "3 conditions, 4 runs of up to 1,024 agent steps" in words

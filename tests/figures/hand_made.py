@@ -13,7 +13,7 @@ from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.figures.curves import draw_study, settle
+from pneuma.figures.curves import draw_study
 from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_listing, save_run
@@ -64,7 +64,7 @@ class HandMade:
         beside: StudyData | None = None,
         **how: Any,
     ) -> list[Path]:
-        return draw_study(self.data, folder, settle(self.data, **how), formats, beside=beside)
+        return draw_study(self.data, folder, formats=formats, beside=beside, **how)
 
 
 def legend(figure: Figure) -> list[str]:

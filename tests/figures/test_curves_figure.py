@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,45 +62,65 @@ def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: l
         assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
 
 
+def test_names_at_the_ends_of_lines_stand_apart_and_in_their_order(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    study, ends = HandMade(tmp_path), {"a": 0.5, "b": 0.502, "c": 0.498, "far": 0.1}
+    for condition, end in ends.items():
+        for seed in (0, 1):
+            study.add(condition, seed, evaluations=(0.0, end))
+    study.draw(tmp_path, quantities="share_killed")
+    labels = [text for text in drawn[0].axes[0].texts if text.get_text().endswith(" (2)")]
+    boxes = sorted((text.get_window_extent() for text in labels), key=lambda box: box.y0)
+    assert all(low.y1 <= high.y0 + 1 for low, high in itertools.pairwise(boxes))
+    upwards = sorted(labels, key=lambda text: text.get_window_extent().y0)
+    assert [text.get_text()[:-4] for text in upwards] == ["far", "c", "a", "b"]
+    assert len({text.get_color() for text in labels}) == 4
+
+
 # --- Curves ------------------------------------------------------------------------------------------
 
 
 def test_lines_are_the_means_of_runs(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.draw(tmp_path, band="minmax")
-    killed, returned = drawn[0].axes
-    tanh = next(line for line in returned.get_lines() if line.get_label() == "tanh (n = 2)")
+    returned, killed = drawn[0].axes
+    tanh, killed_by_tanh = returned.get_lines()[2], killed.get_lines()[2]  # before them are its two runs
     # 1,000 / 200 = 5 steps a point, 50 steps a window: at 50 (point 10) episode 0 alone, returning 0 and 1
     assert np.isnan(np.asarray(tanh.get_ydata(), float)[:9]).all()
     assert np.asarray(tanh.get_ydata(), float)[9] == 0.5
-    killed_by_tanh = next(line for line in killed.get_lines() if line.get_label() == "tanh (n = 2)")
     assert np.asarray(killed_by_tanh.get_ydata()).tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4])
     assert killed.get_xlim() == returned.get_xlim() == (0, BUDGET)
 
 
-def test_few_runs_are_drawn_themselves_and_no_band_sets_the_axis(tmp_path: Path, drawn: list[Figure]) -> None:
+def test_few_runs_are_drawn_themselves_and_enough_have_an_interval_inside_the_deviation(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
     few, enough = HandMade(tmp_path / "few"), HandMade(tmp_path / "enough")
     for study, runs in ((few, LEAST_RUNS - 1), (enough, LEAST_RUNS)):
         for seed in range(runs):
             study.add("tanh", seed, evaluations=(0.0, 0.1 + 0.8 * (seed == 0)), random=0.01)
         study.draw(tmp_path)
-    assert [len(figure.axes[0].collections) for figure in drawn] == [0, 1]
-    assert [_lines_of_runs(figure, 0) for figure in drawn] == [LEAST_RUNS - 1, LEAST_RUNS]
-    assert drawn[0].axes[0].get_ylim()[1] < 1
-    assert "thin lines: runs" in words(drawn[0]) and "interval of the mean" not in words(drawn[0])
-    assert "95 % interval of the mean" in words(drawn[1])
+    assert [len(figure.axes[1].collections) for figure in drawn] == [1, 2]
+    assert [_lines_of_runs(figure, 1) for figure in drawn] == [LEAST_RUNS - 1, 0]
+    assert legend(drawn[0])[:3] == ["mean of (n) runs", "± 1 SD between runs", "every run"]
+    assert legend(drawn[1])[:3] == ["mean of (n) runs", "± 1 SD between runs", "95 % interval of the mean"]
+    pale, dark = (band.get_paths()[0].get_extents() for band in drawn[1].axes[1].collections)
+    # of 0.9 and four times 0.1 the mean is 0.26 and the deviation 0.36: a share is 0 at least
+    assert (pale.y0, pale.y1) == (0, pytest.approx(0.26 + 0.8 / 5**0.5))
+    assert dark.y1 == pytest.approx(0.26 + 2.7764 * 0.8 / 5, abs=1e-4)  # Student's t with 4 degrees
 
 
 def test_a_band_that_was_asked_for_is_drawn_or_refused(tmp_path: Path, drawn: list[Figure]) -> None:
-    """Four runs have a deviation, but too few for an interval of their mean."""
+    """Four runs have a deviation, which some call variance, but are too few for an interval of their mean."""
     study = HandMade(tmp_path)
     for seed in range(4):
         study.add("tanh", seed)
-    study.draw(tmp_path, band="std")
-    assert len(drawn[0].axes[0].collections) == 1 and _lines_of_runs(drawn[0], 0) == 4
-    assert "± 1 standard deviation" in words(drawn[0])
-    for band in ("ci", "se"):
-        with pytest.raises(UserError, match=f"--band {band}: tanh has 4 runs, and it needs 5"):
-            study.draw(tmp_path, band=band)
+    for band in ("sd", "variance"):
+        (path,) = study.draw(tmp_path, band=band)
+        assert path.name == "mine.svg" and "± 1 SD between runs" in words(drawn[-1])
+        assert len(drawn[-1].axes[0].collections) == 1 and _lines_of_runs(drawn[-1], 0) == 4
+    with pytest.raises(UserError, match="--band ci: tanh has 4 runs, and it needs 5; try --band runs"):
+        study.draw(tmp_path, band="ci")
 
 
 def test_a_diverged_run_counts_and_ends_in_a_cross(
@@ -107,11 +128,10 @@ def test_a_diverged_run_counts_and_ends_in_a_cross(
 ) -> None:
     study.add("tanh", 2, episodes=2, evaluations=(0.1,), status="diverged")
     study.draw(tmp_path)
-    assert legend(drawn[0])[0] == "tanh (n = 3, 2 at the end)"
-    crosses = [line for line in drawn[0].axes[0].get_lines() if line.get_marker() == "x"]
+    assert "2 of 3 runs of tanh reach the end." in words(drawn[0])
+    crosses = [line for line in drawn[0].axes[1].get_lines() if line.get_marker() == "x"]
     assert [np.asarray(line.get_xydata()).tolist() for line in crosses] == [[[250.0, 0.1]]]
-    whole = next(line for line in drawn[0].axes[1].get_lines() if str(line.get_label()).startswith("tanh"))
-    line = np.asarray(whole.get_ydata(), float)
+    line = np.asarray(drawn[0].axes[0].get_lines()[3].get_ydata(), float)  # after the three runs
     assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
     assert np.isnan(line[199])  # where seeds 0 and 1 alone have a value
     assert "×: a run diverged" in words(drawn[0])

@@ -15,7 +15,7 @@ from pneuma.cli.options import Contrast, seeds
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.maps import contrast_word
 from pneuma.figures.origin import LARGEST_DOCUMENT, LARGEST_FIGURE, Origin, read_origin, sample
-from pneuma.figures.style import house_style, save_figure, shrink
+from pneuma.figures.style import house_style, save_figure
 from pneuma.values import shown_seeds
 
 from ..cli.calls import call
@@ -43,8 +43,6 @@ def test_every_format_gives_back_command_ids_and_seeds(tmp_path: Path) -> None:
     assert many.ids[0].startswith("50 ids, SHA-256 ")
     assert many.condition == AWKWARD.replace("\x1b", "\\u001b").replace("\ud800", "\\ud800")
     for path in _draw(tmp_path):
-        assert read_origin(path) == ORIGIN
-        shrink(path)
         assert read_origin(path) == ORIGIN
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.analysis.run_index import RunIndex
 from pneuma.config import make_run
 from pneuma.figures import paper
 from pneuma.figures.origin import Origin, read_origin
@@ -47,26 +49,63 @@ def published(study: HandMade, tmp_path: Path) -> Path:
 
 def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    written = paper.draw_all(folder, published, {"activation": "mine"})
+    written = paper.draw_all(folder, published)
     assert {*written} == {path for path in folder.rglob("*") if path.is_file()}
     origins = {path.stem: read_origin(path) for path in written if path.suffix != ".md"}
     assert {origin.command for origin in origins.values()} == {"make figures"}
-    assert {"fig-6-5-arena-return-minmax-trailing-100", "fig-6-5-arena-summary"} <= {*origins}
-    small = [(one.study, one.condition, one.seeds) for one in origins["mine"].runs]
-    assert small == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
-    beside_another = [origin for origin in origins.values() if len({one.study for one in origin.runs}) > 1]
-    assert len(beside_another) == 1  # in both formats, of one stem
-    assert {path.name for path in (folder / "tables").iterdir()} == {"mine.md", "activation-arena.md"}
+    assert {*origins} == {"fig-6-5", "mine", "verdicts"}
+    assert _samples(origins["mine"]) == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
+    assert _samples(origins["fig-6-5"]) == [("activation", "tanh", "0..1"), ("activation", "relu", "0..1")]
     assert "| holds | does not hold |" in (folder / "verdicts.md").read_text()
+    paper.draw_all(folder, published, {"mine": "activation"})
+    assert _samples(read_origin(folder / "mine.png"))[1:3] == [
+        ("mine", "relu", "0..1"),
+        ("activation", "tanh", "0..1"),
+    ]
+    assert not (folder / "fig-6-5.png").exists()  # it is drawn beside, and no more alone
+
+
+def _samples(origin: Origin) -> list[tuple[str, str, str]]:
+    return [(one.study, one.condition, one.seeds) for one in origin.runs]
+
+
+def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
+    study: HandMade, tmp_path: Path
+) -> None:
+    fresh = Store(tmp_path / "fresh")
+    conditions = ("tanh", "relu")
+
+    def publish_with(slots: int, names: tuple[str, ...], seed: int) -> None:
+        trained = Store(tmp_path / f"trained-{slots}-{seed}")
+        for run in configure(load_study("activation", "text"), {"slots": slots}, names).runs.values():
+            save_run(trained, make_run({**vars(run), "steps": run.steps_per_update, "seed": seed}), 0.5)
+        rows = [stored_row(trained, name) for name in trained.runs()]
+        about = {"study": "activation", "world": "text", "settings": {"slots": slots}}
+        fresh.write(fresh.published_path(f"table-{slots}-{seed}"), encode_published(rows, about))
+
+    def shown() -> tuple[set[str], dict[str, Any]]:
+        index = RunIndex(fresh, stored=False, shipped=False)
+        data = paper.thesis_runs(index, "activation", "text", conditions)
+        assert data
+        return {run.condition for run in data.runs}, dict(data.changed)
+
+    publish_with(1, conditions, 0)
+    assert shown() == ({"tanh", "relu"}, {"slots": 1})
+    publish_with(4, ("tanh",), 300)
+    assert shown() == ({"tanh", "relu"}, {"slots": 1})
+    publish_with(4, ("relu",), 301)
+    assert shown() == ({"tanh", "relu"}, {})
+    index = RunIndex(fresh, stored=False, shipped=False)
+    assert paper.thesis_runs(index, "activation", "arena", conditions) is None
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "paper"
     for stem, command in (("old", paper.COMMAND), ("mine", "pneuma study plot mine")):
-        save_figure(Figure(), folder, stem, ("png", "svg"), Origin(command=command))
+        save_figure(Figure(), folder, stem, ("png",), Origin(command=command))
     (folder / "tables").mkdir()
     for name in ("notes.txt", "other.png", "tables/old.md"):
         (folder / name).write_bytes(b"")
     paper.draw_all(folder, tmp_path / "results")
     left = {path.name for path in folder.rglob("*") if path.is_file()}
-    assert left == {"mine.png", "mine.svg", "notes.txt", "other.png"}
+    assert left == {"mine.png", "notes.txt", "other.png"}

@@ -8,21 +8,22 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from pneuma.errors import plain
+from pneuma.figures.grid import label_rows
 from pneuma.figures.origin import Origin
-from pneuma.figures.panels import label_rows, looks_of
 from pneuma.figures.style import (
     COLOURS,
-    condition_looks,
+    condition_styles,
     house_style,
     save_figure,
 )
+from pneuma.figures.words import styles_of
 
 from .hand_made import HandMade
 
 
 def test_table_6_2_has_one_colour_under_all_its_names() -> None:
     studies = [("stationary", "non-stationary"), ("tanh", "relu", "leaky-relu"), ("0.2", "0.1")]
-    looks = {name: look for names in studies for name, look in condition_looks(names).items()}
+    looks = {name: look for names in studies for name, look in condition_styles(names).items()}
     first = [name for name, look in looks.items() if look["color"] == COLOURS[0]]
     assert first == ["non-stationary", "tanh", "0.1"]
 
@@ -30,7 +31,7 @@ def test_table_6_2_has_one_colour_under_all_its_names() -> None:
 def test_a_part_of_a_study_keeps_its_colours(study: HandMade) -> None:
     whole = study.data
     part = whole.of_conditions(whole.conditions[-1])
-    assert len(part.runs) < len(whole.runs) and looks_of(part) == looks_of(whole)
+    assert len(part.runs) < len(whole.runs) and styles_of(part) == styles_of(whole)
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:

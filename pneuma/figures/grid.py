@@ -1,0 +1,282 @@
+"""The grammar of figures: panels in a grid, between a headline with a legend, and a caption.
+
+    panels (lines with bands, rows of marks, cells of a map) → Page → save_page → files with their origin
+
+A study's words (title, notes, labels) are in `words.py`.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
+
+from pneuma.figures import style
+from pneuma.figures.origin import Origin
+from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
+
+FAR = 3.0
+"""The random player's level this many times above the highest point is not drawn."""
+BELOW_ZERO = 0.02
+"""How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
+CAPTION_LINES = 3
+LONGEST_LABEL = 40
+"""Most letters in a line of a row's label."""
+LONG_AXIS = 5000
+"""An axis longer than this has numbers with a k."""
+RANDOM_PLAYER = "random player"
+EMPTY_WIDTH = 0.3
+"""Width of a column without runs, relative to the others."""
+ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
+"""Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
+
+
+# --- Pages -------------------------------------------------------------------------------------------
+
+Ticks = Callable[[Axis], object]
+
+
+def numbers(axis: Axis) -> None:
+    if np.ptp(axis.get_view_interval()) > LONG_AXIS:
+        axis.set_major_formatter(EngFormatter(sep=""))
+
+
+def few(axis: Axis) -> None:
+    axis.set_major_locator(round_ticks(4))
+
+
+def steps(axis: Axis, most: int = 5) -> None:
+    """Format an axis as steps, such as 500k."""
+    axis.set_major_locator(round_ticks(most))
+    axis.set_major_formatter(EngFormatter(sep=""))
+
+
+def shares(axis: Axis) -> None:
+    """Format an axis of shares in per cent."""
+    axis.set_major_locator(round_ticks(5, 2.5))
+    axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
+
+
+def points(axis: Axis) -> None:
+    """Format an axis of differences of shares in percentage points."""
+    few(axis)
+    signed = FuncFormatter(lambda share, _: f"{100 * share:+.3g}".replace("-", "−") if share else "0")
+    axis.set_major_formatter(signed)
+
+
+def powers(axis: Axis) -> None:
+    """Make the upright axis logarithmic."""
+    axis.axes.set_yscale("log", nonpositive="clip")
+    low, high = axis.get_view_interval()
+    if high < 10 * low:  # within a decade, powers of ten would label one tick or none
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def round_ticks(most: int, *more: float) -> MaxNLocator:
+    """Return a locator of few ticks at round numbers, whose labels do not overlap."""
+    return MaxNLocator(most, steps=sorted([1, 2, 5, 10, *more]))
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One panel.
+
+    Attributes:
+        draw: draws into its axes, and sets their limits.
+        title: above it.
+        x: the label of its horizontal axis.
+        y: the label of its upright axis.
+        x_ticks: formats the horizontal axis.
+        y_ticks: formats the upright one.
+        rows: labels of rows, the first at the top; None if the upright axis has values.
+    """
+
+    draw: Callable[[Axes], object]
+    title: str = ""
+    x: str = ""
+    y: str = ""
+    x_ticks: Ticks = numbers
+    y_ticks: Ticks = numbers
+    rows: Sequence[str] | None = None
+
+
+@dataclass(frozen=True)
+class Page:
+    """A figure: all that is in it.
+
+    Attributes:
+        grid: panels, row by row; one that stands in several neighbouring cells fills them all.
+        inches: height of all panels with their axes.
+        entries: artists of the legend that are in no panel, by their words.
+        caption: notes, the most important first.
+        widths: of columns, relative to each other.
+    """
+
+    grid: Sequence[Sequence[Panel | None]]
+    inches: float
+    headline: str
+    entries: Mapping[str, Any] = field(default_factory=dict)
+    caption: Sequence[str] = ()
+    widths: Sequence[float] | None = None
+
+
+def in_grid(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
+    """Return panels row by row, the last row filled up."""
+    padded = [*panels, *[None] * (-len(panels) % columns)]
+    return [padded[start : start + columns] for start in range(0, len(padded), columns)]
+
+
+def no_runs(title: str) -> Panel:
+    """Return the panel of a world in which there are no runs."""
+    return Panel(_draw_no_runs, textwrap.fill(title, 12))
+
+
+def _draw_no_runs(axes: Axes) -> None:
+    axes.set(xticks=(), yticks=())
+    axes.spines[:].set_visible(False)
+    axes.text(0.5, 0.5, "no\nruns\nyet", transform=axes.transAxes, ha="center", va="center", color=GREY)
+
+
+def save_page(page: Page, folder: Path, basename: str, formats: Sequence[str], origin: Origin) -> list[Path]:
+    """Draw a figure, and write it in each format."""
+    with style.house_style():
+        figure = Figure(layout="constrained")
+        panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
+        names = {panel: str(number) for number, panel in enumerate(panels)}
+        cells: Any = [[names[panel] if panel else "." for panel in row] for row in page.grid]
+        grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
+        for panel, name in names.items():
+            pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
+            _fill(grid[name], panel, pitch, WIDTH / len(cells[0]))
+        _put_texts(figure, page, _legend_entries(figure.axes, page.entries))
+        return style.save_figure(figure, folder, basename, formats, origin)
+
+
+def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
+    panel.draw(axes)
+    wide = characters(1.2 * TYPE_POINTS, width)  # bold letters are wider
+    title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
+    axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
+    if panel.draw is _draw_no_runs:
+        return
+    panel.x_ticks(axes.xaxis)
+    if panel.rows is None:
+        panel.y_ticks(axes.yaxis)
+    else:
+        label_rows(axes, panel.rows, pitch)
+
+
+def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any]) -> None:
+    """Put the headline and legend above the panels and the caption below, and set the figure's size."""
+    points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / WIDTH
+    heading = textwrap.wrap(page.headline, characters(1.2 * points))
+    labels = {"\n".join(textwrap.wrap(label, characters(points) - 8)): artist
+              for label, artist in entries.items()}  # fmt: skip
+    longest = max((len(label) for label in labels), default=0)
+    columns = max(
+        1, min(len(labels), characters(points) // (longest + 8))
+    )  # a handle is as wide as 8 letters
+    rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
+    below_lines = textwrap.wrap(
+        " ".join(filter(None, page.caption)),
+        characters(CAPTION * points),
+        max_lines=CAPTION_LINES,
+        placeholder=" …",
+    )
+    above = line * (1.2 * len(heading) + rows) + 0.1
+    below = CAPTION * line * len(below_lines) + 0.08
+    height = above + page.inches + below
+    figure.set_size_inches(WIDTH, height)
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
+    figure.text(edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * points, va="top")
+    if labels:
+        figure.legend(
+            labels.values(), labels.keys(), loc="upper left", ncols=columns, alignment="left",
+            bbox_to_anchor=(edge, 1 - (1.2 * line * len(heading) + 0.05) / height),
+            labelspacing=0.3, borderpad=0, borderaxespad=0,
+        )  # fmt: skip
+    figure.text(
+        edge, 0.05 / height, "\n".join(below_lines), fontsize=CAPTION * points, color="#444444",
+        linespacing=1.35, va="bottom",
+    )  # fmt: skip
+
+
+def _legend_entries(axes: Iterable[Axes], more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one artist for each label in some panels, then some more, and the random player's level last."""
+    entries = {
+        label: artist
+        for each in axes
+        for artist, label in zip(*each.get_legend_handles_labels(), strict=True)
+    }
+    entries |= more
+    found = [label for label in entries if label.startswith(RANDOM_PLAYER)]
+    if artists := [entries.pop(label) for label in found]:  # without its level if panels have several
+        entries[found[0] if len(found) == 1 else RANDOM_PLAYER] = artists[0]
+    return entries
+
+
+# --- What is in panels -------------------------------------------------------------------------------
+
+
+def draw_random_player(axes: Axes, level: float | None, top: float, upright: bool = False) -> None:
+    """Draw the level of the random player, if there is one, as a grey line.
+
+    Args:
+        axes: the axes.
+        level: its level, as a share.
+        top: the highest point that is drawn; a level far above it gets no line, as it would flatten
+            everything else.
+        upright: whether levels are on the horizontal axis.
+    """
+    if level is None:
+        return
+    look: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
+    label = f"{RANDOM_PLAYER} ({per_cent(level)})"
+    if level > FAR * max(top, 0.01):
+        axes.plot([], [], label=f"{label}: above", **look)
+    else:
+        (axes.axvline if upright else axes.axhline)(level, label=label, **look)
+
+
+def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any) -> None:
+    """Draw a row's `value` as a marker, and the interval from `low` to `high` if it has one."""
+    look = {"marker": "D", "color": INK, "markeredgewidth": 0.8, "markersize": 4, **look}
+    axes.plot(
+        [row["low"], row["high"]], [place, place], color=look["color"], linewidth=0.25 * look["markersize"]
+    )
+    (drawn,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
+    drawn.set_in_layout(False)  # it may be of no value
+
+
+def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
+    """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
+    no_break = partial(re.sub, r"\([^()]*\)$", lambda counted: counted[0].replace(" ", "\u00a0"))
+    whole = [no_break(clean(label)) for label in labels]
+    parts = [[textwrap.fill(line, LONGEST_LABEL) for line in label.split("\n")] for label in whole]
+    wrapped = ["\n".join(lines).replace("\u00a0", " ") for lines in parts]
+    lines = max((label.count("\n") + 1 for label in wrapped), default=1)
+    points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches / lines)
+    axes.set_yticks(range(len(labels)), wrapped, fontsize=points)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="y", visible=False)
+
+
+def per_cent(share: float) -> str:
+    """Return a share in per cent without superfluous decimals."""
+    return f"{100 * share:.3g} %"

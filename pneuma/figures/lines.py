@@ -1,0 +1,290 @@
+"""One panel of curves: means over runs in their bands, and what is said of them.
+
+StudyData, quantities, band → Column → a Panel for each quantity, legend, notes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import chain
+from textwrap import fill
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from pneuma.analysis import BAND_NAMES
+from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
+from pneuma.analysis.frames import SLACK, StudyData, common_step, step_words
+from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis.outcomes import without_monsters
+from pneuma.env_fields import ACTION_NAMES
+from pneuma.errors import UserError
+from pneuma.figures import grid, style
+from pneuma.figures.grid import Panel
+from pneuma.figures.words import label_of, notes_of, styles_of
+from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+
+_, TRAILING_WINDOW = WINDOWS
+USUAL_BAND, INTERVAL, RUNS = BAND_NAMES[0], "ci", "runs"
+PALE, DARK = 0.13, 0.30
+"""Opacity of a band, and of the interval of the mean inside it."""
+MOST_AT_ENDS, LONGEST_AT_END = 5, 16
+"""Most lines of a panel whose names are at their ends, and most letters in a line of such a name."""
+MARKED_POINTS = 8
+"""Markers per line, so that lines can be told apart in grey where their names are in the legend."""
+MANY_RUNS = 30
+"""With this many runs in a panel, their lines are fainter, so that means stay in front."""
+FEW_POINTS = 0.05
+"""Up to this share of a curve's points may lack some runs before the caption says so."""
+BESIDE_COLOUR = "#404040"
+
+
+class Quantity(NamedTuple):
+    title: str
+    label: str
+    percent: bool = False
+    log: bool = False
+
+
+QUANTITIES = {
+    "share_killed": Quantity("Monsters killed in evaluation", "Share killed", percent=True),
+    "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
+    "score": Quantity("Normalised score in evaluation", "0 random player, 1 all killed"),
+    "success": Quantity("Successes in evaluation", "Share of episodes", percent=True),
+    "return": Quantity("Return in training", "Return of an episode"),
+    "length": Quantity("Length of episodes in training", "Steps of an episode"),
+    "kills": Quantity("Monsters killed in training", "Kills of an episode"),
+    "hp": Quantity("HP left in training", "HP at the end of an episode"),
+    "entropy": Quantity("Entropy of the policy", "Entropy (nats)"),
+    "grad_norm": Quantity("Gradient norm, unclipped", "L2 norm", log=True),
+    "grad_norm_actor": Quantity("Actor's gradient norm", "L2 norm", log=True),
+    "grad_norm_critic": Quantity("Critic's gradient norm", "L2 norm", log=True),
+    "approx_kl": Quantity("KL divergence", "KL divergence (nats)"),
+    "explained_variance": Quantity("Variance of returns explained", "Explained variance"),
+    "dead_units": Quantity("Dead hidden units", "Share of units", percent=True),
+    **{
+        f"action_{number}": Quantity(f"Share of action: {name}", "Share of actions", percent=True)
+        for number, name in enumerate(ACTION_NAMES)
+    },
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A study's curves, and how they are drawn.
+
+    Attributes:
+        quantities: of `curve_names`.
+        band: one of `BANDS`.
+        window: of the study's windows; None for the first.
+        beside: a study whose runs are drawn as dashed lines.
+        labels: names of conditions in the legend, if not with the number of their runs.
+    """
+
+    data: StudyData
+    quantities: Sequence[str]
+    band: str = USUAL_BAND
+    window: str | None = None
+    beside: StudyData | None = None
+    labels: Mapping[str, str] | None = None
+
+    @cached_property
+    def curves(self) -> dict[str, list[Curve]]:
+        """The curves of each quantity; on a logarithmic axis, means and bands are of logarithms."""
+        found = study_curves(self.data, self.quantities, self.window)
+        return {
+            name: [replace(curve, log=QUANTITIES[name].log) for curve in group]
+            for name, group in found.items()
+        }
+
+    @cached_property
+    def others(self) -> dict[str, list[Curve]]:
+        """The curves of the study beside."""
+        if self.beside is None:
+            return {}
+        window = self.window if self.window in self.beside.windows else self.beside.windows[0]
+        known = [name for name in self.quantities if name in curve_names(self.beside)]
+        if not known:
+            names = " or ".join(self.quantities)
+            raise UserError(f"study {self.beside.study} has no {names} to draw beside")
+        return study_curves(self.beside, known, window)
+
+    @cached_property
+    def styles(self) -> dict[str, dict[str, Any]]:
+        return styles_of(self.data)
+
+    @cached_property
+    def at_ends(self) -> bool:
+        """Whether the names of lines are at their ends, and not in the legend."""
+        names = [name for name in self.data.conditions if self.data.of_condition(name)]
+        longest = max(len(word) for name in names for word in name.split())
+        few = len(names) <= MOST_AT_ENDS and longest <= LONGEST_AT_END
+        return few and not self.beside and self.labels is None
+
+    def panel(self, name: str) -> Panel:
+        of, label = QUANTITIES[name], QUANTITIES[name].label
+        if self.data.averaged_over:  # in the log
+            label = label.replace(" of an episode", f", mean of {self.data.averaged_over} episodes")
+        title = of.title
+        if name.startswith("action_") and without_monsters(self.data):
+            title = f"Share of action {name.removeprefix('action_')}"
+        numbers = grid.powers if of.log and self._highest(name) > 0 else grid.numbers
+        draw = partial(_draw, column=self, name=name)
+        return Panel(
+            draw, title, "Environment steps", label, grid.steps, grid.shares if of.percent else numbers
+        )
+
+    def _highest(self, name: str) -> float:
+        drawn = [*self.curves[name], *self.others.get(name, ())]
+        values = np.concatenate([curve.runs.ravel() for curve in drawn])
+        return float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+
+    @property
+    def meanings(self) -> dict[str, Any]:
+        """The legend's words for lines and bands."""
+        drawn = [*chain.from_iterable(self.curves.values())]
+        bands = [band for band in self.bands if any(_shows_band(curve, band) for curve in drawn)]
+        found: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
+        for band in bands:
+            shade = PALE if INTERVAL in bands and band != INTERVAL else PALE + DARK
+            found[BANDS[band].label] = Patch(color=style.INK, alpha=shade, linewidth=0)
+        if any(_shows_runs(curve, self.band) for curve in drawn):
+            found[BANDS[RUNS].label] = Line2D([], [], color=style.INK, linewidth=0.5, alpha=0.5)
+        return found
+
+    @property
+    def bands(self) -> list[str]:
+        """What is drawn around means: in a deviation there is the interval of the mean."""
+        return [self.band, INTERVAL] if self.band == USUAL_BAND else [self.band]
+
+    @property
+    def notes(self) -> list[str]:
+        returns, window = "return" in self.curves, self.window or self.data.windows[0]
+        return [*notes_of(self.data, returns, self.beside), *_caption(self.data, self.curves, window)]
+
+
+# --- What is drawn -----------------------------------------------------------------------------------
+
+
+def _draw(axes: Axes, column: Column, name: str) -> None:
+    data, curves, percent = column.data, column.curves[name], QUANTITIES[name].percent
+    lines = sum(len(curve.runs) for curve in curves if _shows_runs(curve, column.band))
+    for curve in curves:
+        _draw_bands(axes, curve, column, percent, min(1.0, MANY_RUNS / max(lines, 1)))
+        _draw_mean(axes, curve, column)
+    if column.beside:
+        alpha = min(1.0, MANY_RUNS / len(column.beside.runs))
+        look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
+        for curve in column.others.get(name, ()):
+            axes.plot(curve.step, curve.runs.T, label=column.beside.full_title, alpha=alpha, **look)
+    grid.draw_random_player(axes, random_level(data, name), column._highest(name))
+    if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
+        axes.axvline(step, color=style.GREY, linewidth=0.9, zorder=1.2)
+    axes.set_xlim(0, max(data.budget, column.beside.budget if column.beside else 0))
+    if percent:
+        top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
+        axes.set_ylim(-grid.BELOW_ZERO * top, top)
+
+
+def _shows_runs(curve: Curve, band: str) -> bool:
+    """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
+    count = len(curve.runs)
+    return band == RUNS or 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
+
+
+def _shows_band(curve: Curve, band: str) -> bool:
+    return band != RUNS and len(curve.runs) >= BANDS[band].least_runs
+
+
+def _draw_bands(axes: Axes, curve: Curve, column: Column, percent: bool, alpha: float) -> None:
+    """Draw the bands, shares within 0 and 1, and runs as thin lines if they are shown.
+
+    An interval is left out where some runs have no value, as the remaining ones are no fair sample.
+    """
+    colour, whole = column.styles[curve.condition]["color"], curve.count == len(curve.runs)
+    for band in column.bands:
+        if _shows_band(curve, band):
+            low, high = curve.band(band)
+            if percent:
+                low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
+            low = np.where(whole, low, np.nan) if band == INTERVAL else low
+            shade = DARK if band == INTERVAL else PALE
+            axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
+    if _shows_runs(curve, column.band):
+        width = 0.3 * mpl.rcParams["lines.linewidth"]
+        axes.plot(curve.step, curve.runs.T, color=colour, linewidth=width, alpha=0.4 * alpha, zorder=1.4)
+
+
+def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
+    """Draw the mean over runs, faint where some have no value, and a cross where a run diverged."""
+    name, look, width = curve.condition, column.styles[curve.condition], mpl.rcParams["lines.linewidth"]
+    in_legend = not column.at_ends
+    every = max(len(curve.step) // MARKED_POINTS, 1)
+    first = style.MARKERS.index(look["marker"]) * every // len(style.MARKERS) % every  # no two meet
+    label = (column.labels or {}).get(name) or label_of(column.data, name)
+    whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
+    (line,) = axes.plot(
+        curve.step, whole, label=label if in_legend else "", color=look["color"], clip_on=False,
+        marker=look["marker"] if in_legend else "", markersize=2.2 * width, markevery=(first, every),
+        zorder=2.2,
+    )  # fmt: skip
+    line.set_in_layout(False)  # it may reach over the edge, and may be empty
+    axes.plot(curve.step, curve.mean, color=look["color"], alpha=0.35, zorder=1.5)
+    for step, value in curve.stops:
+        axes.plot(step, value, "x", color=look["color"], markersize=4 * width)
+    known = np.isfinite(curve.mean)
+    if column.at_ends and known.any():
+        end = curve.step[known][-1], curve.mean[known][-1]
+        leader: Any = {"color": look["color"], "linestyle": ":", "linewidth": 0.9}
+        if end[0] < (1 - SLACK) * column.data.budget:
+            axes.plot([end[0], column.data.budget], [end[1]] * 2, **leader)
+        axes.annotate(
+            fill(label, LONGEST_AT_END), (1, end[1]), (3, 0), ("axes fraction", "data"), "offset points",
+            color=look["color"], fontsize=0.85 * style.TYPE_POINTS, va="center", gid=style.END,
+            annotation_clip=False,
+        )  # fmt: skip
+
+
+# --- Words -------------------------------------------------------------------------------------------
+
+
+def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
+    """Return the notes in the caption, the most important first."""
+    notes = []
+    if any(curve.stops for group in curves.values() for curve in group):
+        notes.append("×: a run diverged, and its curve ends there.")
+    if step := common_step(data):
+        notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
+    logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
+    if logarithmic:
+        notes.append("On logarithmic axes means and bands are of logarithms.")
+    if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
+        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
+    partly = ((c.count > 0) & (c.count < len(c.runs)) for group in curves.values() for c in group)
+    if any(points.mean() > FEW_POINTS for points in partly):
+        notes.append("Pale: means of those runs that have a value there.")
+    lacking: dict[str, list[str]] = {}
+    for name, group in curves.items():
+        for curve in group:
+            if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
+                of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
+                lacking.setdefault(of, []).append(name.replace("_", " "))
+    for of, names in lacking.items():
+        what = f"{names[0]} and {len(names) - 1} more" if len(names) > 2 else " and ".join(names)
+        notes.append(f"{of} have no {what}, and count in no mean of it.")
+    averaged, of_budget = [], "in the 5 % of the budget before each point"
+    if {*curves} & {*EPISODE_QUANTITIES}:
+        last = f"the last {data.averaged_over or 100} episodes"
+        trailing = last if window == TRAILING_WINDOW else f"the episodes {of_budget}"
+        averaged.append(f"{last}, as Stable-Baselines3 logs them" if data.averaged_over else trailing)
+    if {*curves} & {*UPDATE_QUANTITIES}:
+        averaged.append(f"the updates {of_budget}")
+    if averaged:
+        notes.append(f"Training curves average {', or '.join(averaged)}.")
+    return notes

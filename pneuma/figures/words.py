@@ -1,0 +1,112 @@
+"""What figures say of a study: headline, labels, notes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.outcomes import kinds_of_return
+from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
+from pneuma.figures.style import MOST_IN_A_PANEL, condition_styles
+from pneuma.values import shown_settings
+from pneuma.worlds import WORLDS
+
+
+def title_of(data: StudyData) -> str:
+    changed = shown_settings(data.changed)
+    whole = data.title + (f" ({changed})" if changed else "")
+    shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
+    read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
+    read = {name for name in read if not name.startswith("random:")}
+    titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]
+    return f"{whole} in {titles[0]}" if titles and read <= shipped else whole
+
+
+def headline_of(data: StudyData, shown: str = "") -> str:
+    """Return a figure's headline: title, and what is shown.
+
+    Args:
+        data: the study.
+        shown: the end of the headline; default: the thesis's figure to which it corresponds, if any.
+    """
+    return ": ".join(filter(None, [title_of(data), shown or after_thesis(data.figure)]))
+
+
+def after_thesis(figure: str) -> str:
+    """Return the thesis's figure to which a study's corresponds, if any."""
+    counterpart = re.match(r"fig-(\d)-(\d)(?!\d)", figure)
+    return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else ""
+
+
+def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
+    """Return notes for any figure of a study, or one of returns, the most important first.
+
+    Returns of `beside` are drawn with it. Imported logs do not tell their reward.
+    """
+    notes = [f"A/A: {' = '.join(names)} are one configuration." for names in data.same]
+    engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
+    if len(engines) > 1:
+        notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
+    units = kinds_of_return(data) | (
+        kinds_of_return(beside) if beside and not beside.averaged_over else set()
+    )
+    if returns and len(units) > 1:
+        notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
+    parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
+    if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
+        notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
+    if absent := [name for name in data.conditions if not data.of_condition(name)]:
+        notes.append(f"Without a finished run: {', '.join(absent)}.")
+    for name in data.conditions:
+        runs = data.of_condition(name)
+        longest = max((run.budget for run in runs), default=0)  # other conditions may go further
+        at_end = sum(run.status == "done" and run.end >= longest for run in runs)
+        if at_end < len(runs):
+            notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
+    return notes
+
+
+def note_on_step(data: StudyData) -> str:
+    step = common_step(data)
+    return f"All as they stood at {step:,} steps, {step_words(data)}." if step else ""
+
+
+def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[str]:
+    """Return the notes on several columns once each, after the columns that a note is on if not on all.
+
+    First come changed fields, which the headline of a study alone has.
+    """
+    found: dict[str, list[str]] = {}
+    for title, (data, notes) in columns.items():
+        changed = f"runs with {shown_settings(data.changed)}." * bool(data.changed and len(columns) > 1)
+        for note in filter(None, [changed, *notes]):
+            found.setdefault(note, []).append(title)
+    return [
+        note if len(titles) == len(columns) else f"{' and '.join(titles)}: {note}"
+        for note, titles in found.items()
+    ]
+
+
+def label_of(data: StudyData, condition: str, name: str = "") -> str:
+    """Return a condition's name with the number of its runs."""
+    return f"{name or condition} ({len(data.of_condition(condition))})"
+
+
+def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
+    """Return the styles of conditions, which they keep where a part of the study is drawn, if it is small."""
+    trained = [name for name in data.conditions if data.of_condition(name)]
+    few = [names for names in (data.every, data.conditions) if 0 < len(names) <= MOST_IN_A_PANEL]
+    return condition_styles([*few, trained][0])
+
+
+def fits_panel(data: StudyData) -> bool:
+    """Return whether the curves of all conditions that have runs fit one panel."""
+    return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
+
+
+def format_counts(counts: Iterable[int]) -> str:
+    """Return counts as '10', or as '6 to 10' if they differ."""
+    known = sorted({*counts})
+    return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"
