@@ -146,18 +146,20 @@ def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str],
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
 
     rows = {(row["condition"], row["outcome"], row["statistic"]): row for row in found.to_dict("records")}
-    means = dict.fromkeys(name for _, name, statistic in rows if statistic == "mean")
+    means = dict.fromkeys(name for _, name, statistic in rows if statistic in ("mean", "share"))
     names = [name for name in outcomes or [*means][:COLUMNS] if name in means]
 
     def cell(condition: str, name: str) -> str:
-        if not (row := rows.get((condition, name, "mean"))):
+        if not (row := rows.get((condition, name, "mean")) or rows.get((condition, name, "share"))):
             return "–"
         value, fewer = row["value"], ""
         if row["runs"] < len(data.of_condition(condition)):
             fewer = f" (n = {row['runs']})"
-        if cells == "interval":
+        if cells == "interval" or row["statistic"] == "share":
             return f"{shown_with_interval(value, row['low'], row['high'])}{fewer}"
         deviation = rows[condition, name, "deviation"]["value"]
+        if not math.isfinite(deviation):  # of a single run
+            return shown_with_interval(value, math.nan, math.nan) + fewer
         places = decimals(value, value - deviation, value + deviation)
         return f"{shown(value, places)} ± {shown(deviation, places)}{fewer}"
 
