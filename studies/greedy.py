@@ -94,6 +94,8 @@ def why_stuck(window: Played) -> str:
 def rows(results: str, study: str) -> Iterator[dict[str, object]]:
     data = open_study(RunIndex(Store(results)), study, Selection())
     for condition in data.conditions:
+        if not data.of_condition(condition):
+            continue
         policies = [load_policy(run.run_id, results) for run in data.of_condition(condition)]
         for how in ("drawn", "likeliest"):
             games = [play(*one, likeliest=how == "likeliest") for one in policies]
