@@ -28,10 +28,10 @@ NAME_WIDTH = 16
 
 def verify(
     claims: Annotated[list[str] | None, opt.argument("CLAIM", "Claims; left out: all.")] = None,
-    world: opt.WorldName = None,
+    world: Annotated[str | None, opt.choice("--world", WORLDS, "Only this world.")] = None,
     file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
     design: Annotated[
-        bool, opt.flag("--design", "Say how near the seeds of each claim tell its effect, and read no runs.")
+        bool, opt.flag("--design", "Say which differences the planned runs can show, and read none.")
     ] = False,
     results: opt.Results = opt.RESULTS,
     format: opt.OutputFormat = "table",
