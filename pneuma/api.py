@@ -123,7 +123,7 @@ def open_data(
     Args:
         study: its name, or the path of its file.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        steps: agent steps of each run; default: those last trained here, or else those of most runs.
+        steps: agent steps of each run; default: those last trained here, or of most conditions and runs.
         seeds: a count or a list of seeds; default: all.
         conditions: names of conditions; default: all.
         settings: fields that are set in every condition.

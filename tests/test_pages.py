@@ -82,7 +82,13 @@ def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "told"), [("study run activation", "pages hold what"), ("study show nothing", "nothing")]
+    ("command", "told"),
+    [
+        ("study run activation", "pages hold what"),
+        ("study collapse activation --out there", "pages hold what"),
+        ("study collapse activation --fork", "pages hold what"),
+        ("study show nothing", "nothing"),
+    ],
 )
 def test_a_block_that_trains_or_fails_is_refused(tmp_path: Path, command: str, told: str) -> None:
     page = tmp_path / "page.md"

@@ -160,7 +160,7 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     """Return the runs of a study that have the steps and seeds that were asked for.
 
     Without steps these are the runs of the budget that was last trained here; if none was, of the budget of
-    most runs. Budgets without any of the seeds that were asked for are passed over.
+    most conditions and runs. Budgets without any of the seeds that were asked for are passed over.
 
     Raises:
         UserError: when nothing is stored that is asked for.
@@ -234,13 +234,13 @@ def _of_budget(asked: Asked, study: Study, stored: Sequence[Stored], steps: int)
 
 
 def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
-    """Return the budget that was last trained here; if none was, the one with the most runs."""
+    """Return the budget that was last trained here; if none was, that of most conditions and runs."""
     here = {entry.run_id: entry for runs in budgets.values() for *_, entry in runs if entry.table is None}
     possible = [*budgets]
     if here:
         latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
         possible = [steps for steps in budgets if any(e.run_id == latest for *_, e in budgets[steps])]
-    return max(possible, key=lambda steps: len(budgets[steps]))
+    return max(possible, key=lambda steps: (len({name for name, *_ in budgets[steps]}), len(budgets[steps])))
 
 
 def _have(runs: Iterable[Stored], seeds: Sequence[int] | None) -> bool:

@@ -133,6 +133,8 @@ def _with_half_width(row: ClaimContrast, seeds: Mapping[str, int], spread: float
     """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
     if spread is None:
         return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
+    if min(row.planned) < 2 and not row.claim.event:
+        return replace(row, spread=spread, why_undecidable="one run shows no spread")
     interval = _expected(row, seeds, spread)
     half = (interval.high - interval.low) / 2 if interval.exists else 0.0  # runs that are all alike
     reason = ""

@@ -177,8 +177,8 @@ def random_level(data: StudyData, quantity: str) -> float | None:
     """
     if quantity == "score":
         return 0.0
-    if quantity not in EVALUATION_QUANTITIES or not data.evaluated:
-        return None
+    if quantity not in EVALUATION_QUANTITIES or "random_share_killed" not in data.evaluations:
+        return None  # an imported log may have evaluations without a random player
     rows = data.evaluations.groupby("condition", sort=False)["random_share_killed"]
     levels = [np.ascontiguousarray(shares, float).mean() for _, shares in rows]
     if not levels or not np.ptp(levels) <= NEAR:  # unlike, or NaN: no such player

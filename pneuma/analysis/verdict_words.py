@@ -79,6 +79,8 @@ _SAID = {
 }
 """Outcomes in fewer words than `OUTCOMES` has."""
 _OF_KIND = {"spread": "spread of {}", "range": "range of {}"}
+MOST_LOG = 23.0
+"""Factors above ten thousand million are told as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm")
 
 
@@ -158,7 +160,7 @@ def effect(row: ClaimContrast) -> str:
     numbers = [*contrast.means, contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high]
     unit = difference = ""
     if row.outcome in _LOGARITHMS and row.claim.kind == "mean":
-        a, b, size, low, high = (_two_digits(math.exp(number)) for number in numbers)
+        a, b, size, low, high = (_factor(number) for number in numbers)
         difference = " times as much"
     else:
         if row.claim.event or _unit(row.outcome) == "share":
@@ -199,8 +201,12 @@ def _places(size: float, low: float, high: float) -> int:
     return places + (round(size, places) == 0)
 
 
-def _two_digits(number: float) -> str:
-    return shown(number, decimals(number) - 1)
+def _factor(log: float) -> str:
+    """Return a factor with two digits, given its logarithm."""
+    if log > MOST_LOG:
+        return "∞"
+    factor = math.exp(log)
+    return shown(factor, decimals(factor) - 1)
 
 
 # --- Sentences -------------------------------------------------------------------------------------

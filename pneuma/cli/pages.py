@@ -33,9 +33,13 @@ READING = (
     "study list", "study show", "study summary", "study compare", "study collapse", "study effects",
     "study robustness", "study verify", "env list",
 )  # fmt: skip
-"""Commands that print the same wherever they run, and write nothing."""
+"""Commands that print the same wherever they run."""
+WRITING = ("--out", "--plot", "--fork", "--trust", "--results")
+"""Their options that write, train, run a user's code, or read other results."""
 RESULTS = "PNEUMA_RESULTS"
-_BLOCK = re.compile(r"^<!-- pneuma ([^\n]+) -->\n(.*?)^<!-- end -->$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(
+    r"^<!-- pneuma ([^\n]+) -->\n((?:(?!^<!-- pneuma ).)*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
+)
 
 
 def rewrite(pages: Sequence[Path]) -> list[Path]:
@@ -81,11 +85,12 @@ def _published_alone() -> Iterator[None]:
 
 
 def _output(command: str) -> str:
-    if not command.startswith(tuple(f"{name} " for name in READING)):
+    words = shlex.split(command)
+    if " ".join(words[:2]) not in READING or any(word.partition("=")[0] in WRITING for word in words):
         raise UserError(f"<!-- pneuma {command} -->: pages hold what {', '.join(READING)} print")
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
-        code = main(shlex.split(command))
+        code = main(words)
     if code:
         raise UserError(f"<!-- pneuma {command} -->: {err.getvalue().strip()}")
     return out.getvalue()

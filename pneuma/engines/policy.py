@@ -191,12 +191,14 @@ def _is_sound(policy: Policy) -> bool:
     if policy.deviation is not None and policy.bounds is not None:
         low, high = policy.bounds
         fits &= policy.deviation.shape == (policy.actions,) and low.size == policy.actions
-        fits &= bool((low <= high).all())
+        fits &= bool((low <= high).all() and np.isfinite(policy.deviation).all())
     if policy.choices is not None:
         fits &= policy.deviation is None and policy.exploration is None
+        fits &= policy.choices.dtype.kind in "iu" and policy.choices.size > 0
         fits &= bool((policy.choices >= 1).all()) and policy.choices.sum() == policy.actions
     if policy.scaling is not None:
         fits &= all({len(array)} == inputs and array.ndim == 1 for array in vars(policy.scaling).values())
+        fits &= all(bool(np.isfinite(array).all()) for array in vars(policy.scaling).values())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape == (1,)

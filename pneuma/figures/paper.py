@@ -166,6 +166,8 @@ def _draw_study(folder: Path, index: RunIndex, study: str, logs: str | None) -> 
     found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
     shown = dict.fromkeys(run.condition for data in found.values() if data for run in data.runs)
     columns = {title: data.of_conditions([*shown]) for title, data in found.items() if data}
+    if not columns:  # tables of changed fields alone
+        return []
     data = next(iter(columns.values()))
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]

@@ -148,12 +148,16 @@ def series_of_log(scalars: pd.DataFrame) -> dict[str, Any]:
     return {"series": series, "evaluations": _logged_evaluations(named), "averaged_over": TRAILING_EPISODES}
 
 
+_OF_RUNS = ("run_id", "condition", "seed")
+"""Columns of which run an evaluation is; a log's tags of these names are left out."""
+
+
 def _logged_evaluations(named: pd.DataFrame) -> list[Any]:
     """Return evaluations as rows, from the points of an imported log."""
     columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
     found = named[named["tag"].str.startswith("eval/") & (named["tag"] != "eval/step")]
     found = found.assign(name=found["tag"].map(columns).fillna(found["tag"].str.removeprefix("eval/")))
-    found = found.drop_duplicates(["name", "step"], keep="last")
+    found = found[~found["name"].isin(_OF_RUNS)].drop_duplicates(["name", "step"], keep="last")
     return found.pivot(index="step", columns="name", values="value").reset_index().to_dict("records")
 
 

@@ -42,6 +42,15 @@ def test_an_import_is_drawn_and_published_and_drawn_again(logs: Path, results: P
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
+def test_a_log_with_evaluations_of_its_own_is_drawn(tmp_path: Path) -> None:
+    """They have no random player; a tag that is called as a column of runs is left out."""
+    tags = (RETURN, "eval/success_rate", "eval/condition")
+    write_events(tmp_path / "own" / "a_1" / FILE, [(tag, 100 * k, k / 10) for k in (1, 2, 3) for tag in tags])
+    at = ("--results", tmp_path / "results")
+    printed("import", "tensorboard", tmp_path / "own", *at)
+    assert call("study", "plot", "own", "--quantity", "success", *at)[0] == 0
+
+
 def test_a_log_that_is_left_out_is_not_counted(logs: Path, tmp_path: Path) -> None:
     """Two of three reach step 1,000, where values are compared."""
     (short,) = logs.glob("tanh_2/*")
