@@ -32,7 +32,7 @@ def encode_published(
         curves: quantities whose curves are kept; default: all.
     """
     parts = [row.table for row in rows]
-    table = pa.concat_tables(parts, promote_options="permissive").combine_chunks()
+    table = _without_folders(pa.concat_tables(parts, promote_options="permissive").combine_chunks())
     dropped = [
         name
         for name in table.column_names
@@ -55,6 +55,17 @@ def encode_published(
     )
     data = sink.getvalue()
     return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())
+
+
+_FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
+"""The folders of an absolute path that is a JSON string."""
+
+
+def _without_folders(table: pa.Table) -> pa.Table:
+    """Return rows whose fields name the user's own files without their folders, which are of one machine."""
+    place = table.column_names.index("fields")
+    texts = pa.array([_FOLDERS.sub("", text) for text in table["fields"].to_pylist()], pa.string())
+    return table.set_column(place, table.schema.field(place), texts.cast(table.schema.field(place).type))
 
 
 def _as_parquet(field_: pa.Field) -> pa.Field:
