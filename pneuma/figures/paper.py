@@ -61,6 +61,8 @@ WHOLE = ("architecture", "activation")
 """Studies of which the thesis's figure shows every condition."""
 EARLIER = {"slots": 1}
 """The fields in which runs of earlier lists differ: they were trained in one world at a time."""
+A_FEW = 10
+"""Fewer runs of a configuration, as an exploratory study has, do not stand for earlier ones."""
 COLLAPSES = ("collapse",)
 """Studies whose collapses a page shows."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
@@ -206,8 +208,12 @@ def thesis_runs(index: RunIndex, study: str, world: str, conditions: Sequence[st
 
 
 def _most(found: Iterable[StudyData | None]) -> StudyData | None:
-    """Return the first data of the most conditions."""
-    return max(filter(None, found), key=lambda data: len({run.condition for run in data.runs}), default=None)
+    """Return the first data of the most conditions that have more than a few runs."""
+
+    def covered(data: StudyData) -> int:
+        return sum(len(data.of_condition(name)) >= A_FEW for name in data.conditions)
+
+    return max(filter(None, found), key=covered, default=None)
 
 
 def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:
