@@ -204,14 +204,15 @@ def thesis_runs(index: RunIndex, study: str, world: str, conditions: Sequence[st
     They are of the longest budget that two conditions have, and of a condition that was not trained so long,
     of its own longest one.
     """
-    return _most(_longest(index, study, world, conditions, settings) for settings in ({}, EARLIER))
+    found = (_longest(index, study, world, conditions, settings) for settings in ({}, EARLIER))
+    return _most(found, A_FEW)
 
 
-def _most(found: Iterable[StudyData | None]) -> StudyData | None:
-    """Return the first data of the most conditions that have more than a few runs."""
+def _most(found: Iterable[StudyData | None], least: int = 1) -> StudyData | None:
+    """Return the first data of the most conditions that have at least so many runs."""
 
     def covered(data: StudyData) -> int:
-        return sum(len(data.of_condition(name)) >= A_FEW for name in data.conditions)
+        return sum(len(data.of_condition(name)) >= least for name in data.conditions)
 
     return max(filter(None, found), key=covered, default=None)
 
