@@ -70,8 +70,10 @@ def _samples(origin: Origin) -> list[tuple[str, str, str]]:
 
 
 def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
-    study: HandMade, tmp_path: Path
+    study: HandMade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Here a single run is more than a few."""
+    monkeypatch.setattr(paper, "A_FEW", 1)
     fresh = Store(tmp_path / "fresh")
     conditions = ("tanh", "relu")
 
