@@ -157,7 +157,7 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
     def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:
         study = read_study(name, world)
         selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
-        return make_plan(study, selection).cells
+        return make_plan(study, selection, index.engine_of).cells
 
     rest = " --unpublished" if index.store.published(shipped=False) else ""
     for claim in claims.claims.values():

@@ -94,20 +94,20 @@ def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
     ]
 
 
-def by_claim(table: list[ClaimContrast]) -> dict[tuple[str, str], tuple[ClaimContrast, ...]]:
+def rows_by_claim(table: list[ClaimContrast]) -> dict[tuple[str, str], tuple[ClaimContrast, ...]]:
     """Return the rows of each claim in each world."""
     return {key: tuple(rows) for key, rows in groupby(table, key=lambda row: (row.claim.name, row.world))}
 
 
-def not_admitted(claims: ClaimList) -> dict[tuple[str, str], str]:
-    """Return why claims are not admitted, by claim and world; empty if the list has no pilot.
+def not_admitted(claims: ClaimList, table: list[ClaimContrast]) -> dict[tuple[str, str], str]:
+    """Return why planned claims are not admitted, by claim and world; empty if the list has no pilot.
 
     A claim is admitted if one of its outcomes can be decided in all contrasts.
     """
     if claims.pilot is None:
         return {}
     refused = {}
-    for key, rows in by_claim(plan_contrasts(claims)).items():
+    for key, rows in rows_by_claim(table).items():
         undecidable = {row.outcome for row in rows if row.why_undecidable}
         if undecidable == {row.outcome for row in rows}:
             refused[key] = "; ".join(dict.fromkeys(filter(None, (row.why_undecidable for row in rows))))

@@ -21,7 +21,7 @@ from functools import cache
 import numpy as np
 
 from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, find_runs
-from pneuma.analysis.claim_table import ClaimContrast, by_claim, not_admitted, plan_contrasts
+from pneuma.analysis.claim_table import ClaimContrast, not_admitted, plan_contrasts, rows_by_claim
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
 from pneuma.analysis.outcomes import find_outcome
@@ -93,12 +93,17 @@ def judge(
     With `stored = False` only published tables are used. No claim can be judged without the others of the
     list. `on_progress` is called with the number of verdicts so far, and of all.
     """
-    planned, refused = by_claim(plan_contrasts(claims)), not_admitted(claims)
+    every = plan_contrasts(claims)
+    planned, refused = rows_by_claim(every), not_admitted(claims, every)
     verdicts: list[Verdict] = []
     for runs in find_runs(RunIndex(store, stored, shipped=False), claims):
         key = runs.claim.name, runs.world
         if key in refused:
-            verdict = Verdict(runs.claim, runs.world, UNTESTABLE, f"not admitted: {refused[key]}")
+            reason = f"not admitted: {refused[key]}"
+            table = tuple(
+                replace(row, verdict=UNTESTABLE, contrast=undecided(reason)) for row in planned[key]
+            )
+            verdict = Verdict(runs.claim, runs.world, UNTESTABLE, reason, table)
         else:
             arm = cache(runs.arm)
             table = tuple(_judge_contrast(row, runs, arm, claims) for row in planned[key])

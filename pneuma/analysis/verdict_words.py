@@ -84,7 +84,7 @@ MOST_LOG = 23.0
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm")
 
 
-def by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdict]]:
+def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdict]]:
     """Return verdicts by claim and world, the claims in the order of the thesis's sections."""
     grouped: dict[str, dict[str, Verdict]] = {}
     for one in sorted(verdicts, key=lambda one: [*map(int, re.findall(r"\d+", one.claim.section))]):

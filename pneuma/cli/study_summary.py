@@ -26,6 +26,8 @@ COLUMNS = 3
 """Outcomes that `summary` prints by default."""
 PRINTED = ("markdown", "latex")
 """Forms of a table for pages and papers."""
+TOLD_BY = ("mean", "share", "median")
+"""Statistics that stand for an outcome in such a table: the first that it has."""
 FEW_EPISODES = 10
 """With fewer, the last point of a return is said to average few."""
 
@@ -146,16 +148,19 @@ def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str],
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
 
     rows = {(row["condition"], row["outcome"], row["statistic"]): row for row in found.to_dict("records")}
-    means = dict.fromkeys(name for _, name, statistic in rows if statistic in ("mean", "share"))
-    names = [name for name in outcomes or [*means][:COLUMNS] if name in means]
+    told_by = {
+        name: statistic for statistic in reversed(TOLD_BY) for _, name, each in rows if each == statistic
+    }
+    means = [name for name in dict.fromkeys(found["outcome"]) if told_by.get(name) == "mean"]
+    names = outcomes or means[:COLUMNS]
 
     def cell(condition: str, name: str) -> str:
-        if not (row := rows.get((condition, name, "mean")) or rows.get((condition, name, "share"))):
+        if not (row := rows.get((condition, name, told_by.get(name, "")))):
             return "–"
         value, fewer = row["value"], ""
         if row["runs"] < len(data.of_condition(condition)):
             fewer = f" (n = {row['runs']})"
-        if cells == "interval" or row["statistic"] == "share":
+        if cells == "interval" or row["statistic"] != "mean":
             return f"{shown_with_interval(value, row['low'], row['high'])}{fewer}"
         deviation = rows[condition, name, "deviation"]["value"]
         if not math.isfinite(deviation):  # of a single run
@@ -163,11 +168,12 @@ def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str],
         places = decimals(value, value - deviation, value + deviation)
         return f"{shown(value, places)} ± {shown(deviation, places)}{fewer}"
 
+    heads = [with_unit(name) + ", median" * (told_by.get(name) == "median") for name in names]
     told = {name: [cell(name, outcome) for outcome in names] for name in data.conditions}
     table = [
         [name, len(data.of_condition(name)), *values] for name, values in told.items() if {*values} != {"–"}
     ]
-    return pd.DataFrame(table, columns=["condition", "runs", *map(with_unit, names)])
+    return pd.DataFrame(table, columns=["condition", "runs", *heads])
 
 
 def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:

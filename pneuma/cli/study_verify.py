@@ -66,14 +66,14 @@ def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -
     """Print each sentence, and below it for each world the word, and the effect or why there is none."""
     from pneuma.analysis.verdict_words import (
         WORLD_NAMES,
-        by_claim,
         count_words,
         sentence,
         told,
+        verdicts_by_claim,
         word,
     )
 
-    grouped, quoted = by_claim(shown), set()
+    grouped, quoted = verdicts_by_claim(shown), set()
     for name, judged in grouped.items():
         claim = next(iter(judged.values())).claim
         say(f"{name} (section {claim.section})")
@@ -117,13 +117,13 @@ def _print_indented(text: str, spaces: int) -> None:
 def _result(known: ClaimList, shown: Sequence[Verdict]) -> Result:
     import pandas as pd
 
-    from pneuma.analysis.verdict_words import by_claim, verdict_table
+    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
 
     contrasts = {world: known.contrasts(world) for world in WORLDS}
     head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
     document = {**head, "claims": [_document(one) for one in shown]}
     rows = [{"claim": one.claim.name, **_flat(_record(row))} for one in shown for row in one.contrasts]
-    return Result(verdict_table(by_claim(shown)), document, pd.DataFrame(rows))
+    return Result(verdict_table(verdicts_by_claim(shown)), document, pd.DataFrame(rows))
 
 
 def _document(one: Verdict) -> dict[str, Any]:
@@ -198,7 +198,8 @@ def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, fo
 
     from pneuma.analysis.claim_table import not_admitted, plan_contrasts
 
-    refused, numbers = not_admitted(known), ("spread", "half_width", "margin")
+    every, numbers = plan_contrasts(known), ("spread", "half_width", "margin")
+    refused = not_admitted(known, every)
     plans = [
         {
             "claim": row.claim.name,
@@ -207,7 +208,7 @@ def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, fo
             "reason": row.why_undecidable,
             "admitted": (row.claim.name, row.world) not in refused,
         }
-        for row in plan_contrasts(known)
+        for row in every
         if not row.seen and (not claims or row.claim.name in claims) and world in (None, row.world)
     ]
     rows = []

@@ -238,6 +238,8 @@ class Slots:
         for _, *seeds in others:
             self.reseed(seeds)
         self.finished.clear()
+        if self._normalization:
+            self._normalization.restore_state(saved, self.observations)
         if not all(np.array_equal(array, saved[name]) for name, array in self.saved_state().items()):
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 

@@ -8,6 +8,7 @@ Statistics are float64. They follow from a run's seeds and actions, as its slots
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,7 @@ class Normalization:
     def __init__(self, run: Run, observations: np.ndarray) -> None:
         self._run = run
         self._observed, self._returned = RunningMoments(observations.shape[1:]), RunningMoments(())
+        self._moments = {"observed": self._observed, "returned": self._returned}
         self._returns = np.zeros(len(observations))
         self._see(observations)
 
@@ -100,10 +102,20 @@ class Normalization:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return the statistics: arrays by name."""
-        moments = {"observed": self._observed, "returned": self._returned}
         arrays = {
             f"{of}_{name}": np.array(value)
-            for of, each in moments.items()
+            for of, each in self._moments.items()
             for name, value in vars(each).items()
         }
         return {**arrays, "discounted": self._returns.copy()}
+
+    def restore_state(self, saved: Mapping[str, np.ndarray], observations: np.ndarray) -> None:
+        """Restore the statistics, with the current observations, (S, features).
+
+        A fork may have another gamma than the run that learned them, so they do not follow from its actions.
+        """
+        for of, each in self._moments.items():
+            for name in vars(each):
+                setattr(each, name, saved[f"{of}_{name}"].copy())
+        self._returns = saved["discounted"].copy()
+        self.seen = scaling(observations) if (scaling := self.scaling) else observations

@@ -20,9 +20,9 @@ from pneuma.analysis.verdict_words import (
     HOLDS,
     NOT_TESTED,
     UNDECIDED,
-    by_claim,
     count_words,
     verdict_table,
+    verdicts_by_claim,
 )
 from pneuma.figures.origin import Origin, sample
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
@@ -65,7 +65,7 @@ def judged_claims(
         f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
         f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
     )
-    return by_claim(shown), note
+    return verdicts_by_claim(shown), note
 
 
 def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:

@@ -42,10 +42,10 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
     hashed |= dict.fromkeys(own_names(fields).keys() - {"reward", "wrappers"}, "of the user's own")
-    for key in {"reward", "wrappers"} & hashed.keys():
-        hashed[key] = [Path(name).name for name in fields[key]]
-    if "reward" in hashed:  # the same by its module's name and by its path
-        hashed["reward"] = [name.replace(".py:", ":") for name in hashed["reward"]]
+    if "wrappers" in hashed:
+        hashed["wrappers"] = [Path(name).name for name in fields["wrappers"]]
+    if "reward" in hashed:
+        hashed["reward"] = [_by_module(name) for name in fields["reward"]]
     identity = {
         "run": hashed,
         "contents": contents(fields),
@@ -53,6 +53,16 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _by_module(reward: str) -> str:
+    """Return the name of a reward, by the name of its module where it is given by its path."""
+    path, _, function = reward.rpartition(":")
+    if not path.endswith(".py"):
+        return reward
+    from pneuma.env.own_modules import in_package
+
+    return f"{in_package(Path(path))[1]}:{function}"
 
 
 def contents(fields: Mapping[str, Any]) -> str:

@@ -9,10 +9,20 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 from typing import Any
 
-from pneuma.config import ENGINES, FORK_FIELDS, Run, as_fields, beyond_engine, is_gymnasium_id, make_run
+from pneuma.config import (
+    ENGINES,
+    FORK_FIELDS,
+    OF_GYMNASIUM,
+    Run,
+    as_fields,
+    beyond_engine,
+    is_gymnasium_id,
+    make_run,
+)
 from pneuma.env_fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
@@ -80,8 +90,10 @@ class Plan:
         return tuple(dict.fromkeys(cell.seed for cell in self.cells))
 
 
-def make_plan(study: Study, selection: Selection) -> Plan:
+def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] | None = None) -> Plan:
     """Plan a selection of a study; with `settings` they are changed in every condition.
+
+    `engine` is as in `configure`; default: one that can train in the environment, which is made to find out.
 
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
@@ -90,9 +102,8 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     for name in selection.conditions:
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
-    from pneuma.engines.environment import able_engine
-
-    asked = configure(study, selection.settings or {}, selection.conditions or tuple(amounts), able_engine)
+    wanted = selection.conditions or tuple(amounts)
+    asked = configure(study, selection.settings or {}, wanted, engine or _able_engines())
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
     runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
@@ -105,6 +116,14 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     )
     notes = tuple(_notes(runs, steps, asked.same, asked.engine_left_open))
     return Plan(asked.study, selection, cells, asked.same, notes)
+
+
+def _able_engines() -> Callable[[Run], str]:
+    """Return a function that finds an engine for a run, and makes each environment once."""
+    from pneuma.engines.environment import able_engine
+
+    able = cache(able_engine)
+    return lambda run: able(Run(**{key: getattr(run, key) for key in ("env", *OF_GYMNASIUM)}))
 
 
 @dataclass(frozen=True)

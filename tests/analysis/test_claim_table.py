@@ -80,4 +80,5 @@ def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: 
     assert one.reason.startswith("not admitted: 16 runs tell it to ±")
     assert one.reason.endswith("; no pilot has a spread of final-return")
     enough = text.replace("[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.01")
-    assert not_admitted(load_claims(write_files(tmp_path, enough))) == {}
+    known = load_claims(write_files(tmp_path, enough))
+    assert not_admitted(known, plan_contrasts(known)) == {}

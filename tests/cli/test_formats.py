@@ -34,6 +34,8 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     assert printed("study", "summary", *mine, *asked, "--format", "markdown") == SUMMARY
     paper = printed("study", "summary", *mine, *asked, "--format", "latex")
     assert "high & 3 & 0.40 ± 0.20 & 0.40 ± 0.20 \\\\" in paper
+    reached = printed("study", "summary", *mine, "--outcome", "steps-to:0.1", "--format", "markdown")
+    assert reached.splitlines()[0] == "| condition | runs | steps-to:0.1 (steps), median |"
     wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
     assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
     assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")

@@ -108,6 +108,17 @@ def test_a_run_is_normalised_alike_by_both_engines_and_alone_as_in_company(engin
     assert returns == [float(row["length"]) for row in alone.records.episodes]  # as CartPole pays, 1 a step
 
 
+def test_a_fork_of_another_gamma_goes_on_with_what_was_learned() -> None:
+    run = normalized()
+    slots = Slots(run, slot_seeds(run), training=True)
+    for _ in range(60):
+        slots.step(np.zeros(3, np.int64))
+    fork = Slots(replace(run, gamma=0.5), slot_seeds(run), training=True)
+    fork.restore_state(slots.saved_state())
+    np.testing.assert_equal(fork.saved_state(), slots.saved_state())
+    np.testing.assert_array_equal(fork.seen, slots.seen)
+
+
 def trained_policy() -> Policy:
     policy = train_once(normalized())[0].policy
     assert policy is not None and policy.scaling is not None

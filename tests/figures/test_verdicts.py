@@ -122,7 +122,7 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
         name: judged(claim(name, section=section, context=name), text=("inconclusive", "", ()))
         for name, section in (("first", "5.10"), ("second", "5.9"), ("third", "6"))
     }
-    ordered = verdict_words.by_claim(one for worlds in claims.values() for one in worlds.values())
+    ordered = verdict_words.verdicts_by_claim(one for worlds in claims.values() for one in worlds.values())
     assert [*ordered] == ["second", "first", "third"]
     assert verdict_table(ordered)["The thesis's sentence"].tolist() == [
         "“improves performance”", "first", "third",

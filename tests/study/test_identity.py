@@ -176,7 +176,12 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
 def test_a_reward_is_named_alike_by_its_module_and_by_that_ones_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "named_alike.py").write_text("def reward(events, players, stats):\n    return 1\n")
     monkeypatch.chdir(tmp_path)
-    by_path = make_run({"reward": f"{tmp_path / 'named_alike.py'}:reward"})
-    assert run_id(by_path) == run_id(make_run({"reward": "named_alike:reward"}))
+    (tmp_path / "package_alike").mkdir()
+    (tmp_path / "package_alike" / "__init__.py").touch()
+    for name in ("named_alike", "package_alike.inside"):
+        path = tmp_path / f"{name.replace('.', '/')}.py"
+        path.write_text("def reward(events, players, stats):\n    return 1\n")
+        assert run_id(make_run({"reward": f"{path}:reward"})) == run_id(
+            make_run({"reward": f"{name}:reward"})
+        )
