@@ -97,6 +97,15 @@ def test_a_block_that_trains_or_fails_is_refused(tmp_path: Path, command: str, t
         rewrite([page])
 
 
+def test_a_block_without_an_end_takes_nothing_with_it(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    whole = "<!-- pneuma study list --json -->\n<!-- end -->\n"
+    page.write_text(f"<!-- pneuma study list --json -->\n\nprose\n\n{whole}")
+    with pytest.raises(UserError, match="a block has no line <!-- end -->"):
+        rewrite([page])
+    assert "prose" in page.read_text()
+
+
 def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"Save this as `horizon.toml`:\n\n((?: {4}.*\n)+)", text)

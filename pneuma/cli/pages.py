@@ -19,9 +19,9 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -37,6 +37,7 @@ READING = (
 WRITING = ("--out", "--plot", "--fork", "--trust", "--results")
 """Their options that write, train, run a user's code, or read other results."""
 RESULTS = "PNEUMA_RESULTS"
+_BEGIN = re.compile(r"^<!-- pneuma ", re.MULTILINE)
 _BLOCK = re.compile(
     r"^<!-- pneuma ([^\n]+) -->\n((?:(?!^<!-- pneuma ).)*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
 )
@@ -61,13 +62,14 @@ def renewed(pages: Sequence[Path]) -> Iterator[tuple[Path, str]]:
     with _published_alone():
         run = cache(_output)
         for page in pages:
-            yield (
-                page,
-                _BLOCK.sub(
-                    lambda block: f"<!-- pneuma {block[1]} -->\n\n{run(block[1])}\n<!-- end -->",
-                    page.read_text(encoding="utf-8"),
-                ),
-            )
+            text = page.read_text(encoding="utf-8")
+            if len(_BLOCK.findall(text)) < len(_BEGIN.findall(text)):
+                raise UserError(f"{page}: a block has no line <!-- end -->")
+            yield page, _BLOCK.sub(partial(_filled, run), text)
+
+
+def _filled(run: Callable[[str], str], block: re.Match[str]) -> str:
+    return f"<!-- pneuma {block[1]} -->\n\n{run(block[1])}\n<!-- end -->"
 
 
 @contextmanager
