@@ -48,7 +48,7 @@ figures: install  ## Draw everything in paper_figures/, and write the tables tha
 
 REPRODUCE = $(BIN)/python studies/reproduce.py
 
-reproduction: install  ## Train chapter 6's small networks: 50 seeds of 1M steps, in all worlds
+reproduction: install  ## Train chapter 6's small networks: mostly 30 seeds of 1M steps, in two worlds
 	$(REPRODUCE) small-networks $(DO) $(ARGS)
 
 reproduction-slow: install  ## Train chapter 6's mid and big networks

@@ -152,7 +152,7 @@ class Column:
         bands = [band for band in self.bands if any(_shows_band(curve, band) for curve in drawn)]
         found: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
         for band in bands:
-            shade = PALE if INTERVAL in bands and band != INTERVAL else PALE + DARK
+            shade = PALE + DARK if band == INTERVAL else PALE  # an interval lies in a band
             found[BANDS[band].label] = Patch(color=style.INK, alpha=shade, linewidth=0)
         if any(_shows_runs(curve, self.band) for curve in drawn):
             found[BANDS[RUNS].label] = Line2D([], [], color=style.INK, linewidth=0.5, alpha=0.5)
