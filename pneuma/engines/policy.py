@@ -199,6 +199,7 @@ def _is_sound(policy: Policy) -> bool:
     if policy.scaling is not None:
         fits &= all({len(array)} == inputs and array.ndim == 1 for array in vars(policy.scaling).values())
         fits &= all(bool(np.isfinite(array).all()) for array in vars(policy.scaling).values())
+        fits &= bool((policy.scaling.variance >= 0).all())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape == (1,)
