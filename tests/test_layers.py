@@ -17,7 +17,7 @@ MODULES = {
 BASE = (
     "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
     "pneuma.worlds", "pneuma.schema", "pneuma.files", "pneuma.sb3_names",
-    "pneuma.bases",
+    "pneuma.bases", "pneuma.own_modules",
 )  # fmt: skip
 """All may import these; and `pneuma` itself, which is loaded with any part of it."""
 
@@ -32,6 +32,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.files": ("pneuma.errors",),
+    "pneuma.own_modules": (),
     "pneuma.bases": ("pneuma.sb3_names",),
     "pneuma.sb3_names": ("pneuma.errors",),
     "pneuma.schema": ("pneuma.errors", "pneuma.files"),

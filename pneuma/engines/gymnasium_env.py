@@ -28,8 +28,8 @@ from gymnasium import spaces
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
-from pneuma.env.own_modules import load_module
 from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
+from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
 """Extras that install environments, whose ids begin with their names."""

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.own_modules import load_module
 from pneuma.errors import OwnCodeError, UserError
+from pneuma.own_modules import load_module
 
 REWARD_CODES = {
     "thesis": rules.REWARD_THESIS,

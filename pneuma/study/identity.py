@@ -12,8 +12,9 @@ from typing import Any
 from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields
 from pneuma.env_fields import are_own_characters, is_own_level, own_rewards, read_field
 from pneuma.files import read_whole
+from pneuma.own_modules import in_package
 
-_MODULE_FILES = ("pneuma.env.own_modules", "module_files")
+_MODULE_FILES = ("pneuma.own_modules", "module_files")
 _FILES = {
     "level": ("pneuma.env.level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
@@ -60,8 +61,6 @@ def _by_module(reward: str) -> str:
     path, _, function = reward.rpartition(":")
     if not path.endswith(".py"):
         return reward
-    from pneuma.env.own_modules import in_package
-
     return f"{in_package(Path(path))[1]}:{function}"
 
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS
-from pneuma.env.own_modules import module_files
 from pneuma.env.reward import PARTS
 from pneuma.env.single import PneumaEnv, PneumaMOEnv
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
+from pneuma.own_modules import module_files
 
 from .arena import ATTACK, STAND, Place, move_monster, play, stage
 
