@@ -53,7 +53,7 @@ def _own_files(table: str) -> list[str]:
 
 
 def _searches(typed: Mapping[str, Any]) -> list[str]:
-    recorded = [path.stem for path in (_store(typed).root / "searches").glob("[!.]*.json")]
+    recorded = [path.stem for path in (_store(typed).root / "searches").glob("[!.]*.log")]
     shipped = spec.shipped_names(spec.studies_folder() / "search")
     return [*shipped, *recorded, *_own_files("[space.")]
 

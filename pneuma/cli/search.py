@@ -184,13 +184,12 @@ def run(
     store = Store(results)
     task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = replace(place, workers=opt.most_workers(workers, place))
-    if note := storage.replaced_note(store, task):
-        say(f"Note: {note}.", aside=True, quiet=quiet)
     ended_trials: list[EndedTrial] = []
+    tell = partial(say, aside=True, quiet=quiet)
     train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
     code = 0
     try:
-        for ended in storage.run_search(task, store, train_trials):
+        for ended in storage.run_search(task, store, train_trials, tell):
             for trial in ended[len(ended_trials) :]:
                 note = f" ({trial.note})" if trial.note else ""
                 say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
@@ -244,25 +243,32 @@ def _task(
 
 
 def train(
-    planned: plan.Plan, *, store: Store, how: Supervision, retry_failed: bool, quiet: bool, noted: set[str]
+    planned: plan.Plan,
+    until: Mapping[str, int],
+    *,
+    store: Store,
+    how: Supervision,
+    retry_failed: bool,
+    quiet: bool,
+    noted: set[str],
 ) -> None:
-    """Train the missing runs of trials, and print notes that are not in `noted` yet.
+    """Train the missing runs of trials up to their steps, and print notes that are not in `noted` yet.
 
     Raises:
         Unfinished: when a run did not finish.
     """
     from pneuma.search.trials import Unfinished
 
-    todo, notes = execute.prepare(planned, store, retry_failed)
+    todo, notes = execute.prepare(planned, store, retry_failed, until)
     for note in notes:
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)
     if todo:
         with ProgressDisplay(planned, todo, store, quiet) as display:
-            execute.execute(planned, todo, store, how, display.update)
+            execute.execute(planned, todo, store, replace(how, until=until), display.update)
     for cell in planned.cells:
         status = store.status(cell.run_id)
-        if not status.finished:
+        if cell.run_id in until and not (status.finished or 0 < until[cell.run_id] <= status.step):
             again = "; --retry-failed tries again" if status.failed else ""
             raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
 

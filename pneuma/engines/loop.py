@@ -152,6 +152,11 @@ def evaluation_updates(run: Run) -> set[int]:
     return _spread(run.updates, EVALUATIONS)
 
 
+def evaluation_step(run: Run, number: int) -> int:
+    """Return the agent step of an evaluation, counted from 1; those of a run with fewer coincide."""
+    return -(-run.updates * number // EVALUATIONS) * run.steps_per_update
+
+
 def checkpoint_steps(run: Run, count: int) -> set[int]:
     """Return the agent steps at which a run's checkpoints are kept; none if `count` is 0.
 

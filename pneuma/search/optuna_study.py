@@ -1,43 +1,178 @@
-"""The part of a search that Optuna does: suggesting trials, and finding the best.
+"""What Optuna does in a search: suggesting trials, stopping them early, and finding the best.
 
-The Optuna study is in memory. Before each ask, the sampler is made again with a seed of the trial, so that a
-suggestion depends only on the trials before it, and not on the number of workers or on how often the search
-was stopped (Akiba et al. 2019 describe ask and tell).
+The Optuna study that suggests is in memory. Before each ask, the sampler is made again with a seed of the
+trial, so that a suggestion depends only on the trials before it, and not on the number of workers or on how
+often the search was stopped (Akiba et al. 2019 describe ask and tell). What a log in a results folder says is
+never given to a sampler but for parameters and values: CMA-ES would unpickle more.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import optuna
+from optuna import pruners, samplers
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
 from optuna.study import StudyDirection
 from optuna.trial import TrialState, create_trial
 
 from pneuma.config import stream_seed
-from pneuma.search.space import Parameter
-from pneuma.search.spec import Nsga, Sampler, Search, Tpe
+from pneuma.errors import unknown_name
+from pneuma.schema import shown, wrong
+from pneuma.search.space import Parameter, Space
 
 if TYPE_CHECKING:
+    from pneuma.search.spec import Search
     from pneuma.search.trials import EndedTrial
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
 
+# --- Samplers and pruners --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A sampler or pruner of Optuna.
+
+    Attributes:
+        make: its class.
+        arguments: those that a file may set, by Optuna's names, with the defaults here; None is Optuna's own.
+        fixed: other arguments.
+    """
+
+    make: Callable[..., Any]
+    arguments: Mapping[str, Any]
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+
+
+QUIET = {"warn_independent_sampling": False}
+SAMPLERS = {
+    "tpe": Kind(
+        samplers.TPESampler,
+        {
+            "n_startup_trials": 10, "n_ei_candidates": 24, "multivariate": True, "group": True,
+            "constant_liar": True,
+        },
+    ),
+    "gp": Kind(samplers.GPSampler, {"n_startup_trials": 10, "deterministic_objective": False}, QUIET),
+    "cmaes": Kind(
+        samplers.CmaEsSampler,
+        {
+            "sigma0": None, "n_startup_trials": 1, "popsize": None, "consider_pruned_trials": False,
+            "use_separable_cma": False, "with_margin": False, "lr_adapt": False,
+        },
+        QUIET,
+    ),
+    "nsga-ii": Kind(
+        samplers.NSGAIISampler,
+        {"population_size": 16, "mutation_prob": 0.1, "crossover_prob": 0.9, "swapping_prob": 0.5},
+    ),
+    "random": Kind(samplers.RandomSampler, {}),
+    "grid": Kind(samplers.GridSampler, {}),
+}  # fmt: skip
+EVERY_FIVE = {"n_startup_trials": 5, "n_warmup_steps": 5, "interval_steps": 5, "n_min_trials": 1}
+PRUNERS = {
+    "": Kind(pruners.NopPruner, {}),
+    "median": Kind(pruners.MedianPruner, EVERY_FIVE),
+    "percentile": Kind(pruners.PercentilePruner, {"percentile": 25.0, **EVERY_FIVE}),
+    "successive-halving": Kind(
+        pruners.SuccessiveHalvingPruner,
+        {"min_resource": 2, "reduction_factor": 3, "min_early_stopping_rate": 0, "bootstrap_count": 0},
+    ),
+    "hyperband": Kind(
+        pruners.HyperbandPruner,
+        {"min_resource": 2, "max_resource": 20, "reduction_factor": 3, "bootstrap_count": 0},
+    ),
+    "wilcoxon": Kind(pruners.WilcoxonPruner, {"p_threshold": 0.1, "n_startup_steps": 2}),
+}
+"""By name. The steps of a pruner are a run's evaluations, of which there are 20; Wilcoxon's are seeds."""
+
+
+def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
+    """Read [sampler] or [pruner]: `name`, and arguments by Optuna's names, into name and all arguments."""
+    if not isinstance(value, Mapping):
+        return value
+    name = value.get("name", "")
+    if name not in kinds:
+        raise wrong(str(unknown_name("name", str(name), [*filter(None, kinds)])), "name")
+    given = {key: each for key, each in value.items() if key != "name"}
+    kind = kinds[name]
+    for key, each in given.items():
+        if key not in kind.arguments:
+            raise wrong(str(unknown_name(f"argument of {name}", key, kind.arguments)), key)
+        usual = kind.arguments[key]
+        if isinstance(each, bool) != isinstance(usual, bool) or not isinstance(each, bool | int | float):
+            raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
+    arguments = {**kind.arguments, **given}
+    if name != "grid":
+        try:
+            _make(kind, arguments)
+        except ImportError as error:
+            raise wrong(f"{name} needs a package that is missing: pip install {error.name}", "name") from None
+        except (ValueError, TypeError, AssertionError) as error:
+            raise wrong(f"{name}: {error}", next(iter(given), "name")) from None
+    return {"name": name, "arguments": arguments}
+
+
+def _type(usual: Any) -> str:
+    return "true or false" if isinstance(usual, bool) else "a number"
+
+
+def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
+    given = {key: value for key, value in arguments.items() if value is not None}
+    with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        return kind.make(**given, **kind.fixed, **more)
+
+
+def make_sampler(search: Search, number: int) -> samplers.BaseSampler:
+    """Return the sampler of a trial, with every argument that affects its suggestions set."""
+    chosen = search.spec.sampler
+    more: dict[str, Any] = {"seed": stream_seed(search.name, "sampler", number) % 2**32}
+    if chosen.name == "grid":
+        more = {
+            "search_space": {each.name: each.extremes for each in search.space.parameters},
+            "seed": stream_seed(search.name, "grid") % 2**32,  # one order for all trials
+        }
+    made: samplers.BaseSampler = _make(SAMPLERS[chosen.name], chosen.arguments, **more)
+    return made
+
+
+def pauses(search: Search) -> list[int]:
+    """Return the evaluations, counted from 1, at which the pruner may stop a trial.
+
+    Training pauses there, so that all trials of a generation are compared with the same earlier ones.
+    """
+    name, given = search.spec.pruner.name, search.spec.pruner.arguments
+    if name in ("median", "percentile"):
+        first, every = int(given["n_warmup_steps"]), int(given["interval_steps"])
+        return [k for k in range(1, EVALUATIONS) if k >= first and (k - first) % every == 0]
+    if name in ("successive-halving", "hyperband"):
+        least, factor = int(given["min_resource"]), int(given["reduction_factor"])
+        rungs = (least * factor**rung for rung in range(EVALUATIONS))
+        return [k for k in rungs if k < EVALUATIONS]
+    return []
+
+
+EVALUATIONS = 20
+"""Evaluations of a run (`pneuma.engines.loop`), fewer if it has fewer updates."""
+
 
 # --- Asking ---------------------------------------------------------------------------------------
 
 
-def create_study(search: Search, objectives: int | None = None) -> optuna.Study:
-    """Return an in-memory study without trials, with the first so many objectives."""
-    sought = search.objectives[:objectives]
+def create_study(search: Search, objectives: int | None = None, storage: Any = None) -> optuna.Study:
+    """Return a study without trials, in memory unless told, with the first so many objectives."""
+    sought, pruner = search.objectives[:objectives], search.spec.pruner
     study = optuna.create_study(
-        sampler=RandomSampler(seed=0),
+        storage=storage,
+        sampler=samplers.RandomSampler(seed=0),
+        pruner=_make(PRUNERS[pruner.name], pruner.arguments),
         study_name=search.name,
         directions=[StudyDirection[objective.direction.upper()] for objective in sought],
     )
@@ -54,7 +189,7 @@ def ask(
     if number < len(first_trials):
         study.enqueue_trial(dict(first_trials[number]))
     with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-        study.sampler = _sampler(search.spec.sampler, stream_seed(search.name, "sampler", number) % 2**32)
+        study.sampler = make_sampler(search, number)
         trial = study.ask()
         return trial, search.space.ask(lambda parameter: _suggest(trial, parameter))
 
@@ -67,28 +202,6 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
     return suggest(parameter.name, low, high, log=parameter.log)
 
 
-def _sampler(options: Sampler, seed: int) -> BaseSampler:
-    """Return a sampler, with every argument that affects its suggestions set explicitly."""
-    if isinstance(options, Tpe):
-        return TPESampler(
-            n_startup_trials=options.startup_trials,
-            n_ei_candidates=options.candidates,
-            seed=seed,
-            multivariate=options.multivariate,
-            group=options.multivariate,
-            constant_liar=True,
-        )
-    if isinstance(options, Nsga):
-        return NSGAIISampler(
-            population_size=options.population,
-            mutation_prob=options.mutation,
-            crossover_prob=options.crossover,
-            swapping_prob=0.5,
-            seed=seed,
-        )
-    return RandomSampler(seed=seed)
-
-
 # --- What has ended -------------------------------------------------------------------------------
 
 
@@ -99,18 +212,29 @@ def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | 
         ValueError: for a parameter or value that is not in the search space.
     """
     study = create_study(search, objectives)
-    parameters = {parameter.name: _distribution(parameter) for parameter in search.space.parameters}
     study.add_trials(
         create_trial(
             state=STATES[trial.state],
             values=list(trial.values[:objectives]) if trial.state == "complete" else None,
             params=dict(trial.params),
-            distributions={name: parameters[name] for name in trial.params},
-            intermediate_values=dict(trial.rungs),
+            distributions=distributions(search.space, trial.params),
+            intermediate_values=dict(trial.reports),
         )
         for trial in trials
     )
     return study
+
+
+def distributions(space: Space, names: Iterable[str]) -> dict[str, BaseDistribution]:
+    """Return Optuna's distributions of parameters.
+
+    Raises:
+        ValueError: for one that is not in the space.
+    """
+    known = {parameter.name: parameter for parameter in space.parameters}
+    if unknown := {*names} - {*known}:
+        raise ValueError(f"{min(unknown)} is no parameter")
+    return {name: _distribution(known[name]) for name in names}
 
 
 def _distribution(parameter: Parameter) -> BaseDistribution:

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval, MinLen
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator
 
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
@@ -26,6 +26,7 @@ from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
+from pneuma.search.optuna_study import PRUNERS, SAMPLERS, read_choice
 from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.spec import (
     PRESETS,
@@ -36,7 +37,7 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.study.study_file import in_own_names
-from pneuma.values import OneOf, Reads, Share
+from pneuma.values import OneOf, Reads
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
@@ -59,46 +60,17 @@ class Objective(Table):
     direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
 
 
-class Tpe(Table):
-    """[sampler]: Optuna's tree-structured Parzen estimator, with its defaults."""
+class Chosen(Table):
+    """[sampler] or [pruner]: one of Optuna's by its name, with arguments by their names there."""
 
-    name: Literal["tpe"] = "tpe"
-    startup_trials: Count = 10
-    candidates: Count = 24
-    multivariate: bool = True
+    name: str
+    arguments: dict[str, Any]
 
 
-class Random(Table):
-    """[sampler]: independent random trials."""
-
-    name: Literal["random"]
-
-
-class Nsga(Table):
-    """[sampler]: a genetic algorithm for several objectives."""
-
-    name: Literal["nsga-ii"]
-    population: Annotated[int, Interval(ge=2, le=10_000)] = 16
-    mutation: Share = 0.1
-    crossover: Share = 0.9
-
-
-class NoPruner(Table):
-    """Trains every trial to its end."""
-
-    name: Literal[""] = ""
-
-
-class Median(Table):
-    """[pruner]: stops trials that are below the median of earlier trials at a rung of the budget."""
-
-    name: Literal["median"]
-    rungs: Annotated[int, Interval(ge=2, le=5)] = 3
-    startup_trials: Count = 5
-
-
-Sampler = Tpe | Random | Nsga
-Pruner = NoPruner | Median
+Sampler = Annotated[Chosen, BeforeValidator(partial(read_choice, SAMPLERS))]
+Pruner = Annotated[Chosen, BeforeValidator(partial(read_choice, PRUNERS))]
+TPE = Chosen(**read_choice(SAMPLERS, {"name": "tpe"}))
+NO_PRUNER = Chosen(name="", arguments={})
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:
@@ -143,8 +115,8 @@ class SearchFile(Table):
     run: Annotated[dict[str, Any], FIXABLE, BeforeValidator(in_own_names)] = {}
     objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
     space: Parameters
-    sampler: Annotated[Sampler, Field(discriminator="name")] = Tpe()
-    pruner: Annotated[Pruner, Field(discriminator="name")] = NoPruner()
+    sampler: Sampler = TPE
+    pruner: Pruner = NO_PRUNER
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Budget], MinLen(1)]
 
 
@@ -276,5 +248,13 @@ def read_search(path: Path) -> Search:
         raise UserError(f"{path}: {error}") from None
     if len(said.objectives) > 1 and said.pruner.name:
         raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
+    ranges = [each.name for each in parameters if not each.choices]
+    if said.sampler.name == "grid" and (ranges or any(each.when for each in parameters)):
+        dependent = next((each.name for each in parameters if each.when), "")
+        raise file.mistake(
+            ("sampler",),
+            f"a grid needs choices without `when` for every parameter, not {(*ranges, dependent)[0]}",
+            "name",
+        )
     fixed_env = said.run.get("env", ENVIRONMENTS[0]) != ENVIRONMENTS[0]
     return Search(path.stem, said, space, fixed_env=fixed_env)

@@ -1,31 +1,45 @@
-"""A search in a results folder: its record, and the lock that keeps other processes out.
+"""A search in a results folder: an Optuna study in a log of lines of JSON, results/searches/NAME.log.
 
-The record results/searches/NAME.json is rewritten after every generation. It contains the trials. The search
-itself stands in its file, which must not have changed.
+    optuna.load_study(study_name=SEARCH, storage=JournalStorage(JournalFileBackend(".../NAME.log")))
+
+Optuna's tools open the log, also while the search goes on. The search itself stands in its file, which must
+not have changed. The log of an untrusted results folder is safe to read: it is parsed as JSON, system
+attributes, in which some samplers keep pickles, are not looked at, and nothing that it says is run.
 """
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import optuna
+from optuna.distributions import check_distribution_compatibility
+from optuna.storages import JournalStorage
+from optuna.storages.journal import BaseJournalBackend, JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState, create_trial
+
 from pneuma.config import Run
 from pneuma.env_fields import read_fields
-from pneuma.errors import UserError, counted
-from pneuma.files import read_sealed, seal, to_json
-from pneuma.search.optuna_study import ended_study
+from pneuma.errors import UserError
+from pneuma.files import parse_json, read_whole, to_json
+from pneuma.search.optuna_study import STATES, create_study, distributions, ended_study
 from pneuma.search.spec import Budget, Search, check_budget, load_search
-from pneuma.search.trials import EndedTrial, Outcomes, Task, Train, best_number, conduct
+from pneuma.search.trials import EndedTrial, Log, Outcomes, PendingTrial, Task, Train, best_number, conduct
 from pneuma.study.execute import check_environments
+from pneuma.study.identity import config_id
 from pneuma.study.locks import run_lock
 from pneuma.study.store import Store
 
 VERSIONS = ("optuna", "rules", "engines")
 """Parts of a search's identity that the user does not choose."""
+ABOUT = "pneuma"
+"""The user attribute of a study that says which search it is."""
+LARGEST_LOG = 2**28
+"""Most bytes of a log that is read."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +55,16 @@ class RecordedSearch:
         return best_number(self.trials, self.task.search)
 
 
-def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTrial]]:
+def run_search(
+    task: Task, store: Store, train: Train, say: Callable[[str], None]
+) -> Iterator[list[EndedTrial]]:
     """Search, training only runs that are not stored; yield all trials after each generation.
 
     Args:
         task: the search with its budget.
-        store: the results folder, whose record is written as it goes.
+        store: the results folder, whose log is written as it goes.
         train: trains the missing runs of a plan.
+        say: tells the user of a log that was repaired or set aside.
 
     Raises:
         UserError: before anything is trained, for a search that cannot be run here.
@@ -60,40 +77,122 @@ def run_search(task: Task, store: Store, train: Train) -> Iterator[list[EndedTri
     with run_lock(store.root / "searches" / f".{search.label}") as mine:
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
-        trials: list[EndedTrial] = []
-        save_record(store, task, trials)
-        for generation in conduct(task, train, Outcomes(task, store)):
+        log, trials = _open_log(store, task, say), []
+        for generation in conduct(task, train, Outcomes(task, store), log):
             trials += generation
-            save_record(store, task, trials)
             yield trials
 
 
-# --- The record ------------------------------------------------------------------------------------
+# --- Writing ---------------------------------------------------------------------------------------
 
 
-def record_path(store: Store, name: str) -> Path:
-    return store.root / "searches" / f"{name}.json"
+def log_path(store: Store, label: str) -> Path:
+    return store.root / "searches" / f"{label}.log"
 
 
-def save_record(store: Store, task: Task, trials: Sequence[EndedTrial]) -> None:
-    """Write a search's record. While a stopped search is replayed, later trials of the record are kept."""
-    path = record_path(store, task.search.label)
-    documents, asked = [trial_document(trial, task.search) for trial in trials], task.budget.trials
-    recorded = read_sealed(path)
-    if recorded and recorded.get("digest") == task.digest:
-        before = recorded["trials"]
-        if len(before) >= len(documents) and to_json(before[: len(documents)]) == to_json(documents):
-            documents, asked = before, max(asked, len(before))
-    document = {
+class JournalLog(Log):
+    """The log of a search that is being run. Only the process that holds the search's lock may use it."""
+
+    def __init__(self, path: Path, task: Task) -> None:
+        self._task, about = task, _about(task)
+        self._storage = JournalStorage(JournalFileBackend(str(path)))
+        if not self._storage.get_all_studies():
+            create_study(task.search, storage=self._storage)
+        self._study = optuna.load_study(study_name=task.search.name, storage=self._storage)
+        known = self._study.user_attrs.get(ABOUT, {})
+        if known.get("trials_asked", 0) < task.budget.trials:
+            self._study.set_user_attr(ABOUT, about)
+        self._noted = {trial.number: trial for trial in self._study.get_trials()}
+        self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
+
+    def begin(self, trial: PendingTrial) -> None:
+        number, params = trial.trial.number, dict(trial.params)
+        if noted := self._noted.get(number):
+            if noted.params != params:
+                raise UserError(
+                    f"trial {number} of the log of search {self._task.search.name} is not what the search "
+                    "suggests; move the log away, and no run is trained twice"
+                )
+            return
+        attributes: dict[str, Any] = {"seeds": [*self._task.budget.seeds], "run_ids": []}
+        if trial.cells:
+            ids = [cell.run_id for cell in trial.cells]
+            attributes |= {"run_ids": ids, "config_id": config_id(trial.cells[0].run)}
+        template = create_trial(
+            state=TrialState.RUNNING,
+            params=params,
+            distributions=distributions(self._task.search.space, params),
+            user_attrs=attributes,
+        )
+        self._storage.create_new_trial(self._study._study_id, template_trial=template)
+
+    def report(self, number: int, step: int, value: float) -> None:
+        self._storage.set_trial_intermediate_value(self._id(number), step, value)
+
+    def end(self, trial: EndedTrial) -> None:
+        if trial.note:
+            self._storage.set_trial_user_attr(self._id(trial.number), "note", trial.note)
+        values = trial.values or None
+        self._storage.set_trial_state_values(self._id(trial.number), STATES[trial.state], values)
+
+    def _id(self, number: int) -> int:
+        return self._storage.get_trial_id_from_study_id_trial_number(self._study._study_id, number)
+
+
+def _about(task: Task) -> dict[str, Any]:
+    about = {
         "search": task.search.name,
         "file": task.search.file,
         "set": task.over,
         "digest": task.digest,
         "identity": task.identity,
-        "trials_asked": asked,
-        "trials": documents,
+        "trials_asked": task.budget.trials,
     }
-    store.write(path, seal(document))
+    document: dict[str, Any] = json.loads(to_json(about))
+    return document
+
+
+def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLog:
+    """Open the log of a search: repair its last line, and set aside the log of an earlier search.
+
+    Raises:
+        UserError: for a log that cannot be read, whose trials do not fit, or that a link leads to.
+    """
+    path = log_path(store, task.search.label)
+    if path.is_symlink():
+        raise UserError(f"{path}: is a link; remove it")
+    if path.exists():
+        data = read_whole(path, LARGEST_LOG)
+        torn = len(data) - data.rfind(b"\n") - 1
+        if torn:
+            os.truncate(path, len(data) - torn)
+            say(f"{path}: its last line was cut off, and is left out")
+        about = _read_study(path, task.search).user_attrs.get(ABOUT) if len(data) > torn else None
+        if about and about.get("digest") != task.digest:
+            changed = ", ".join(_changed(about.get("identity"), task)) or "files"
+            aside = path.with_name(f"{path.stem}.{_digest(about)}.log")
+            os.replace(path, aside)
+            say(f"the search so far had other {changed}: its log is now {aside}; its runs stay")
+            before = path.with_name(f"{path.stem}.{task.digest}.log")
+            if before.is_file() and not before.is_symlink():
+                os.replace(before, path)
+                _read_study(path, task.search)
+    try:
+        return JournalLog(path, task)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise _damaged(path) from None
+
+
+def _digest(about: Mapping[str, Any]) -> str:
+    digest = str(about.get("digest"))
+    return digest if digest.isalnum() and len(digest) <= 64 else "earlier"
+
+
+def _damaged(path: Path) -> UserError:
+    return UserError(f"{path}: damaged; move it away, and `pneuma search run` trains nothing twice")
+
+
+# --- Reading ---------------------------------------------------------------------------------------
 
 
 def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
@@ -105,10 +204,10 @@ def read_record(store: Store, name: str, world: str | None = None) -> RecordedSe
         world: of `pneuma.worlds.WORLDS`; default: the arena.
 
     Raises:
-        UserError: when it was never run here, its record is damaged, or its file has changed.
+        UserError: when it was never run here, its log is damaged, or its file has changed.
     """
     search = load_search(name, world)
-    path = record_path(store, search.label)
+    path = log_path(store, search.label)
     if path.exists():
         return _read(path, search)
     raise UserError(
@@ -117,14 +216,84 @@ def read_record(store: Store, name: str, world: str | None = None) -> RecordedSe
     )
 
 
-def replaced_note(store: Store, task: Task) -> str:
-    """Return a note on the record that a search is about to replace; empty if there is none."""
-    recorded = read_sealed(record_path(store, task.search.label)) or {}
-    if recorded.get("digest") == task.digest or not recorded.get("trials"):
-        return ""
-    changed = ", ".join(_changed(recorded.get("identity"), task)) or "files"
-    trials = counted(len(recorded["trials"]), "trial")
-    return f"the {trials} so far had other {changed}, and leave the record; their runs stay"
+class _Lines(BaseJournalBackend):
+    """A log that is only read: whole lines of JSON, without a last one that is cut off."""
+
+    def __init__(self, data: bytes) -> None:
+        self._logs = [parse_json(line) for line in data[: data.rfind(b"\n") + 1].splitlines()]
+
+    def read_logs(self, log_number_from: int) -> Iterator[dict[str, Any]]:
+        return iter(self._logs[log_number_from:])
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        raise PermissionError("this log is only read")
+
+
+def _read_study(path: Path, search: Search) -> optuna.Study:
+    """Return the study of a search in a log, which may be untrusted.
+
+    Raises:
+        UserError: for a log that is damaged or of another study.
+    """
+    try:
+        storage = JournalStorage(_Lines(read_whole(path, LARGEST_LOG)))
+        names = [study.study_name for study in storage.get_all_studies()]
+        if search.name in names:
+            return optuna.load_study(study_name=search.name, storage=storage)
+    except Exception:  # a line of JSON may be any operation, on anything
+        raise _damaged(path) from None
+    raise UserError(f"{path}: holds {', '.join(names) or 'no study'}, not search {search.name}; move it away")
+
+
+def _read(path: Path, search: Search) -> RecordedSearch:
+    """Return a search from its log, which may be untrusted, and its file."""
+    study = _read_study(path, search)
+    try:
+        about = study.user_attrs[ABOUT]
+        over = read_fields(Run, about["set"])
+        identity = about["identity"]
+        budget = Budget(trials=about["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
+        search = search.with_settings(over)
+        task = Task(search, budget, over)
+        if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
+            raise UserError(
+                f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
+            )
+        return RecordedSearch(task, tuple(_ended(study.get_trials(deepcopy=False), search)))
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise _damaged(path) from None
+
+
+def _changed(identity: object, task: Task) -> list[str]:
+    recorded = identity if isinstance(identity, dict) else {}
+    return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
+
+
+def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTrial]:
+    """Return the trials that have ended, up to the first that has not.
+
+    Raises:
+        ValueError: for parameters or values that do not fit the search.
+    """
+    names, ended = {state: name for name, state in STATES.items()}, []
+    for trial in sorted(trials, key=lambda each: int(each.number)):
+        if trial.state not in names:
+            break
+        for name, distribution in distributions(search.space, trial.params).items():
+            check_distribution_compatibility(distribution, trial.distributions[name])
+        ended.append(
+            EndedTrial(
+                number=trial.number,
+                params=trial.params,
+                state=names[trial.state],
+                values=tuple(map(float, trial.values or ())),
+                run_ids=tuple(map(str, trial.user_attrs["run_ids"])),
+                reports={int(step): float(value) for step, value in trial.intermediate_values.items()},
+                note=str(trial.user_attrs.get("note", "")),
+            )
+        )
+    ended_study(ended, search)  # refuses values that do not fit the search
+    return ended
 
 
 def trial_document(trial: EndedTrial, search: Search) -> dict[str, Any]:
@@ -137,48 +306,6 @@ def trial_document(trial: EndedTrial, search: Search) -> dict[str, Any]:
         **(one if len(search.objectives) == 1 else {"values": values}),
         "state": trial.state,
         "run_ids": list(trial.run_ids),
-        "rungs": {str(step): value if math.isfinite(value) else None for step, value in trial.rungs.items()},
+        "reports": {str(step): value for step, value in trial.reports.items()},
         "note": trial.note,
     }
-
-
-def _changed(identity: object, task: Task) -> list[str]:
-    recorded = identity if isinstance(identity, dict) else {}
-    return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
-
-
-def _read(path: Path, search: Search) -> RecordedSearch:
-    """Return a search from its record, which may be untrusted, and its file."""
-    document = read_sealed(path) or {}
-    try:
-        over = read_fields(Run, document["set"])
-        identity = document["identity"]
-        budget = Budget(trials=document["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
-        search = search.with_settings(over)
-        task = Task(search, budget, over)
-        if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
-            raise UserError(
-                f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
-            )
-        searched = RecordedSearch(
-            task, tuple(_read_trial(i, row) for i, row in enumerate(document["trials"]))
-        )
-        ended_study(searched.trials, search)  # refuses parameters and values that do not fit the search
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        raise UserError(
-            f"{path}: damaged; without it `pneuma search run` writes it anew, and trains nothing twice"
-        ) from None
-    return searched
-
-
-def _read_trial(number: int, entry: Mapping[str, Any]) -> EndedTrial:
-    values = entry["values"] if "values" in entry else [entry["value"]]
-    return EndedTrial(
-        number=number,
-        params=entry["params"],
-        state=str(entry["state"]),
-        values=tuple(float(value) for value in values or () if value is not None),
-        run_ids=tuple(map(str, entry["run_ids"])),
-        rungs={int(k): math.nan if value is None else float(value) for k, value in entry["rungs"].items()},
-        note=str(entry["note"]),
-    )

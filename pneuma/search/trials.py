@@ -1,8 +1,8 @@
 """The loop of a search: generations of trials are suggested together, trained, and reported in order.
 
 A search is a function of its file, its budget and the outcomes of its runs. Every call replays it from the
-first trial: stored runs are read, the others are trained. So after a kill it continues with the same
-suggestions, and needs no state that a kill could damage.
+first trial: trials that have ended are taken from the log, the others are trained. So after a kill it goes on
+with the same suggestions.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,21 +19,19 @@ import optuna
 
 from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields, make_run
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, as_fields
+from pneuma.engines.loop import EVALUATIONS, evaluation_step
 from pneuma.errors import UserError
-from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
-from pneuma.search.spec import OVER_SEEDS, Budget, Median, Objective, Pruner, Search
+from pneuma.search.optuna_study import STATES, ask, create_study, ended_study, pauses
+from pneuma.search.spec import OVER_SEEDS, Budget, Objective, Search
 from pneuma.study.identity import contents, run_id
-from pneuma.study.measure import stored_row
+from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
-RUNG_FACTOR = 3
-"""By which a rung is longer than the one before; the usual one of successive halving (Li et al. 2018)."""
-
-Train = Callable[[Plan], None]
-"""Trains a plan's missing runs; raises `Unfinished` if a run did not finish."""
+Train = Callable[[Plan, Mapping[str, int]], None]
+"""Trains runs of a plan, by id, up to a step each, or to the end if that is 0; raises `Unfinished`."""
 
 
 class Unfinished(Exception):
@@ -90,9 +89,9 @@ class EndedTrial:
         number: from 0, in the order of suggestion.
         params: the suggested values.
         state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
-        values: one for each objective; for a pruned trial, those at its last rung.
-        run_ids: of its runs, those at its rungs first.
-        rungs: the value by which it was compared at each rung; NaN if it had none.
+        values: one for each objective; for a pruned trial, its last report.
+        run_ids: of its runs.
+        reports: what its pruner saw: values by evaluation, counted from 1, or by seed, counted from 0.
         note: why it failed, or that one of its runs diverged.
     """
 
@@ -101,22 +100,43 @@ class EndedTrial:
     state: str
     values: tuple[float, ...]
     run_ids: tuple[str, ...]
-    rungs: Mapping[int, float]
+    reports: Mapping[int, float]
     note: str = ""
+
+
+class Log:
+    """Where a search notes its trials while it goes; this one notes nothing.
+
+    Attributes:
+        ended: trials that ended before, by number.
+    """
+
+    ended: Mapping[int, EndedTrial] = {}
+
+    def begin(self, trial: PendingTrial) -> None:
+        """Note a trial that was asked for.
+
+        Raises:
+            UserError: if another was noted by this number.
+        """
+
+    def report(self, number: int, step: int, value: float) -> None:
+        """Note a value by which a trial is compared."""
+
+    def end(self, trial: EndedTrial) -> None:
+        """Note that a trial has ended."""
 
 
 @dataclass
-class _PendingTrial:
-    """A trial that has not ended; `longest` are the cells of its longest training."""
+class PendingTrial:
+    """A trial that has not ended, with its runs."""
 
     trial: optuna.Trial
     params: Mapping[str, Any]
-    run: Run | None = None
+    cells: Sequence[Cell] = ()
     note: str = ""
     pruned: bool = False
-    cells: list[Cell] = field(default_factory=list)
-    longest: list[Cell] = field(default_factory=list)
-    rungs: dict[int, float] = field(default_factory=dict)
+    reports: dict[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -141,57 +161,106 @@ class Outcomes:
             if np.isfinite(worst):
                 return float(worst)
         run = FinishedRun(cell.condition, cell.seed, stored_row(self.store, cell.run_id))
-        title = self.task.search.title
-        data = StudyData(title, title, title, cell.condition, {cell.condition: as_fields(cell.run)}, [run])
-        return outcome(data, run, name)
+        return outcome(self._data(run, cell), run, name)
+
+    def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
+        """Return an outcome as it is at steps before the run's end, in their order; NaN if there is none."""
+        if self.diverged(cell):
+            return [self.read(cell, name)] * len(steps)
+        row = row_until(self.store, cell.run_id, cell.run, steps[-1])
+        run = FinishedRun(cell.condition, cell.seed, row)
+        return [outcome(self._data(run, cell), run, name, step) for step in steps]
 
     def diverged(self, cell: Cell) -> bool:
         return self.store.status(cell.run_id).name == "diverged"
 
+    def _data(self, run: FinishedRun, cell: Cell) -> StudyData:
+        title = self.task.search.title
+        return StudyData(title, title, title, cell.condition, {cell.condition: as_fields(cell.run)}, [run])
 
-def conduct(task: Task, train: Train, outcomes: Outcomes) -> Iterator[list[EndedTrial]]:
+
+@dataclass(frozen=True)
+class Round:
+    """A part of the training of a generation, after which its trials are compared.
+
+    Attributes:
+        seeds: which are trained.
+        reports: what is reported then: evaluations, counted from 1, or the place of a seed.
+        pause: the evaluation up to which is trained; the last is the end.
+    """
+
+    seeds: tuple[int, ...]
+    reports: range
+    pause: int = EVALUATIONS
+
+
+def rounds(task: Task) -> list[Round]:
+    """Return the rounds of each generation: between its pruner's evaluations, or seed by seed."""
+    seeds = task.budget.seeds
+    if task.search.spec.pruner.name == BY_SEED:
+        return [Round((seed,), range(i, i + 1)) for i, seed in enumerate(seeds)]
+    ends = [0, *pauses(task.search), EVALUATIONS]
+    return [Round(seeds, range(start + 1, end + 1), end) for start, end in pairwise(ends)]
+
+
+BY_SEED = "wilcoxon"
+"""The pruner that compares trials seed by seed, each trained to its end."""
+
+
+def conduct(
+    task: Task, train: Train, outcomes: Outcomes, log: Log | None = None
+) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
     Args:
         task: the search and its budget.
-        train: trains the runs of a plan that are not stored.
+        train: trains runs that are not stored.
         outcomes: reads the outcomes of the runs.
+        log: knows the trials that ended before, and notes the others.
 
     Raises:
         Unfinished: when a run crashed.
+        UserError: when the log has other trials than the search suggests.
     """
-    search, budget = task.search, task.budget
-    rungs, first_trials = rung_steps(search.spec.pruner, budget), search.first_trials
-    study = create_study(search)
+    search, budget, log = task.search, task.budget, log or Log()
+    study, first_trials = create_study(search), search.first_trials
     trained: list[Cell] = []
 
     for first in range(0, budget.trials, search.spec.generation):
-        asked = [_PendingTrial(*ask(study, search, first_trials)) for _ in range(search.spec.generation)]
+        asked = [PendingTrial(*ask(study, search, first_trials)) for _ in range(search.spec.generation)]
         asked = asked[: budget.trials - first]
         for each in asked:
             try:
-                each.run = search.space.make_run(each.params, steps=budget.steps)
+                each.cells = _cells(task, each)
             except UserError as error:
                 each.note = str(error)
-        for rung, steps in rungs.items():
-            _train_rung(task, steps, asked, trained, train)
-            if len(rungs) > 1:
-                _report(search.objectives[0], rung, asked, outcomes)
-                if isinstance(search.spec.pruner, Median) and rung < len(rungs):
-                    _prune(study, search, rung, search.spec.pruner.startup_trials, asked)
-        yield [_tell(study, search.objectives, each, outcomes) for each in asked]
+            log.begin(each)
+            trained += each.cells
+        for part in (parts := rounds(task)):
+            pending = [each for each in asked if each.cells and not each.pruned]
+            if until := _to_train(part, [each for each in pending if each.trial.number not in log.ended]):
+                train(make_trial_plan(task, trained), until)
+            for each in pending:
+                _report(task, part, each, outcomes, log)
+                each.pruned = part is not parts[-1] and each.trial.should_prune()
+        yield [_tell(study, search.objectives, each, outcomes, log) for each in asked]
 
 
-def rung_steps(pruner: Pruner, budget: Budget) -> dict[int, int]:
-    """Return the steps of the trainings after which trials are compared, by rung from 1 on.
+def _cells(task: Task, asked: PendingTrial) -> list[Cell]:
+    run = task.search.space.make_run(asked.params, steps=task.budget.steps)
+    name = f"trial-{asked.trial.number:03}"
+    runs = [replace(run, seed=seed) for seed in task.budget.seeds]
+    return [Cell(name, one.seed, one, run_id(one)) for one in runs]
 
-    Each rung is a separate training with all seeds, as a run's steps are part of its id. So the first are
-    short: of three rungs 1/9 and 1/3 of the budget. The last has the whole budget.
-    """
-    if not isinstance(pruner, Median):
-        return {1: budget.steps}
-    rungs = range(1, pruner.rungs + 1)
-    return {rung: max(1, round(budget.steps / RUNG_FACTOR ** (pruner.rungs - rung))) for rung in rungs}
+
+def _to_train(part: Round, pending: Sequence[PendingTrial]) -> dict[str, int]:
+    """Return the runs of a round, by id, with the step up to which they are trained; 0 is the end."""
+    return {
+        cell.run_id: evaluation_step(cell.run, part.pause) if part.pause < EVALUATIONS else 0
+        for each in pending
+        for cell in each.cells
+        if cell.seed in part.seeds
+    }
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
@@ -212,65 +281,61 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
 
 
-def _train_rung(
-    task: Task, steps: int, asked: list[_PendingTrial], trained: list[Cell], train: Train
-) -> None:
-    """Train all remaining trials for so many steps; `trained` receives their cells."""
-    for each in asked:
-        if each.run is None or each.pruned:
-            continue
-        run = make_run({**as_fields(each.run), "steps": steps})
-        whole = run.steps == each.run.steps
-        name = f"trial-{each.trial.number:03}" + ("" if whole else f" at {run.steps}")
-        runs = [replace(run, seed=seed) for seed in task.budget.seeds]
-        each.longest = [Cell(name, one.seed, one, run_id(one)) for one in runs]
-        cells = [cell for cell in each.longest if cell not in each.cells]  # two rungs round up to one budget
-        each.cells += cells
-        trained += cells
-    if trained:
-        train(make_trial_plan(task, trained))
+def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: Log) -> None:
+    """Report a trial's values in the first objective, if it is the only one and they are finite."""
+    sought, known = task.search.objectives[0], log.ended.get(asked.trial.number)
+    if len(task.search.objectives) > 1:
+        return
+    if known:
+        found = {step: known.reports[step] for step in part.reports if step in known.reports}
+    else:
+        found = dict(zip(part.reports, _values(sought, part, asked.cells, outcomes), strict=True))
+    for step, value in found.items():
+        if np.isfinite(value):
+            asked.reports[step] = value
+            asked.trial.report(value, step)
+            if not known:
+                log.report(asked.trial.number, step, value)
 
 
-def _report(sought: Objective, rung: int, asked: list[_PendingTrial], outcomes: Outcomes) -> None:
-    """Report the value at a rung of each trial that was trained to it."""
-    for each in asked:
-        if each.run is not None and not each.pruned:
-            each.rungs[rung] = value = objective_value(sought, each.longest, outcomes)
-            if np.isfinite(value):
-                each.trial.report(value, rung)
-
-
-def _prune(study: Any, search: Search, rung: int, enough: int, asked: list[_PendingTrial]) -> None:
-    """Stop trials below the median of the earlier generations' trials at the same rung.
-
-    Optuna's pruner takes the median of the trials that were never stopped, which rises and rises.
-    """
-    values = [trial.intermediate_values.get(rung, np.nan) for trial in study.get_trials(deepcopy=False)]
-    before = np.array(values[: asked[0].trial.number])
-    before = before[np.isfinite(before)]
-    if len(before) >= enough:
-        sign = 1 if search.objectives[0].direction == "maximize" else -1
-        for each in asked:
-            each.pruned |= rung in each.rungs and sign * each.rungs[rung] < sign * np.median(before)
+def _values(sought: Objective, part: Round, cells: Sequence[Cell], outcomes: Outcomes) -> list[float]:
+    of_round = [cell for cell in cells if cell.seed in part.seeds]
+    if len(of_round) < len(cells):
+        return [outcomes.read(cell, sought.outcome) for cell in of_round]
+    steps = [evaluation_step(cells[0].run, number) for number in part.reports]
+    each = np.array([outcomes.read_early(cell, sought.outcome, steps) for cell in of_round])
+    return [over_seeds(sought.over_seeds, column) for column in each.T]
 
 
 def _tell(
-    study: optuna.Study, objectives: Sequence[Objective], asked: _PendingTrial, outcomes: Outcomes
+    study: optuna.Study, objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcomes, log: Log
 ) -> EndedTrial:
-    values = tuple(
-        objective_value(objective, asked.longest, outcomes) for objective in objectives if asked.cells
-    )
+    number = asked.trial.number
+    ended = log.ended.get(number) or _end(objectives, asked, outcomes)
+    if (ended.state == "pruned") != asked.pruned:
+        raise UserError(f"trial {number} of the log ended otherwise than this search would end it")
+    study.tell(asked.trial, list(ended.values) if ended.state == "complete" else None, STATES[ended.state])
+    if number not in log.ended:
+        log.end(ended)
+    return ended
+
+
+def _end(objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcomes) -> EndedTrial:
+    run_ids = tuple(cell.run_id for cell in asked.cells)
+    if asked.pruned:
+        last = asked.reports[max(asked.reports)]
+        return EndedTrial(asked.trial.number, asked.params, "pruned", (last,), run_ids, asked.reports)
+    values = tuple(objective_value(each, asked.cells, outcomes) for each in objectives if run_ids)
     lacking = [
         each.outcome for each, value in zip(objectives, values, strict=False) if not np.isfinite(value)
     ]
-    state = "failed" if lacking or not values else "pruned" if asked.pruned else "complete"
-    study.tell(asked.trial, list(values) if state == "complete" else None, STATES[state])
+    state = "failed" if lacking or not values else "complete"
     notes = [asked.note, *(f"a run has no {name}, or none that is finite" for name in lacking)]
     if count := sum(map(outcomes.diverged, asked.cells)):
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
-    run_ids = tuple(cell.run_id for cell in asked.cells)
     note = "; ".join(filter(None, notes))
-    return EndedTrial(asked.trial.number, asked.params, state, values, run_ids, asked.rungs, note)
+    finite = values if state == "complete" else ()
+    return EndedTrial(asked.trial.number, asked.params, state, finite, run_ids, asked.reports, note)
 
 
 def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int] | None:

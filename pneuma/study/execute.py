@@ -45,8 +45,16 @@ MOST_IN_GROUP = 8
 """Most runs per worker process. They are locked for other commands until the process ends."""
 
 
-def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[str, Run], list[str]]:
+def prepare(
+    plan: Plan, store: Store, retry_failed: bool = False, until: Mapping[str, int] | None = None
+) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
+
+    Args:
+        plan: the plan.
+        store: the results folder.
+        retry_failed: whether runs that failed are trained again.
+        until: the only runs to train, with the step that each is to reach, or 0 for its end.
 
     Raises:
         UserError: before anything is written, if an environment cannot be made or the results folder cannot
@@ -54,6 +62,12 @@ def prepare(plan: Plan, store: Store, retry_failed: bool = False) -> tuple[dict[
     """
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
+    if until is not None:
+        todo = {
+            name: run
+            for name, run in todo.items()
+            if name in until and not 0 < until[name] <= statuses[name].step
+        }
     check_environments(todo.values())
     store.check_writable()
     for name, run in todo.items():

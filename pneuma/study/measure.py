@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from pneuma.config import make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.files import parse_json
 from pneuma.study import identity
+from pneuma.study.checkpoints import TABLES, checkpoint_files, read_checkpoint, table_files
 from pneuma.study.identity import own_names, run_id
 from pneuma.study.quantities import (
     ACTION_QUANTITIES,
@@ -198,6 +200,29 @@ def stored_row(store: Store, name: str) -> Row:
     with suppress(UserError):  # a folder that cannot be written is still read
         store.save_row(name, data, known or Identity(cells["config_id"], cells["seed"], cells["steps"]))
     return decode_row(data)
+
+
+def row_until(store: Store, name: str, run: Run, step: int) -> Row:
+    """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint.
+
+    Raises:
+        UserError: when its files are missing or make no sense, or it has not been trained so far.
+    """
+    if store.status(name, quick=True).finished:
+        files = {table: store.read_file(name, f"{table}.parquet") for table in TABLES}
+    else:
+        read = next(filter(None, map(read_checkpoint, checkpoint_files(store.run_folder(name)))), None)
+        if read is None or read[0].step < step:
+            raise UserError(
+                f"{store.run_folder(name)}: has no sound checkpoint at step {step:,}; search again"
+            )
+        files = table_files(read[0].records)
+    tables = {table: record_table(data, table) for table, data in files.items()}
+    tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
+    fields = as_fields(run)
+    found = series_of_records(fields, tables)
+    measured = Measured(name, identity.config_id(run), fields, "done", step, provenance={}, **found)
+    return decode_row(encode_row(row_cells(measured)))
 
 
 def cells_of_files(name: str, config_id: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:

@@ -162,6 +162,9 @@ def _train_once(
     """Train a run, from its latest checkpoint if there is one, and store its end."""
     start = checkpoints.latest()
     first = start.step if start else 0
+    until = job.how.until.get(name) or run.steps
+    if until <= first < run.steps:
+        return reporter.end(name, Status("stopped", first))
     attempt = Attempt(first)
     log = None
     if name in job.how.logs:
@@ -173,7 +176,7 @@ def _train_once(
     def update(progress: Progress) -> bool:
         attempt.update(progress.step)
         reporter.step(name, progress.step)
-        stopping = stop.is_set()
+        stopping = stop.is_set() or until <= progress.step < run.steps
         if log:
             with suppress(OSError):  # a full disk: training goes on
                 log.update(progress)

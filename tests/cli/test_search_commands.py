@@ -96,7 +96,7 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
     path, results = searched[0], tmp_path / "results"
     shutil.copytree(searched[1] / "runs", results / "runs")
 
-    def train(planned: Plan, **_: object) -> None:
+    def train(planned: Plan, until: object, **_: object) -> None:
         if "trial-002" in planned.conditions:
             raise stop
 
@@ -126,3 +126,24 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     assert again["diverged"] == {"small": 0, "small-tuned": 1}
     # one of two counts with all monsters killed, the worst that is sought here
     assert gained["fresh"] < 0.5 <= again["winners"][0]["objectives"]["killed"]["fresh"]
+
+
+def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(tmp_path: Path) -> None:
+    """And those of the others, which paused there, report what they are evaluated at in the end."""
+    path, results = tmp_path / "pruned.toml", tmp_path / "results"
+    pruner = '[pruner]\nname = "median"\nn_startup_trials = 1\nn_warmup_steps = 10\ninterval_steps = 10\n'
+    text = SEARCH.replace("steps = 128", "steps = 1280").replace("trials = 4", "trials = 8")
+    path.write_text(text.replace('direction = "minimize"', "") + pruner)
+    trials = described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"]
+    store = Store(results)
+    states = {trial["state"] for trial in trials}
+    assert states == {"complete", "pruned"}
+    for trial in trials:
+        status = store.status(trial["run_ids"][0])
+        assert (status.name, status.step) == (
+            ("partial", 640) if trial["state"] == "pruned" else ("done", 1280)
+        )
+        assert [*trial["reports"]] == [str(k) for k in range(1, 11 if status.step == 640 else 21)]
+        if trial["state"] == "complete":
+            assert trial["reports"]["20"] == trial["value"]
+    assert described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"] == trials

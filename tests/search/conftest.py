@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.trials import EndedTrial, Outcomes, Task, conduct
+from pneuma.search.trials import EndedTrial, Log, Outcomes, Task, conduct
 from pneuma.study.plan import Cell, Plan
 
 SPACE = """
@@ -61,15 +61,31 @@ class Formula(Outcomes):
         """Return what the formula says."""
         return self._read(cell, name)
 
+    def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
+        """Return a curve that rises evenly to what the formula says at the end."""
+        return [self.read(cell, name) * step / cell.run.steps for step in steps]
+
     def diverged(self, cell: Cell) -> bool:
         """Return the same of every run."""
         return self._diverged
 
 
-def solve(task: Task, plans: list[Plan] | None = None, outcomes: Formula | None = None) -> list[EndedTrial]:
-    """Conduct a task on the formula and return its trials; `plans` gets what would be trained."""
-    train = (lambda plan: None) if plans is None else plans.append
-    return [told for generation in conduct(task, train, outcomes or Formula()) for told in generation]
+def solve(
+    task: Task,
+    plans: list[Plan] | None = None,
+    outcomes: Formula | None = None,
+    log: Log | None = None,
+    asked: list[Mapping[str, int]] | None = None,
+) -> list[EndedTrial]:
+    """Conduct a task on the formula and return its trials; lists get what would be trained, and how far."""
+
+    def train(plan: Plan, until: Mapping[str, int]) -> None:
+        if plans is not None:
+            plans.append(plan)
+        if asked is not None:
+            asked.append(until)
+
+    return [ended for group in conduct(task, train, outcomes or Formula(), log) for ended in group]
 
 
 @pytest.fixture

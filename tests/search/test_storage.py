@@ -1,30 +1,83 @@
-"""The record of a search: what a replay keeps, and what is not read."""
+"""The log of a search: what Optuna finds in it, what a stopped search goes on with, and what is not read."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
+import optuna
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 
 from pneuma.errors import UserError
-from pneuma.search.storage import RecordedSearch, read_record, save_record
+from pneuma.search import storage
+from pneuma.search.storage import RecordedSearch, log_path, read_record, run_search
 from pneuma.search.trials import EndedTrial, Task
+from pneuma.study.plan import Plan
 from pneuma.study.store import Store
 
-from .conftest import MakeTask, solve
+from .conftest import Formula, MakeTask, solve
+
+MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
 
 
-def save(store: Store, task: Task, told: list[EndedTrial]) -> RecordedSearch:
-    save_record(store, task, told)
-    return read_record(store, task.search.file, "text")
+@pytest.fixture(autouse=True)
+def _formula(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "Outcomes", lambda *_: Formula())
+
+
+class Killed(Exception):
+    """The process ends."""
+
+
+def search(task: Task, store: Store, most: int = 99) -> tuple[list[EndedTrial], list[str]]:
+    """Run a search, which is killed when it trains once more than `most`; return its trials and notes."""
+    ended: list[EndedTrial] = []
+    notes: list[str] = []
+    trained = 0
+
+    def train(plan: Plan, until: Mapping[str, int]) -> None:
+        nonlocal trained
+        trained += 1
+        if trained > most:
+            raise Killed
+
+    try:
+        for group in run_search(task, store, train, notes.append):
+            ended = group
+    except Killed:
+        pass
+    return ended, notes
+
+
+def load(path: Path, name: str = "formula") -> optuna.Study:
+    return optuna.load_study(study_name=name, storage=JournalStorage(JournalFileBackend(str(path))))
+
+
+def test_optuna_opens_the_log(make_task: MakeTask, store: Store) -> None:
+    task = make_task(8, more=MEDIAN)
+    told, _ = search(task, store)
+    study = load(log_path(store, task.search.label))
+    states = {"complete": "COMPLETE", "pruned": "PRUNED", "failed": "FAIL"}
+    assert [trial.state.name for trial in study.trials] == [states[each.state] for each in told]
+    for trial, each in zip(study.trials, told, strict=True):
+        assert (trial.params, trial.value) == (each.params, each.values[0])
+        assert trial.intermediate_values == each.reports
+        assert tuple(trial.user_attrs["run_ids"]) == each.run_ids
+        assert trial.user_attrs["seeds"] == [1000, 1001]
+    assert study.best_trial.number == RecordedSearch(task, tuple(told)).best
 
 
 def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) -> None:
     when = '[space.gamma]\nlow = 0.8\nhigh = 0.9\nwhen = { betas = [[0.9, 0.9]], activation = "relu" }\n'
-    task = make_task(8, more='[pruner]\nname = "median"\n' + when, start='start = ["table-6-1"]')
+    task = make_task(8, more=MEDIAN + when, start='start = ["table-6-1"]')
     over = {"betas": (0.9, 0.95)}
     task = replace(task, search=task.search.with_settings(over), over=over)
-    assert save(store, task, solve(task)) == RecordedSearch(task, tuple(solve(task)))
+    search(task, store)
+    assert read_record(store, task.search.file, "text") == RecordedSearch(task, tuple(solve(task)))
     file = make_task(8).search.file  # writes it anew
     with pytest.raises(UserError, match="the search had other .*space.* than its file has now"):
         read_record(store, file, "text")
@@ -32,8 +85,70 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
         read_record(store, file)
 
 
-def test_a_replay_loses_nothing(make_task: MakeTask, store: Store) -> None:
-    told = solve(make_task(8))
-    whole = save(store, make_task(8), told)
-    assert [save(store, make_task(8), told[:count]) for count in (0, 4)] == [whole] * 2
-    assert save(store, make_task(4), told[:4]) == whole
+@pytest.mark.parametrize("most", range(0, 12, 2))
+def test_a_search_that_is_killed_ends_with_the_same_trials(
+    make_task: MakeTask, store: Store, most: int
+) -> None:
+    """Killed between any of its rounds, and its log cut off within a line."""
+    task = make_task(12, more=MEDIAN)
+    search(task, store, most)
+    path = log_path(store, task.search.label)
+    path.write_bytes(path.read_bytes()[:-7])
+    assert read_record(store, task.search.file, "text").task == task
+    told, notes = search(task, store)
+    assert told == solve(task) and ["cut off" in note for note in notes] == [True]
+    assert read_record(store, task.search.file, "text") == RecordedSearch(task, tuple(told))
+
+
+def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
+    make_task: MakeTask, store: Store
+) -> None:
+    told, _ = search(make_task(8), store)
+    assert search(make_task(8), store, most=0)[0] == told
+    longer, notes = search(make_task(12), store, most=1)
+    assert longer[:8] == told and len(longer) == 12 and not notes
+    assert search(make_task(4), store, most=0)[0] == told[:4]
+    assert len(read_record(store, make_task().search.file, "text").trials) == 12
+
+
+def test_another_budget_sets_the_log_aside_and_finds_it_again(make_task: MakeTask, store: Store) -> None:
+    told, _ = search(make_task(8), store)
+    other = replace(make_task(8), budget=make_task(8).budget.model_copy(update={"steps": 4096}))
+    _, (note,) = search(other, store)
+    assert "other steps" in note and "formula-text." in note
+    again, _ = search(make_task(8), store, most=0)
+    assert again == told
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ({"op_code": 99}, "damaged"),
+        ([1], "damaged"),
+        ({"op_code": 1, "worker_id": "x", "study_id": 0}, "holds no study, not search formula"),
+    ],
+)
+def test_a_log_that_makes_no_sense_is_refused_and_kept(
+    make_task: MakeTask, store: Store, line: object, told: str
+) -> None:
+    task = make_task(4)
+    search(task, store)
+    path = log_path(store, task.search.label)
+    path.write_text(path.read_text() + json.dumps(line) + "\n")
+    before = path.read_bytes()
+    for use in (lambda: read_record(store, task.search.file, "text"), lambda: search(task, store)):
+        with pytest.raises(UserError, match=told):
+            use()
+    assert path.read_bytes() == before
+
+
+def test_trials_that_others_added_are_refused(make_task: MakeTask, store: Store) -> None:
+    task = make_task(4)
+    search(task, store)
+    trial = load(log_path(store, task.search.label)).ask()  # a running trial without parameters
+    assert trial.number == 4
+    assert len(read_record(store, task.search.file, "text").trials) == 4
+    with pytest.raises(
+        UserError, match="trial 4 of the log of search formula is not what the search suggests"
+    ):
+        search(make_task(8), store)

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pneuma.search.spec import Budget, Median, NoPruner
-from pneuma.search.trials import EndedTrial, best_number, over_seeds, rung_steps
+from pneuma.config import Run
+from pneuma.engines.loop import evaluation_updates
+from pneuma.search.trials import EndedTrial, Task, best_number, over_seeds, rounds
 from pneuma.study.plan import Cell, Plan
 
 from .conftest import Formula, MakeTask, height, solve
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii"])
+@pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii", "gp", "cmaes"])
+@pytest.mark.filterwarnings("error")
 def test_a_search_is_the_same_however_often_it_is_begun_again(make_task: MakeTask, sampler: str) -> None:
+    if sampler == "cmaes":
+        pytest.importorskip("cmaes")
     more = f'[sampler]\nname = "{sampler}"'
     once, again = solve(make_task(12, more)), solve(make_task(12, more))
     assert once == again
@@ -58,37 +63,76 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
     assert [t.values for t in told] == [pytest.approx((0.0, math.sqrt(0.5)))] * 4
 
 
-def test_rungs_of_the_budget(make_task: MakeTask) -> None:
-    budget = Budget(trials=8, seeds=(0, 1, 2), steps=9000)
-    assert rung_steps(Median(name="median"), budget) == {1: 1000, 2: 3000, 3: 9000}
-    assert rung_steps(Median(name="median", rungs=2), budget) == {1: 3000, 2: 9000}
-    assert rung_steps(NoPruner(), budget) == {1: 9000}
-    # at a horizon of 256, rungs of 67 and 200 steps both are 256: one training
-    more = '[run]\nhorizon = 256\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 8'
-    task = replace(make_task(4, more), budget=Budget(trials=4, seeds=(1000, 1001), steps=200))
-    assert all(len(t.run_ids) == len({*t.run_ids}) == 2 for t in solve(task))
+def test_a_grid_is_walked_through_once(make_task: MakeTask) -> None:
+    more = '[sampler]\nname = "grid"\n[space.horizon]\nchoices = [256, 512]\n'
+    task = make_task(4, more)
+    parameters = tuple(each for each in task.search.space.parameters if each.choices)
+    task = replace(task, search=replace(task.search, space=replace(task.search.space, parameters=parameters)))
+    assert len({tuple(trial.params.items()) for trial in solve(task)}) == 4
+
+
+@pytest.mark.parametrize(
+    ("pruner", "pauses"),
+    [  # by hand, from Optuna's definitions; a run has 20 evaluations
+        ('name = "median"', [5, 10, 15]),
+        ('name = "percentile"\npercentile = 10.0\nn_warmup_steps = 4\ninterval_steps = 8', [4, 12]),
+        ('name = "successive-halving"\nmin_resource = 1\nreduction_factor = 4', [1, 4, 16]),
+        ('name = "hyperband"', [2, 6, 18]),
+    ],
+)
+def test_training_pauses_where_the_pruner_decides(
+    make_task: MakeTask, pruner: str, pauses: list[int]
+) -> None:
+    task = make_task(4, f"[run]\nhorizon = 64\n[pruner]\n{pruner}")
+    asked: list[Mapping[str, int]] = []
+    (trial, *_) = solve(task, asked=asked)
+    assert [part.pause for part in rounds(task)] == [*pauses, 20]
+    steps = [until[trial.run_ids[0]] for until in asked]
+    run = run_of(task, trial)
+    evaluated = sorted(evaluation_updates(run))  # 32 updates of 64 steps
+    assert steps == [64 * evaluated[pause - 1] for pause in pauses] + [0]
+
+
+def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
+    """By hand: those below the median of the complete trials of earlier generations, of 4 each."""
+    more = '[sampler]\nname = "random"\n[pruner]\nname = "median"\nn_warmup_steps = 10\ninterval_steps = 10'
+    told = solve(make_task(24, more + "\nn_startup_trials = 4"))
+    assert all(trial.state == "complete" and [*trial.reports] == [*range(1, 21)] for trial in told[:4])
+    for place, trial in enumerate(told[4:], 4):
+        before = [each for each in told[: place // 4 * 4] if each.state == "complete"]
+        best = max(trial.reports[step] for step in range(1, 11))
+        median = np.median([each.reports[10] for each in before])
+        assert (trial.state == "pruned") == bool(best < median)
+        if trial.state == "pruned":
+            assert [*trial.reports] == [*range(1, 11)] and trial.values == (trial.reports[10],)
 
 
 def test_a_pruned_trial_is_trained_no_further(make_task: MakeTask) -> None:
-    plans: list[Plan] = []
-    task = make_task(24, '[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 1')
-    told = solve(task, plans)
-    assert {cell.run_id for cell in plans[-1].cells} == {name for trial in told for name in trial.run_ids}
-    whole = max(len(trial.run_ids) for trial in told)
+    asked: list[Mapping[str, int]] = []
+    task = make_task(24, '[pruner]\nname = "median"\nn_startup_trials = 1')
+    told = solve(task, asked=asked)
     pruned = [trial for trial in told if trial.state == "pruned"]
-    assert pruned and all(len(trial.run_ids) < whole for trial in pruned)
+    ends = {name for until in asked for name, step in until.items() if step == 0}
+    assert pruned and ends == {name for trial in told if trial.state == "complete" for name in trial.run_ids}
     best = best_number(told, task.search)
     assert isinstance(best, int) and told[best].values[0] > max(trial.values[0] for trial in pruned)
 
 
-def test_median_gives_up_what_is_below_the_median_at_its_rung(make_task: MakeTask) -> None:
-    """By hand: of generations of 4, those below the median of all trials of earlier generations go."""
-    more = '[sampler]\nname = "random"\n[pruner]\nname = "median"\nrungs = 2\nstartup_trials = 4'
-    told = solve(make_task(16, more))
-    values = [trial.rungs[1] for trial in told]
-    assert all(trial.state == "complete" for trial in told[:4])  # nothing to compare with yet
-    for place, trial in enumerate(told[4:], 4):
-        assert (trial.state == "pruned") == (values[place] < np.median(values[: place // 4 * 4]))
+def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
+    """Of 8 seeds: a trial that is worse than the best on each of the first few is not trained on the rest."""
+    asked: list[Mapping[str, int]] = []
+    task = make_task(12, '[pruner]\nname = "wilcoxon"')
+    task = replace(task, budget=task.budget.model_copy(update={"seeds": tuple(range(1000, 1008))}))
+    told = solve(task, asked=asked)
+    pruned = [trial for trial in told if trial.state == "pruned"]
+    assert pruned and all(2 <= len(trial.reports) < 8 for trial in pruned)
+    trained = {name for until in asked for name in until}
+    for trial in pruned:
+        assert sum(name in trained for name in trial.run_ids) == len(trial.reports)
+
+
+def run_of(task: Task, trial: EndedTrial) -> Run:
+    return task.search.space.make_run(trial.params, steps=task.budget.steps)
 
 
 def test_the_best_trials_by_hand(make_task: MakeTask) -> None:

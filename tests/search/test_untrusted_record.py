@@ -12,7 +12,8 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.search.storage import read_record, save_record
+from pneuma.search.storage import JournalLog, log_path, read_record
+from pneuma.search.trials import Task
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
@@ -44,6 +45,15 @@ def test_untrusted_a_run_is_identified_by_a_modules_file_which_is_not_imported(
     assert run_id(run) != before
 
 
+def save_record(store: Store, task: Task) -> None:
+    """Write the log of a search without trials."""
+    path = log_path(store, task.search.label)
+    store.check_writable()
+    path.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
+    JournalLog(path, task)
+
+
 SAFE: dict[str, Any] = {"env": "CartPole-v1"}
 GAME = '{"env_path": "game"}'
 
@@ -66,9 +76,9 @@ def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_
     make_task: MakeTask, store: Store, of_file: dict[str, Any], of_record: dict[str, Any], deed: str
 ) -> None:
     task = make_task(more="[run]\n" + "".join(f"{key} = '{value}'\n" for key, value in of_file.items()))
-    save_record(store, task, [])
+    save_record(store, task)
     assert read_record(store, task.search.file, "text").task == task
-    save_record(store, replace(task, over=of_record), [])
+    save_record(store, replace(task, over=of_record))
     with pytest.raises(UserError, match=f"search formula would {deed}.*only its file may say so"):
         read_record(store, task.search.file, "text")
 
@@ -81,9 +91,9 @@ def test_untrusted_a_record_names_no_file_and_the_name_of_a_search_is_no_record_
     (mark.parent / "here").mkdir()
     other = mark.parent / "here" / "other.toml"
     other.write_text(Path(task.search.file).read_text() + '\n[run]\nreward = "marking.deep:own"\n')
-    save_record(store, replace(task, search=replace(task.search, file=str(other), name="unknown")), [])
+    save_record(store, replace(task, search=replace(task.search, file=str(other), name="unknown")))
     with pytest.raises(UserError, match="unknown search 'unknown'"):
         read_record(store, "unknown", "text")
-    save_record(store, replace(task, search=replace(task.search, file=str(other))), [])
+    save_record(store, replace(task, search=replace(task.search, file=str(other))))
     assert read_record(store, task.search.file, "text").task == task
     assert read_record(store, "formula", "text").task.search.space == task.search.space  # of this folder

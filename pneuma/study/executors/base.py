@@ -46,6 +46,7 @@ class Supervision:
         checkpoint_seconds: between two checkpoints of a run.
         keep_checkpoints: how many of each run to keep for forks.
         logs: folders of TensorBoard logs, by run.
+        until: steps at which runs pause, by run: they go on to a checkpoint there; 0 is the end.
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
         slurm: options of sbatch for each job, as pairs of a name and a value.
@@ -56,6 +57,7 @@ class Supervision:
     checkpoint_seconds: float = 15.0
     keep_checkpoints: int = 0
     logs: Mapping[str, str] = field(default_factory=dict)
+    until: Mapping[str, int] = field(default_factory=dict)
     executor: str = LOCAL
     address: str | None = None
     slurm: tuple[tuple[str, str], ...] = ()

@@ -25,7 +25,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, print_aside
@@ -34,6 +34,8 @@ from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Status, Store
+
+Value = TypeVar("Value")
 
 TRIES = 2
 """Attempts after which a crash counts as the run's failure."""
@@ -307,7 +309,7 @@ class _Worker:
             "parent": os.getpid(),
             "results": str(store.root.resolve()),
             "runs": {name: as_fields(run) for name, run in task.group.items()},
-            "how": asdict(replace(how, logs={name: how.logs[name] for name in how.logs.keys() & task.group})),
+            "how": asdict(replace(how, logs=_of(task, how.logs), until=_of(task, how.until))),
             "last_try": task.tries == TRIES,
         }
         self.tell(json.dumps(job))
@@ -327,6 +329,10 @@ class _Worker:
         self._errors.seek(0)
         with self._errors:
             return code, self._errors.read()
+
+
+def _of(task: _Task, by_run: Mapping[str, Value]) -> dict[str, Value]:
+    return {name: by_run[name] for name in by_run.keys() & task.group}
 
 
 def one_thread_environment() -> dict[str, str]:
