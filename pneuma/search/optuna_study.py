@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import optuna
@@ -44,11 +45,13 @@ class Kind:
         make: its class.
         arguments: those that a file may set, by Optuna's names, with the defaults here; None is Optuna's own.
         fixed: other arguments.
+        package: that Optuna needs for it.
     """
 
     make: Callable[..., Any]
     arguments: Mapping[str, Any]
     fixed: Mapping[str, Any] = field(default_factory=dict)
+    package: str = ""
 
 
 QUIET = {"warn_independent_sampling": False}
@@ -68,6 +71,7 @@ SAMPLERS = {
             "use_separable_cma": False, "with_margin": False, "lr_adapt": False,
         },
         QUIET,
+        package="cmaes",
     ),
     "nsga-ii": Kind(
         samplers.NSGAIISampler,
@@ -110,14 +114,21 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         if isinstance(each, bool) != isinstance(usual, bool) or not isinstance(each, bool | int | float):
             raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
     arguments = {**kind.arguments, **given}
+    if kind.package and not _is_installed(kind.package):
+        raise wrong(f"{name} needs a package that is missing: pip install {kind.package}", "name")
     if name != "grid":
         try:
             _make(kind, arguments)
-        except ImportError as error:
-            raise wrong(f"{name} needs a package that is missing: pip install {error.name}", "name") from None
         except (ValueError, TypeError, AssertionError) as error:
             raise wrong(f"{name}: {error}", next(iter(given), "name")) from None
     return {"name": name, "arguments": arguments}
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        return find_spec(package) is not None
+    except ValueError:
+        return False
 
 
 def _type(usual: Any) -> str:

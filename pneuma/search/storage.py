@@ -273,14 +273,21 @@ def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTri
     """Return the trials that have ended, up to the first that has not.
 
     Raises:
-        ValueError: for parameters or values that do not fit the search.
+        UserError: for parameters that are not in the search's space.
+        ValueError: for values that do not fit the search.
     """
     names, ended = {state: name for name, state in STATES.items()}, []
     for trial in sorted(trials, key=lambda each: int(each.number)):
         if trial.state not in names:
             break
-        for name, distribution in distributions(search.space, trial.params).items():
-            check_distribution_compatibility(distribution, trial.distributions[name])
+        try:
+            for name, distribution in distributions(search.space, trial.params).items():
+                check_distribution_compatibility(distribution, trial.distributions[name])
+        except ValueError:
+            raise UserError(
+                f"the log of search {search.name}: trial {trial.number} is outside the search's space; "
+                "move the log away, and no run is trained twice"
+            ) from None
         ended.append(
             EndedTrial(
                 number=trial.number,

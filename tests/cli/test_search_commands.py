@@ -134,7 +134,8 @@ def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(tmp_path: Path) ->
     pruner = '[pruner]\nname = "median"\nn_startup_trials = 1\nn_warmup_steps = 10\ninterval_steps = 10\n'
     text = SEARCH.replace("steps = 128", "steps = 1280").replace("trials = 4", "trials = 8")
     path.write_text(text.replace('direction = "minimize"', "") + pruner)
-    trials = described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"]
+    words = ("search", "run", path, "--results", results, "--seeds", "1", "--json")
+    trials = described(*words)["trials"]
     store = Store(results)
     states = {trial["state"] for trial in trials}
     assert states == {"complete", "pruned"}
@@ -146,4 +147,6 @@ def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(tmp_path: Path) ->
         assert [*trial["reports"]] == [str(k) for k in range(1, 11 if status.step == 640 else 21)]
         if trial["state"] == "complete":
             assert trial["reports"]["20"] == trial["value"]
-    assert described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"] == trials
+    assert (
+        described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"] == trials
+    )

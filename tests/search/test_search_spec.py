@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -103,6 +104,17 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[space.epochs]\nlow = 1\n", "[space.epochs]\nchoices = [1, 2]\n", "leave out low, high and log"),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
         ("gradient_limit = 0.5", "horizon = 16", "minibatch = 64 is not allowed: at most horizon x slots"),
+        ("[run]", '[sampler]\nname = "tpee"\n[run]', "unknown name 'tpee' (did you mean tpe?)"),
+        ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unknown argument of tpe 'startup'"),
+        ("[run]", '[sampler]\nname = "tpe"\ngroup = 1\n[run]', "group = 1 is not allowed: true or false"),
+        ("[run]", '[sampler]\nname = "grid"\n[run]', "a grid needs choices without `when`"),
+        ("[run]", '[pruner]\nname = "successive-halving"\nmin_resource = 0\n[run]', "successive-halving: "),
+        ("[run]", '[pruner]\nname = "percentile"\npercentile = 101\n[run]', "Percentile must be between"),
+        (
+            "[run]",
+            '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',
+            "median goes with one objective alone",
+        ),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),
     ],
 )  # fmt: skip
@@ -144,3 +156,11 @@ def test_a_search_of_another_environment_has_no_world(write: Load) -> None:
     assert (search.label, search.title) == ("mine", "A search")
     with pytest.raises(UserError, match="--world arena: search mine is in one environment alone"):
         search.in_world("arena")
+
+
+def test_a_sampler_whose_package_is_missing_is_told_by_it(
+    write: Load, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cmaes", None)
+    with pytest.raises(UserError, match="cmaes needs a package that is missing: pip install cmaes"):
+        write(GOOD.replace("[run]", '[sampler]\nname = "cmaes"\n[run]', 1))

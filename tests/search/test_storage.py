@@ -152,3 +152,20 @@ def test_trials_that_others_added_are_refused(make_task: MakeTask, store: Store)
         UserError, match="trial 4 of the log of search formula is not what the search suggests"
     ):
         search(make_task(8), store)
+
+
+def test_trials_outside_the_space_are_refused(make_task: MakeTask, store: Store) -> None:
+    task = make_task(4)
+    search(task, store)
+    study = load(log_path(store, task.search.label))
+    study.add_trial(
+        optuna.create_trial(
+            value=1.0,
+            params={"learning_rate": 5.0},
+            distributions={"learning_rate": optuna.distributions.FloatDistribution(1.0, 9.0)},
+            user_attrs={"run_ids": []},
+        )
+    )
+    for use in (lambda: read_record(store, task.search.file, "text"), lambda: search(task, store)):
+        with pytest.raises(UserError, match="trial 4 is outside the search's space"):
+            use()
