@@ -97,6 +97,8 @@ PRUNERS = {
 }
 """By name. The steps of a pruner are a run's evaluations, of which there are 20; Wilcoxon's are seeds."""
 
+LEAST = {"min_resource": 1, "max_resource": 1, "reduction_factor": 2}
+
 
 def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
     """Read [sampler] or [pruner]: `name`, and arguments by Optuna's names, into name and all arguments."""
@@ -113,6 +115,8 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         usual = kind.arguments[key]
         if isinstance(each, bool) != isinstance(usual, bool) or not isinstance(each, bool | int | float):
             raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
+        if each < (least := LEAST.get(key, each)):  # Optuna finds these when it prunes first
+            raise wrong(f"{key} = {shown(each)} is not allowed: at least {least}", key)
     arguments = {**kind.arguments, **given}
     if kind.package and not _is_installed(kind.package):
         raise wrong(f"{name} needs a package that is missing: pip install {kind.package}", "name")
