@@ -108,7 +108,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unknown argument of tpe 'startup'"),
         ("[run]", '[sampler]\nname = "tpe"\ngroup = 1\n[run]', "group = 1 is not allowed: true or false"),
         ("[run]", '[sampler]\nname = "grid"\n[run]', "a grid needs choices without `when`"),
-        ("[run]", '[pruner]\nname = "hyperband"\nmin_resource = 0\n[run]', "min_resource = 0 is not allowed: at"),
+        ("[run]", '[pruner]\nname = "hyperband"\nmin_resource = 0\n[run]', "0 is not allowed: at least 1"),
         ("[run]", '[pruner]\nname = "percentile"\npercentile = 101\n[run]', "Percentile must be between"),
         (
             "[run]",
