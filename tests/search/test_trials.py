@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pneuma.config import Run
 from pneuma.engines.loop import evaluation_updates
+from pneuma.search.spec import load_search
 from pneuma.search.trials import EndedTrial, Task, best_number, over_seeds, rounds
 from pneuma.study.plan import Cell, Plan
 
@@ -64,11 +66,14 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
 
 
 def test_a_grid_is_walked_through_once(make_task: MakeTask) -> None:
-    more = '[sampler]\nname = "grid"\n[space.horizon]\nchoices = [256, 512]\n'
-    task = make_task(4, more)
-    parameters = tuple(each for each in task.search.space.parameters if each.choices)
-    task = replace(task, search=replace(task.search, space=replace(task.search.space, parameters=parameters)))
-    assert len({tuple(trial.params.items()) for trial in solve(task)}) == 4
+    made = make_task(6)
+    path = Path(made.search.file)
+    text = path.read_text().replace("low = 1e-5\nhigh = 1e-2\nlog = true", "choices = [1e-4, 1e-3, 1e-2]")
+    path.write_text(text + '[sampler]\nname = "grid"\n')
+    told = solve(replace(made, search=load_search(made.search.file, "text")))
+    rates, activations = ("0.0001", "0.001", "0.01"), ("tanh", "relu")
+    found = {(trial.params["learning_rate"], trial.params["activation"]) for trial in told}
+    assert found == {(rate, name) for rate in rates for name in activations}
 
 
 @pytest.mark.parametrize(
