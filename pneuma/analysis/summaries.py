@@ -197,13 +197,17 @@ COMPARISON_COLUMNS = (
 )  # fmt: skip
 
 
+LEAST_FOR_BETTER = 10
+"""Fewer runs say too little of how often one is better; of three against three 1.00 means nothing."""
+
+
 def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Compare two conditions of a study in `COMPARISON_COLUMNS`, one row per outcome.
 
     The 95 % interval of the difference of means is Welch's. `p_better` is the probability that a run of a is
-    better than one of b (ties count half), NaN for an outcome without a better direction. Runs without a
-    value are left out and counted in `without_value`. Runs with different budgets are compared at the last
-    step that all reached.
+    better than one of b (ties count half), NaN for an outcome without a better direction, and for fewer than
+    `LEAST_FOR_BETTER` runs. Runs without a value are left out and counted in `without_value`. Runs with
+    different budgets are compared at the last step that all reached.
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
@@ -229,7 +233,8 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
             width = found.bounds[1] - found.bounds[0]
             interval = within(difference_interval(first, second), -width, width)
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
-        better = probability_of_improvement(sign * first, sign * second) if sign and comparable else np.nan
+        told = sign and min(len(first), len(second)) >= LEAST_FOR_BETTER
+        better = probability_of_improvement(sign * first, sign * second) if told else np.nan
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
         difference = means[0] - means[1] if finite else np.nan
         yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts

@@ -280,7 +280,8 @@ def compare(
         f"{data.full_title}: {heads[0]} against {heads[1]}",
         [told_step(data), _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])],
         "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the\n"
-        "probability that a run of the first is better than one of the second. no value: runs left out.",
+        "probability that a run of the first is better than one of the second, from ten runs on.\n"
+        "no value: runs left out.",
     )
     print_result(result, form)
     if form == "table":

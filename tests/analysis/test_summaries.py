@@ -151,7 +151,8 @@ def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) ->
 # --- Two conditions ---------------------------------------------------------------------------------
 
 
-def test_means_their_difference_and_who_is_better(tmp_path: Path) -> None:
+def test_means_their_difference_and_who_is_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pneuma.analysis.summaries.LEAST_FOR_BETTER", 5)
     (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).to_dict("records")
     welch = stats.ttest_ind(ARMS["a"], ARMS["b"], equal_var=False).confidence_interval(0.95)
     assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.3))
@@ -162,8 +163,11 @@ def test_means_their_difference_and_who_is_better(tmp_path: Path) -> None:
 
 
 def test_four_runs_have_a_difference_without_an_interval_and_steps_without_end_an_order(
-    data: StudyData,
+    data: StudyData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (few,) = compare_conditions(data, "a", "b", ["final-share-killed"])["p_better"]
+    assert np.isnan(few)
+    monkeypatch.setattr("pneuma.analysis.summaries.LEAST_FOR_BETTER", 4)
     killed, steps = compare_conditions(data, "a", "b", ["final-share-killed", "steps-to:0.5"]).to_dict(
         "records"
     )

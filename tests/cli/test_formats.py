@@ -46,7 +46,7 @@ def test_a_comparison_in_every_form(mine: list[str]) -> None:
     asked = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]
     lines = printed(*asked, "--format", "markdown").splitlines()
     assert lines[0] == "| outcome | high | middle | difference | P(better) | runs | no value |"
-    assert lines[2] == "| final-share-killed (share) | 0.400 | 0.200 | 0.200 | 0.83 | 3 and 3 | 0 |"
+    assert lines[2] == "| final-share-killed (share) | 0.400 | 0.200 | 0.200 | – | 3 and 3 | 0 |"
     (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
     assert (row["a"], row["b"]) == ("high", "middle") and float(row["difference"]) == pytest.approx(0.2)
     assert described(*asked, "--json") == described(*asked, "--format", "json")
