@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-WAITS = "import sys; from pneuma.env.godot import GodotGame; GodotGame(sys.argv[1])"
+WAITS = "import sys; from pneuma.godot.game import GodotGame; GodotGame(sys.argv[1])"
 GAME = """#!/bin/sh
 sleep 600 &
 echo $$ $! > {folder}/begun
