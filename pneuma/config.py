@@ -97,7 +97,7 @@ OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
 GODOT = "Godot-v0"
-"""The id of a game made with Godot, which is started as a program: see `pneuma.env.godot`."""
+"""The id of a game made with Godot, which is started as a program: see `pneuma.godot.game`."""
 NORMALIZING = ("normalize_observations", "normalize_rewards")
 OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers", *NORMALIZING)
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""

@@ -40,6 +40,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.worlds": ("pneuma.errors",),
     "pneuma.env": (),
     "pneuma.engines": ("pneuma.env",),
+    "pneuma.godot": (),  # plays any environment of Gymnasium's by its id
     "pneuma.study": (),
     # what tries environments before their runs:
     "pneuma.study.execute": ("pneuma.engines.environment",),

@@ -126,7 +126,7 @@ def serve(
     Takes any environment of Gymnasium's with Discrete or Box actions. Start the trainer first, or within a
     minute. It ends when the trainer says so.
     """
-    from pneuma.env.godot_serve import serve as serve_trainer
+    from pneuma.godot.serve import serve as serve_trainer
 
     steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
     print(f"played {counted(steps, 'step')}")

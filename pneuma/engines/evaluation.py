@@ -19,8 +19,9 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
-from pneuma.env.compiled import cached
+from pneuma.env.kernel import step_worlds
 from pneuma.env.players import RandomPlayer
+from pneuma.env.state import cached, open_state
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import MOST_STEPS, own_rewards
 from pneuma.errors import UserError
@@ -197,7 +198,7 @@ def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any
     The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
     mean rewards are added to `returns`, (N,).
     """
-    s = rules.open_state(handle)
+    s = open_state(handle)
     worlds, players = s.players.shape
     observations = s.observations.reshape(worlds * players, s.observations.shape[2])
     actions = np.zeros((worlds, players), np.int64)
@@ -209,7 +210,7 @@ def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any
         if not plays.any():
             break
         choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
-        ended += rules.step_worlds(handle, actions)
+        ended += step_worlds(handle, actions)
         for w in range(worlds):
             rewards = 0.0
             for p in range(players):

@@ -22,12 +22,12 @@ from torch import nn
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
+from pneuma.engines import mailman
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
-from pneuma.env import mailman
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import REWARDS, action_names, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra

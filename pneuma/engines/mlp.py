@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env.compiled import cached
+from pneuma.env.state import cached
 
 ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
 

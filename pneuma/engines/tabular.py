@@ -14,6 +14,7 @@ import numpy as np
 
 from pneuma.config import Run, stream_seed
 from pneuma.engines.loop import Trainer
+from pneuma.engines.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
     EVALUATION_COLUMNS,
@@ -24,7 +25,6 @@ from pneuma.engines.records import (
     Row,
     action_shares,
 )
-from pneuma.env.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 
 NAN = float("nan")
 ENDING = "home"

@@ -1,7 +1,8 @@
 """The environment: a top-down world in which players fight monsters (thesis chapter 5).
 
-`rules.py` holds the compiled kernels and `worlds.py` the state; `single.py`, `vector.py`, `parallel.py`
-and `sb3.py` are the faces that other libraries know.
+`rules.py` holds the compiled rules, `observe.py` what a player perceives and `reward.py` what it is paid;
+`kernel.py` calls them and `worlds.py` owns the state. `gym.py`, `pettingzoo.py` and `sb3.py` are the faces
+that other libraries know.
 """
 
 from typing import Any
@@ -27,7 +28,7 @@ class OfOneWorld(tuple[WrapperSpec, ...]):
 
 
 WITHOUT_TIME_LIMIT = OfOneWorld(
-    [WrapperSpec("without_time_limit", "pneuma.env.single:without_time_limit", kwargs={})]
+    [WrapperSpec("without_time_limit", "pneuma.env.gym:without_time_limit", kwargs={})]
 )
 
 
@@ -39,19 +40,19 @@ def register_environments() -> None:
         }  # fmt: skip
         gymnasium.register(
             name,
-            entry_point="pneuma.env.single:PneumaEnv",
-            vector_entry_point="pneuma.env.vector:PneumaVectorEnv",
+            entry_point="pneuma.env.gym:PneumaEnv",
+            vector_entry_point="pneuma.env.gym:PneumaVectorEnv",
             kwargs={"env_id": name},
             **limit,
         )
         # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
         gymnasium.register(
             mo_name,
-            entry_point="pneuma.env.single:PneumaMOEnv",
-            vector_entry_point="pneuma.env.vector:PneumaMOVectorEnv",
+            entry_point="pneuma.env.gym:PneumaMOEnv",
+            vector_entry_point="pneuma.env.gym:PneumaMOVectorEnv",
             disable_env_checker=True,
             kwargs={"env_id": name},
             **limit,
         )
-    gymnasium.register(MAILMAN, entry_point="pneuma.env.mailman:MailmanEnv")
-    gymnasium.register(GODOT, entry_point="pneuma.env.godot:GodotGame", disable_env_checker=True)
+    gymnasium.register(MAILMAN, entry_point="pneuma.engines.mailman:MailmanEnv")
+    gymnasium.register(GODOT, entry_point="pneuma.godot.game:GodotGame", disable_env_checker=True)

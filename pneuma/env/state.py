@@ -1,4 +1,4 @@
-"""The world's state as plain structured arrays: what each holds, and what the rules read and write.
+"""The world's state as plain structured arrays, and how functions that take them are compiled.
 
 Lengths are pixels, times ticks of 1/60 s, speeds pixels a tick; y points down. N worlds, P players
 and M monsters in each, L levels, K monsters perceived.
@@ -7,11 +7,21 @@ and M monsters in each, L levels, K monsters perceived.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
 
-from pneuma.env.compiled import DIGEST
+PACKAGE = Path(__file__).parents[1]
+KERNEL_SOURCES = (
+    "env/kernel.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
+    "engines/batched/rollout.py", "engines/evaluation.py", "engines/mlp.py",
+)  # fmt: skip
+"""Files whose code, or whose constants, are compiled into kernels."""
+DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
 
 MAX_PLAYERS = 8
 MAX_RAYS = 64
@@ -239,7 +249,7 @@ DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1)
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
 HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
-"""A row for each array of a `State`; nobody reads the last field, see `pneuma.env.compiled`."""
+"""A row for each array of a `State`; nobody reads the last field, see "Compiling"."""
 
 
 def make_handle(state: State) -> np.ndarray:
@@ -269,3 +279,69 @@ def read_only(array: np.ndarray) -> np.ndarray:
 def as_bytes(array: np.ndarray) -> np.ndarray:
     """Return an array's memory, (bytes,) uint8."""
     return array.reshape(-1).view(np.uint8)
+
+
+# --- Compiling ------------------------------------------------------------------------------------
+# Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
+# the handle of a world's state has an unused field whose name is a digest of all files with kernels. If one
+# of them changes, every kernel that takes a handle is compiled again. A kernel that takes no handle must not
+# use code from other files.
+
+
+def cached(**options: Any) -> Callable[[Any], Any]:
+    """Return `njit` with its cache; where no folder can be written, each process compiles anew.
+
+    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR. If none of these can be written,
+    as in some containers, it raises an error, and the function is compiled without a cache.
+    """
+
+    def compiled(function: Any) -> Any:
+        try:
+            return njit(cache=True, **options)(function)
+        except RuntimeError:
+            return njit(**options)(function)
+
+    return compiled
+
+
+# Only the calls from outside can be called from outside: the code that takes Python's arguments
+# apart would take longer to compile than the rules. Nothing allocates, so the others do without
+# numba's reference counts, which took half the time of a step.
+_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_UNCOUNTED: Any = {**_INNER, "_nrt": False}
+entry: Any = cached(error_model="numpy")
+opening: Any = njit(**_INNER, forceinline=True)
+kernel: Any = njit(**_UNCOUNTED)
+part: Any = njit(**_UNCOUNTED, forceinline=True)
+merged: Any = njit(**_UNCOUNTED, inline="always")  # inlined by numba before compiling: for the few large ones
+typed_intrinsic: Any = intrinsic
+
+
+@opening
+def open_state(h: Array) -> State:
+    """Turn addresses and shapes back into arrays; the reverse of `make_handle`."""
+    return State(
+        carray(_pointer(h[0].address), (h[0].shape[0],), WORLD),
+        carray(_pointer(h[1].address), (h[1].shape[0], h[1].shape[1]), PLAYER),
+        carray(_pointer(h[2].address), (h[2].shape[0], h[2].shape[1]), MONSTER),
+        carray(_pointer(h[3].address), (h[3].shape[0],), PLAYER_STATS),
+        carray(_pointer(h[4].address), (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
+        carray(_pointer(h[5].address), (h[5].shape[0],), SETTINGS),
+        carray(_pointer(h[6].address), (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
+        carray(_pointer(h[7].address), (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
+        carray(_pointer(h[8].address), (h[8].shape[0], h[8].shape[1]), EVENTS),
+        carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
+        carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
+        carray(_pointer(h[11].address), (h[11].shape[0],), TICK),
+        carray(_pointer(h[12].address), (h[12].shape[0],), SCRATCH),
+    )
+
+
+@typed_intrinsic
+def _pointer(context: Any, address: Any) -> Any:
+    """Return an integer as an address."""
+
+    def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], codegen.get_value_type(types.voidptr))
+
+    return types.voidptr(types.int64), generate

@@ -10,6 +10,7 @@ import pytest
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
+from pneuma.engines.mailman import GO_HOME, GO_ON, HOME, LETTERS, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import (
     estimated_values,
@@ -17,7 +18,6 @@ from pneuma.engines.tabular import (
     policy_values,
     temporal_difference,
 )
-from pneuma.env.mailman import GO_HOME, GO_ON, HOME, LETTERS, POST_OFFICE, MailmanEnv, decision_process
 
 from .trained import check_that_it_goes_on, train
 

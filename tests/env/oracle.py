@@ -25,6 +25,14 @@ from __future__ import annotations
 
 import math
 
+from pneuma.env.reward import (
+    REWARD_CUSTOM,
+    REWARD_GODOT,
+    REWARD_KILLS,
+    REWARD_PYGAME,
+    REWARD_SIGMOID,
+    REWARD_THESIS,
+)
 from pneuma.env.rules import (
     ATTACK,
     CLEARED,
@@ -32,12 +40,6 @@ from pneuma.env.rules import (
     FLAME,
     HEAL,
     KILLED,
-    REWARD_CUSTOM,
-    REWARD_GODOT,
-    REWARD_KILLS,
-    REWARD_PYGAME,
-    REWARD_SIGMOID,
-    REWARD_THESIS,
     RUNNING,
     TIME_LIMIT,
 )

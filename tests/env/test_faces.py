@@ -12,10 +12,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pneuma.env.parallel import PneumaParallelEnv
+from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
-from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 
 from .arena import ATTACK, GODOT, THESIS
 

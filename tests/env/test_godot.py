@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from pneuma.env.single import PneumaEnv
+from pneuma.env.gym import PneumaEnv
 
 from .arena import ATTACK, GODOT, LEFT, RIGHT, begin, move_monster, play, player_hp, stage
 

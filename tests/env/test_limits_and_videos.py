@@ -10,7 +10,7 @@ import gymnasium
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-from pneuma.env.record import RecordVideo
+from pneuma.env.gym import RecordVideo
 from pneuma.env.sb3 import PneumaVecEnv, VecVideoRecorder
 from pneuma.errors import UserError
 

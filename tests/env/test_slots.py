@@ -9,10 +9,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from pneuma.env.parallel import parallel_env
+from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.sb3 import PneumaVecEnv
-from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.worlds import Worlds
 
 from .arena import ATTACK, RIGHT, UP

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS, watch
-from pneuma.env.parallel import parallel_env
+from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
-from pneuma.env.single import PneumaEnv
-from pneuma.env.vector import PneumaVectorEnv
 from pneuma.env.watch import Window
 from pneuma.env_fields import ENVIRONMENTS
 

@@ -15,12 +15,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-import pneuma.env.godot as godot
+import pneuma.godot.game as godot
 from pneuma.config import make_run
 from pneuma.engines.environment import check_environment
-from pneuma.env.godot import GodotGame
-from pneuma.env.godot_wire import receive, send
 from pneuma.errors import UserError
+from pneuma.godot.game import GodotGame
+from pneuma.godot.wire import receive, send
 from pneuma.study.identity import own_things
 from tests.cli.calls import call
 from tests.engines.trained import bits, train

@@ -10,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-WAITS = "import sys; from pneuma.env.godot import GodotGame; GodotGame(sys.argv[1])"
+WAITS = """
+import signal, sys
+from pneuma.godot.game import GodotGame
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which `nohup` and the shell's & have the tests ignore
+signal.signal(signal.SIGINT, signal.default_int_handler)
+GodotGame(sys.argv[1])
+"""
 GAME = """#!/bin/sh
 sleep 600 &
 echo $$ $! > {folder}/begun

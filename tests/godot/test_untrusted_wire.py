@@ -16,9 +16,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-import pneuma.env.godot as godot
-from pneuma.env.godot import GodotGame
+import pneuma.godot.game as godot
 from pneuma.errors import UserError
+from pneuma.godot.game import GodotGame
 from tests.cli.calls import call
 
 from .test_godot import ARENA, INFO, playing

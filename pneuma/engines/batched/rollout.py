@@ -4,7 +4,7 @@ worlds, actor and random numbers → observations, actions, rewards, ends, finis
 
 A whole rollout runs without Python, unless a user's own reward must be called after each step. Slot i is
 player i % P of world i // P. Episodes, idle slots and the rounding of rewards are as in the environment for
-Stable-Baselines3 (`pneuma.env.slots`, `pneuma.env.sb3`).
+Stable-Baselines3 (`pneuma.env.worlds.Slots`, `pneuma.env.sb3`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
-from pneuma.env.compiled import cached
-from pneuma.env.state import LAYOUT_DIGEST, as_bytes
+from pneuma.env.kernel import observe_worlds, reset_worlds, step_worlds
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes, cached, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_fields import own_rewards
 
@@ -201,14 +201,14 @@ def _play(
     handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any
 ) -> int:
     """Play a horizon, one step for each of `draws`; return the number of endings."""
-    s = rules.open_state(handle)
+    s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
     scratch = np.zeros((2, len(tape.idle), widths.max()), np.float32)
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
-        rules.step_worlds(handle, chosen)
+        step_worlds(handle, chosen)
         count = _note(handle, usual_starts, tape, step, count, over)
     return count
 
@@ -219,7 +219,7 @@ def _choose(
     scratch: Any,
 ) -> None:  # fmt: skip
     """Record what each slot observes and draw its action; idle slots observe zeros."""
-    s = rules.open_state(handle)
+    s = open_state(handle)
     players = s.players.shape[1]
     for i in range(len(draws)):
         w, p = i // players, i % players
@@ -237,7 +237,7 @@ def _choose(
 @kernel
 def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, over: Any) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
-    s = rules.open_state(handle)
+    s = open_state(handle)
     players = s.players.shape[1]
     any_over = False
     for i in range(len(tape.idle)):
@@ -269,8 +269,8 @@ def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, over
             tape.lengths[i] = 0
         tape.idle[i] = not present and not over[w]
     if any_over:
-        rules.reset_worlds(handle, usual_starts, over)
-        rules.observe_worlds(handle)
+        reset_worlds(handle, usual_starts, over)
+        observe_worlds(handle)
     return count
 
 

@@ -20,7 +20,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.godot_wire import (
+from pneuma.errors import UserError, counted
+from pneuma.godot.wire import (
     FINAL,
     LARGEST,
     MOST_SEED,
@@ -32,7 +33,6 @@ from pneuma.env.godot_wire import (
     send,
     whole,
 )
-from pneuma.errors import UserError, counted
 
 
 def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:

@@ -1,4 +1,4 @@
-"""A game made with Godot as an environment, over Godot RL Agents' protocol; `godot_serve` is the other end.
+"""A game made with Godot as an environment, over Godot RL Agents' protocol; `serve.py` is the other end.
 
 The package's own client is not used here, because it pins Gymnasium 1.0 and never notices a game that ended.
 """
@@ -20,7 +20,8 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.godot_wire import (
+from pneuma.errors import UserError
+from pneuma.godot.wire import (
     FINAL,
     PORT,
     START_SECONDS,
@@ -33,7 +34,6 @@ from pneuma.env.godot_wire import (
     send,
     whole,
 )
-from pneuma.errors import UserError
 
 SILENT_SECONDS = 5
 """Seconds after which a trainer says that it waits for a game."""

@@ -1,4 +1,4 @@
-"""The PettingZoo interface: one world with several players, each with its own class, reward and view."""
+"""The face for PettingZoo: one world with several players, each with its own class, reward and view."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
-from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import Slots, Worlds, chosen_starts, ending_info
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 
@@ -38,11 +37,11 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         **settings: object,
     ) -> None:
         self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
-        players = self.worlds.config.players
-        self.possible_agents = [f"player_{i}" for i in range(players)]
+        self.slots = Slots(self.worlds)
+        self.possible_agents = [f"player_{i}" for i in range(self.slots.players)]
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
-        self._actions = np.zeros((1, players), np.int64)
+        self._actions = np.zeros(self.slots.players, np.int64)
         count = int(self.worlds.action_space.n)
         self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
         low = np.concatenate([space.low for space in self.worlds.spaces])
@@ -97,19 +96,15 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             if agent not in actions or not self._action_spaces[agent].contains(actions[agent]):
                 problem = f"action {actions.get(agent)!r} of {agent}, who is alive,"
                 raise ValueError(f"{problem} is outside {self.action_space(agent)}")
-            self._actions[0, self._index[agent]] = actions[agent]
-        over = self.worlds.advance(self._actions) > 0
-        cut = bool(self.worlds.truncated[0])
-        rewards, terminations, truncations = {}, {}, {}
+            self._actions[self._index[agent]] = actions[agent]
+        self.slots.step(self._actions)
+        rewards = self._of_each(acting, self.slots.rewards)
+        terminations = self._of_each(acting, self.slots.terminated)
+        truncations = self._of_each(acting, self.slots.truncated)
         infos = self._masks(acting)
         for agent in acting:
-            player = self._index[agent]
-            alive = bool(self.worlds.players["hp"][0, player] > 0)
-            rewards[agent] = float(self.worlds.events["reward"][0, player])
-            truncations[agent] = over and cut and alive
-            terminations[agent] = (over or not alive) and not truncations[agent]
-            if over or not alive:
-                infos[agent] |= ending_info(self.worlds, 0, player)
+            if terminations[agent] or truncations[agent]:
+                infos[agent] |= ending_info(self.worlds, 0, self._index[agent])
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
         self._show()
         return self._observations(acting), rewards, terminations, truncations, infos
@@ -117,6 +112,9 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     def state(self) -> np.ndarray:
         """Return the observations of all players, one after the other."""
         return self.worlds.observations[0].ravel().copy()
+
+    def _of_each(self, agents: list[str], values: np.ndarray) -> dict[str, Any]:
+        return {agent: values[self._index[agent]].item() for agent in agents}
 
     def _observations(self, agents: list[str]) -> dict[str, np.ndarray]:
         return {agent: self.worlds.observations[0, self._index[agent]].copy() for agent in agents}
