@@ -137,19 +137,17 @@ def plot(
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
 ) -> None:
-    """Draw a search by Optuna's plots: history, importances, slices, parallel coordinates, Pareto front."""
+    """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     formats, store = read_formats(format, out), Store(results)
-    from pneuma.figures.search import NEEDS, draw_search
+    from pneuma.figures.search import draw_search
     from pneuma.search.storage import read_record
 
     searched = read_record(store, name, world)
     formats_asked = (word for each in formats for word in ("--format", each))
     again = command("search", "plot", name, *(["--world", world] if world else []), *formats_asked)
     paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
-    drawn = {path.stem.rpartition("-")[2] for path in paths}
-    for what, needed in NEEDS.items():
-        if what not in drawn:
-            say(f"Note: {what} is not drawn; it needs {needed}.", aside=True)
+    if not paths:
+        say("Note: nothing is drawn before a trial is complete.", aside=True)
     return tell_written(paths, json)
 
 

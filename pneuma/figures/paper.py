@@ -3,8 +3,8 @@
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
 It draws the environment's own figures; the thesis's Figs. 6.2 to 6.5 with its conditions; one figure of every
-study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that pages show; and
-the verdicts on all claims. Figures of an earlier run that are no longer drawn are removed.
+study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that pages show; of
+every search in RESULTS/searches; and the verdicts on all claims. Figures of an earlier run that are no longer drawn are removed.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import draw_robustness, study_maps
 from pneuma.figures.origin import read_origin
+from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import draw_summary
 from pneuma.figures.verdicts import judged_claims, write_verdicts
+from pneuma.search.storage import read_record, recorded_searches
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
@@ -93,6 +95,8 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
             written += paths
     written += verdicts.result()
+    for name, world in recorded_searches(Store(results)):
+        written += draw_search(read_record(Store(results), name, world), folder, ("png",), COMMAND)
     _remove_others(folder, written)
     return written
 

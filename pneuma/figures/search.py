@@ -1,130 +1,250 @@
-"""Figures of a search: Optuna's plots in Pneuma's style."""
+"""The figure of a search: history, importances, every parameter's values, and the best trials' together.
+
+RecordedSearch → panels → one page (`grid.py`)
+"""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import RcParams, style
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import LogLocator, NullLocator
 from optuna.exceptions import ExperimentalWarning
-from optuna.importance import PedAnovaImportanceEvaluator
-from optuna.visualization import matplotlib as plots
+from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted
+from pneuma.figures import grid
+from pneuma.figures.grid import Page, Panel, in_grid, save_page
 from pneuma.figures.origin import Origin, sample
-from pneuma.figures.style import CAPTION, TYPE_POINTS, house_style, save_figure
+from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
 from pneuma.search.optuna_study import ended_study
+from pneuma.search.space import Parameter
 from pneuma.search.storage import RecordedSearch
+from pneuma.search.trials import EndedTrial
 
-PAGE_INCHES = 7.0
-NEEDS = {
-    "history": "a complete trial",
-    "importances": "10 complete trials, five of them better than the worst",
-    "slices": "a complete trial",
-    "parallel": "a complete trial",
-    "front": "two objectives",
-}
-"""All figures, and what each needs. All but the Pareto front show the first objective."""
+COLUMNS = 4
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
+COMPLETE, BEST = COLOURS[0], COLOURS[1]
+ROW_INCHES = 1.75
 
 
 def draw_search(
     searched: RecordedSearch, folder: Path, formats: tuple[str, ...], command: str = ""
 ) -> list[Path]:
-    """Draw all figures for which a search has enough trials; return the files written."""
-    if not any(trial.state == "complete" for trial in searched.trials):
+    """Draw a search that has a complete trial; return the files written."""
+    drawn = _Drawn(searched)
+    if not drawn.complete:
         return []
-    ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
-    trained = sample(searched.task.search.name, "", ids, searched.task.budget.seeds)
-    origin, paths = Origin(command=command, runs=(trained,)), []
-    for name in NEEDS:
-        with _plotting():
-            axes = _plot(name, searched)
-            if axes is not None:
-                figure = np.ravel(axes)[0].figure
-                _lay_out(figure, name, len(searched.task.search.space.parameters))
-                text = {"x": 0.01, "ha": "left", "fontsize": CAPTION * TYPE_POINTS, "color": "#444444"}
-                figure.supxlabel(_caption(searched), **text)
-                stem = f"search-{searched.task.search.name}-{name}"
-                paths += save_figure(figure, folder, stem, formats, origin)
-            plt.close("all")
-    return paths
-
-
-@contextmanager
-def _plotting() -> Iterator[None]:
-    """Let Optuna plot in Pneuma's style, as it sets 'ggplot' before each plot."""
-    theirs = style.library["ggplot"]
-    style.library["ggplot"] = RcParams()
-    try:
-        with house_style(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
-            warnings.filterwarnings("ignore", "Attempting to set identical")  # of a parameter with one value
-            plt.rcParams["figure.constrained_layout.use"] = True
-            yield
-    finally:
-        style.library["ggplot"] = theirs
-
-
-def _plot(name: str, searched: RecordedSearch) -> Any:
-    """Return the axes of one of Optuna's plots; None if there are too few trials."""
-    search, trials = searched.task.search, searched.trials
-    if name == "front":
-        return plots.plot_pareto_front(ended_study(trials, search)) if len(search.objectives) == 2 else None
-    study = ended_study(trials, search, objectives=1)
-    target = f"{search.objectives[0].outcome}, {search.objectives[0].over_seeds}"
-    if name == "history":
-        return plots.plot_optimization_history(study, target_name=target)
-    if name == "slices":
-        return plots.plot_slice(study, target_name=target)
-    if name == "parallel":
-        return plots.plot_parallel_coordinate(study, target_name=target)
-    values = sorted(trial.values[0] for trial in trials if trial.state == "complete")
-    if search.objectives[0].direction == "maximize":
-        values.reverse()
-    share = max(BEST_SHARE, BEST_TRIALS / len(values))
-    if len(values) < LEAST_TRIALS or values[math.ceil(share * len(values)) - 1] == values[-1]:
-        return None
-    return plots.plot_param_importances(study, evaluator=PedAnovaImportanceEvaluator(target_quantile=share))
-
-
-def _lay_out(figure: Figure, name: str, parameters: int) -> None:
-    """Set a figure's size, wider than a page if each parameter has a panel."""
-    wide = {"slices": 1.5, "parallel": 1.0}.get(name, 0.0) * parameters
-    height = 1.2 + 0.28 * parameters if name == "importances" else 3.4
-    if name == "history":
-        figure.set_layout_engine("constrained")  # Optuna gives this one another
-    figure.set_size_inches(max(PAGE_INCHES, wide), height)
-    for axes in figure.axes:
-        if name == "history":
-            axes.lines[0].set_drawstyle("steps-post")  # the best value rises at a trial, not before it
-        if name == "parallel":
-            axes.grid(visible=False)
-            axes.spines["right"].set_visible(True)
-        if name == "slices" and axes.get_xlabel():
-            axes.tick_params(axis="x", labelrotation=40)
-        for axis in (axes.xaxis, axes.yaxis):
-            if axis.get_scale() == "log":  # its usual labels are formulas, which the style does not draw
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-                axis.set_minor_formatter(NullFormatter())
-
-
-def _caption(searched: RecordedSearch) -> str:
     search, budget = searched.task.search, searched.task.budget
-    states = [trial.state for trial in searched.trials]
-    counts = ", ".join(
-        f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
-    )
-    return (
-        f"Search {search.name}: {counts} trials, {counted(len(budget.seeds), 'seed')} × {budget.steps:,} "
-        f"steps; sampler {search.spec.sampler.name}; {searched.task.digest}"
-    )
+    importances = drawn.importances()
+    wide = Panel(drawn.history, "History", "Trial", drawn.label, y_ticks=drawn.ticks)
+    top: list[Panel | None] = [wide] * COLUMNS
+    if importances:
+        bars = Panel(partial(_draw_bars, shares=importances), "Importance", "Share")
+        top = [*[wide] * (COLUMNS // 2), *[bars] * (COLUMNS // 2)]
+    slices = [drawn.slice(each, i % COLUMNS == 0) for i, each in enumerate(search.space.parameters)]
+    rows = [top, *in_grid(slices, COLUMNS)]
+    if len(search.objectives) == 2:
+        rows.append([Panel(drawn.front, "Both objectives", drawn.label, drawn.second)] * COLUMNS)
+    elif len(search.space.parameters) > 1:
+        rows.append([Panel(drawn.parallel, "Best trials")] * COLUMNS)
+    page = Page(rows, ROW_INCHES * len(rows), search.title, caption=drawn.caption())
+    ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
+    origin = Origin(command=command, runs=(sample(search.name, "", ids, budget.seeds),))
+    return save_page(page, folder, f"search-{search.label}", formats, origin)
+
+
+class _Drawn:
+    """A search as it is drawn: the first of its objectives, unless said otherwise."""
+
+    def __init__(self, searched: RecordedSearch) -> None:
+        self.search, self.task, self.trials = searched.task.search, searched.task, searched.trials
+        self.complete = [trial for trial in self.trials if trial.state == "complete"]
+        self.pruned = [trial for trial in self.trials if trial.state == "pruned"]
+        best = searched.best
+        front = best if isinstance(best, list) else [] if best is None else [best]
+        self.best = [trial for trial in self.complete if trial.number in front]
+        self.label, *more = [
+            f"{each.over_seeds} of {find_outcome(each.outcome).words.partition(',')[0]}"
+            for each in self.search.objectives
+        ]
+        self.second = more[0] if more else ""
+        shared = find_outcome(self.search.objectives[0].outcome).unit == "share"
+        self.ticks = grid.shares if shared else grid.few
+
+    @property
+    def sign(self) -> int:
+        return 1 if self.search.objectives[0].direction == "maximize" else -1
+
+    def history(self, axes: Axes) -> None:
+        """Draw every trial's value, and the best so far as steps."""
+        self._points(axes, self.pruned, [trial.number for trial in self.pruned], pruned=True)
+        self._points(axes, self.complete, [trial.number for trial in self.complete])
+        values = [self.sign * trial.values[0] for trial in self.complete]
+        best = self.sign * np.maximum.accumulate(values)
+        last = self.trials[-1].number
+        numbers = [*(trial.number for trial in self.complete), last]
+        axes.step(numbers, [*best, best[-1]], where="post", color=BEST, linewidth=1.4, label="best so far")
+        for place, (base, number) in enumerate(self._starts().items(), 1):
+            trial = self.trials[number]
+            if trial.values:
+                look: Any = {"marker": MARKERS[place], "color": INK, "markersize": 5, "linestyle": ""}
+                axes.plot([number], trial.values[:1], label=base, zorder=4, **look)
+        axes.set_xlim(-1, last + 1)
+
+    def _starts(self) -> dict[str, int]:
+        """Return the numbers of the trials of the bases that the search starts with."""
+        return {
+            base: number
+            for number, base in enumerate(self.search.spec.start)
+            if number < len(self.trials) and base in TABLES
+        }
+
+    def _points(
+        self, axes: Axes, trials: Sequence[EndedTrial], places: Sequence[float], pruned: bool = False
+    ) -> None:
+        look: Any = {"marker": "x", "color": GREY} if pruned else {"marker": "o", "color": COMPLETE}
+        label = "stopped early, at its last value" if pruned else "complete trial"
+        axes.plot(
+            places, [trial.values[0] for trial in trials], linestyle="", markersize=3, alpha=0.65,
+            markeredgewidth=0.8 if pruned else 0, label=label, **look,
+        )  # fmt: skip
+
+    def slice(self, parameter: Parameter, first: bool) -> Panel:
+        """Return the panel of one parameter: values of trials over its values; the first has numbers."""
+        draw = partial(self._slice, parameter=parameter)
+        x_ticks = partial(_choices, parameter=parameter) if parameter.choices else grid.few
+        if parameter.log:
+            x_ticks = _logarithmic
+
+        def y_ticks(axis: Axis) -> None:
+            self.ticks(axis)
+            axis.set_tick_params(labelleft=first)
+
+        return Panel(draw, parameter.name.replace("_", " "), x_ticks=x_ticks, y_ticks=y_ticks)
+
+    def _slice(self, axes: Axes, parameter: Parameter) -> None:
+        choices = [*parameter.choices]
+        for trials, pruned in ((self.pruned, True), (self.complete, False)):
+            having = [trial for trial in trials if parameter.name in trial.params]
+            values = [trial.params[parameter.name] for trial in having]
+            places = [float(choices.index(value)) for value in values] if choices else values
+            if choices:  # beside each other, in the order of the trials
+                places = [place + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5)
+                          for place, trial in zip(places, having, strict=True)]  # fmt: skip
+            self._points(axes, having, places, pruned)
+        for trial in self.best[:1]:
+            if parameter.name in trial.params:
+                value = trial.params[parameter.name]
+                at = choices.index(value) + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5) if choices else value
+                axes.plot([at], trial.values[:1], marker="D", color=BEST, markersize=5, linestyle="",
+                          label="best", zorder=4)  # fmt: skip
+        for place, base in enumerate(self._starts(), 1):
+            value = self.search.space.params_of(base).get(parameter.name)
+            if value is not None:
+                at = choices.index(value) if choices else value
+                line: Any = {"color": INK, "linewidth": 0.8, "linestyle": ("--", ":")[place % 2]}
+                axes.axvline(at, zorder=1.2, label=f"value of {base}", **line)
+
+    def front(self, axes: Axes) -> None:
+        """Draw both objectives of every trial, those of the Pareto front joined."""
+        places = np.array([trial.values for trial in self.complete])
+        axes.plot(places[:, 0], places[:, 1], linestyle="", marker="o", markersize=3, color=COMPLETE)
+        best = np.array(sorted(trial.values for trial in self.best))
+        axes.plot(best[:, 0], best[:, 1], marker="D", markersize=4, color=BEST, label="Pareto front")
+
+    def parallel(self, axes: Axes) -> None:
+        """Draw each complete trial as a line through its values, each from 0 to 1; the best in front."""
+        ranked = sorted(self.complete, key=lambda trial: self.sign * trial.values[0])
+        first = len(ranked) - max(BEST_TRIALS, math.ceil(BEST_SHARE * len(ranked)))
+        for rank, trial in enumerate(ranked):
+            heights = [_height(each, trial.params.get(each.name)) for each in self.search.space.parameters]
+            good = rank >= first
+            look: Any = {"color": BEST, "alpha": 0.8} if good else {"color": COMPLETE, "alpha": 0.15}
+            label = f"best {BEST_SHARE:.0%}".replace("%", " %") if rank == len(ranked) - 1 else None
+            axes.plot(range(len(heights)), heights, linewidth=1.0 if good else 0.6, label=label, **look)
+        names = [each.name.replace("_", "\n") for each in self.search.space.parameters]
+        axes.set_xticks(range(len(names)), names, fontsize=0.8 * TYPE_POINTS)
+        axes.set_yticks([0, 1], ["least", "greatest"])
+        axes.set_ylim(-0.08, 1.08)
+
+    def importances(self) -> dict[str, float]:
+        """Return each parameter's share of the importance, by PED-ANOVA; none from too few trials.
+
+        It asks what tells the best tenth of the trials from the others (Watanabe et al. 2023).
+        """
+        values = sorted((self.sign * trial.values[0] for trial in self.complete), reverse=True)
+        share = max(BEST_SHARE, BEST_TRIALS / max(len(values), 1))
+        if len(values) < LEAST_TRIALS or values[math.ceil(share * len(values)) - 1] == values[-1]:
+            return {}
+        study = ended_study(self.trials, self.search, objectives=1)
+        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+            evaluator = PedAnovaImportanceEvaluator(target_quantile=share)
+            return dict(get_param_importances(study, evaluator=evaluator))
+
+    def caption(self) -> list[str]:
+        """Return what the search consists of."""
+        states = [trial.state for trial in self.trials]
+        counts = ", ".join(
+            f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
+        )
+        seeds, steps = counted(len(self.task.budget.seeds), "seed"), self.task.budget.steps
+        sampler = self.search.spec.sampler.name
+        return [
+            f"{counts} trials of {seeds} and {steps:,} steps each; sampler {sampler}; {self.task.digest}.",
+            "Importance: which parameters tell the best tenth of the trials from the others (PED-ANOVA).",
+        ]
+
+
+GOLDEN = (5**0.5 - 1) / 2
+"""Its multiples lie evenly between whole numbers."""
+TABLES = ("table-6-1", "table-6-2")
+"""Bases whose values are marked: the thesis's."""
+
+
+def _height(parameter: Parameter, value: Any) -> float:
+    """Return where a value lies in its range, from 0 to 1; NaN if a trial lacks it."""
+    if value is None:
+        return math.nan
+    if parameter.choices:
+        return [*parameter.choices].index(value) / (len(parameter.choices) - 1)
+    low, high = parameter.extremes
+    if parameter.log:
+        low, high, value = math.log(low), math.log(high), math.log(value)
+    return float((value - low) / (high - low))
+
+
+def _draw_bars(axes: Axes, shares: Mapping[str, float]) -> None:
+    """Draw importances as bars, the greatest at the top, each with its name at its end."""
+    axes.barh(range(len(shares)), [*shares.values()], height=0.6, color=COMPLETE)
+    for place, (name, share) in enumerate(shares.items()):
+        small: Any = {"fontsize": 0.8 * TYPE_POINTS, "va": "center_baseline"}
+        axes.annotate(name.replace("_", " "), (share, place), (3, 0), textcoords="offset points", **small)
+    axes.set(xlim=(0, 1.6 * max(shares.values())), ylim=(len(shares) - 0.4, -0.6), yticks=())
+    axes.grid(axis="y", visible=False)
+
+
+def _logarithmic(axis: Axis) -> None:
+    axis.axes.set_xscale("log")
+    axis.set_major_locator(LogLocator(numticks=5))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
+def _choices(axis: Axis, parameter: Parameter) -> None:
+    names = [name.replace("[", "").replace("]", "").replace(", ", ",\n") for name in parameter.choices]
+    axis.axes.set_xticks(range(len(names)), names, rotation=40 if len(names) > MOST_UPRIGHT else 0)
+    axis.axes.set_xlim(-0.5, len(names) - 0.5)
+
+
+MOST_UPRIGHT = 4
+"""Most choices whose names stand upright beside each other."""

@@ -32,7 +32,9 @@ from pneuma.search.trials import EndedTrial, Log, Outcomes, PendingTrial, Task, 
 from pneuma.study.execute import check_environments
 from pneuma.study.identity import config_id
 from pneuma.study.locks import run_lock
+from pneuma.study.spec import shipped_names, studies_folder
 from pneuma.study.store import Store
+from pneuma.worlds import WORLDS
 
 VERSIONS = ("optuna", "rules", "engines")
 """Parts of a search's identity that the user does not choose."""
@@ -214,6 +216,13 @@ def read_record(store: Store, name: str, world: str | None = None) -> RecordedSe
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
+
+
+def recorded_searches(store: Store) -> list[tuple[str, str]]:
+    """Return name and world of the shipped searches that were run."""
+    names = shipped_names(studies_folder() / "search")
+    pairs = [(name, world) for name in names for world in WORLDS]
+    return [(name, world) for name, world in pairs if log_path(store, f"{name}-{world}").is_file()]
 
 
 class _Lines(BaseJournalBackend):
