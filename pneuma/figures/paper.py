@@ -4,7 +4,8 @@
 
 It draws the environment's own figures; the thesis's Figs. 6.2 to 6.5 with its conditions; one figure of every
 study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that pages show; of
-every search in RESULTS/searches; and the verdicts on all claims. Figures of an earlier run that are no longer drawn are removed.
+every search that is published there; and the verdicts on all claims. Figures of an earlier run that are no
+longer drawn are removed.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import draw_summary
 from pneuma.figures.verdicts import judged_claims, write_verdicts
-from pneuma.search.storage import read_record, recorded_searches
+from pneuma.search.storage import published_searches, read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
@@ -95,7 +96,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
             written += paths
     written += verdicts.result()
-    for name, world in recorded_searches(Store(results)):
+    for name, world in published_searches(Store(results)):
         written += draw_search(read_record(Store(results), name, world), folder, ("png",), COMMAND)
     _remove_others(folder, written)
     return written

@@ -33,7 +33,7 @@ from pneuma.study.execute import check_environments
 from pneuma.study.identity import config_id
 from pneuma.study.locks import run_lock
 from pneuma.study.spec import shipped_names, studies_folder
-from pneuma.study.store import Store
+from pneuma.study.store import PUBLISHED, Store, shipped_tables
 from pneuma.worlds import WORLDS
 
 VERSIONS = ("optuna", "rules", "engines")
@@ -198,7 +198,7 @@ def _damaged(path: Path) -> UserError:
 
 
 def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
-    """Return a recorded search.
+    """Return a search that was run here, or else a published one.
 
     Args:
         store: the results folder.
@@ -209,20 +209,25 @@ def read_record(store: Store, name: str, world: str | None = None) -> RecordedSe
         UserError: when it was never run here, its log is damaged, or its file has changed.
     """
     search = load_search(name, world)
-    path = log_path(store, search.label)
-    if path.exists():
-        return _read(path, search)
+    for path in (log_path(store, search.label), *published_logs(store, search.label)):
+        if path.exists():
+            return _read(path, search)
     raise UserError(
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
 
 
-def recorded_searches(store: Store) -> list[tuple[str, str]]:
-    """Return name and world of the shipped searches that were run."""
+def published_logs(store: Store, label: str) -> list[Path]:
+    """Return where the log of a search may be published: in a results folder, or with Pneuma."""
+    return [folder / f"search-{label}.log" for folder in (store.root / PUBLISHED, shipped_tables())]
+
+
+def published_searches(store: Store) -> list[tuple[str, str]]:
+    """Return name and world of the shipped searches that are published in a results folder."""
     names = shipped_names(studies_folder() / "search")
     pairs = [(name, world) for name in names for world in WORLDS]
-    return [(name, world) for name, world in pairs if log_path(store, f"{name}-{world}").is_file()]
+    return [(name, world) for name, world in pairs if published_logs(store, f"{name}-{world}")[0].is_file()]
 
 
 class _Lines(BaseJournalBackend):
