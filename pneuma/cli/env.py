@@ -61,6 +61,9 @@ def render(
         opt.Text, opt.choice("--camera", CAMERAS, "The whole map (as a picture), or a player (as a video).")
     ] = None,
     seed: Seed = 0,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Draw what the rules measure: bodies, circles, sword box, rays.")
+    ] = False,
     set_: opt.Settings = None,
     trust: opt.Trust = False,
     results: opt.Results = opt.RESULTS,
@@ -70,8 +73,15 @@ def render(
     An episode that goes on after the last monster's death is shown for two more seconds. A run's
     policy plays in the environment that it was trained in, --set on top.
     """
-    from pneuma.env.render import Renderer
-    from pneuma.env.watch import FRAMES_PER_SECOND, VIDEOS, episode_frames, write_video
+    from pneuma.env.render import FOLLOW_FACTOR, GIF_FACTOR, Renderer
+    from pneuma.env.watch import (
+        FRAMES_PER_STEP,
+        GIF_FRAMES_PER_STEP,
+        VIDEOS,
+        episode_frames,
+        frame_rate,
+        write_video,
+    )
 
     check_file(out, VIDEOS)
     moving = out.suffix.lower() != ".png"
@@ -80,9 +90,12 @@ def render(
     chosen = dict(set_ or ())
     settings, make_act = _player(player, name, seed, results, trust)
     worlds = _worlds(name, {**settings, **chosen}, seed)
-    renderer = Renderer(worlds, camera or ("follow" if moving else "map"))
-    frames = episode_frames(worlds, make_act(worlds), renderer) if moving else iter([renderer.frame(0)])
-    write_video(out, frames, FRAMES_PER_SECOND)
+    gif = out.suffix.lower() == ".gif"  # which grows fast: half as many frames, half as wide
+    per_step, zoom = (GIF_FRAMES_PER_STEP, GIF_FACTOR) if gif else (FRAMES_PER_STEP, FOLLOW_FACTOR)
+    renderer = Renderer(worlds, camera or ("follow" if moving else "map"), overlay=overlay, zoom=zoom)
+    acts = make_act(worlds)
+    frames = episode_frames(worlds, acts, renderer, per_step) if moving else iter([renderer.frame(0)])
+    write_video(out, frames, frame_rate(per_step))
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
 
 

@@ -1,12 +1,13 @@
 """Frames of the world: the whole map, or a view that follows a player.
 
 A picture is drawn in art pixels, 16 per tile, over a background that is painted once, and then enlarged by a
-whole factor. A strip above it shows a player's HP, XP and progress. The same state gives the same bytes.
+whole factor. A strip above it shows a player's HP, XP and progress. The same states give the same bytes: what
+shows for a moment (`effects.py`) follows from the states that were drawn before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -15,7 +16,9 @@ import numpy as np
 
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
+from pneuma.env.effects import Effect, Effects
 from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level
+from pneuma.env.overlay import Place, draw_overlay
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -25,7 +28,7 @@ SEA = "3d83c9"
 VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
 """Width and height, in art pixels, of what the following camera shows."""
 
-FOLLOW_FACTOR = 4
+FOLLOW_FACTOR, GIF_FACTOR = 4, 2
 MAP_SIDE = 900
 """Approximate pixels along the longer side of the whole map."""
 
@@ -39,6 +42,16 @@ PANEL_WIDTH = 360
 """Pixels of a frame's width for each step that the strip is enlarged by."""
 STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
+SHORE_TILES = 2
+"""Tiles of water around the land on the whole map."""
+GHOSTS = ((3, 35), (2, 50), (1, 70))
+"""Behind who dashes: by how many pictures, and how opaque in percent."""
+WAYS = ((0, 1), (-1, 0), (0, -1), (1, 0))
+"""Where the `FACINGS` lead."""
+PLUSES = ((-9, 0), (8, 3), (-1, 8))
+"""Signs of healing: how far aside of a player and above it they begin, in art pixels."""
+FLAME_GAP = 40.0
+"""Pixels from one flame to the next."""
 
 
 @dataclass(frozen=True)
@@ -56,27 +69,40 @@ class Renderer:
 
     Attributes:
         size: width and height of a frame, with the strip.
-        background: (height, width, 3) the bare ground of the whole map, in art pixels.
+        background: (height, width, 3) the bare ground of the whole level, in art pixels.
+        shown: left, top, width and height of what the map shows of it: the land and two tiles around.
     """
 
-    def __init__(self, worlds: Worlds, camera: str = "map", panel: bool = True) -> None:
+    def __init__(
+        self,
+        worlds: Worlds,
+        camera: str = "map",
+        panel: bool = True,
+        overlay: bool = False,
+        zoom: int = FOLLOW_FACTOR,
+    ) -> None:
         """Paint the background.
 
         Args:
             worlds: the worlds to draw, now and after later steps.
             camera: "map" for the whole level, "follow" for a view centred on a player.
             panel: whether a strip above the picture shows HP, XP, step and monsters left.
+            overlay: whether to draw what the rules measure over it; see `overlay.py`.
+            zoom: pixels for each art pixel of the following camera.
 
         Raises:
             UserError: for a level that is too large.
         """
         self.worlds = worlds
         self.camera = camera
+        self._overlay = overlay
+        self._effects: dict[int, Effects] = {}
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
-        height, width = self.background.shape[:2]
+        self.shown = _land_and_shore(worlds.levels)
+        _, _, width, height = self.shown
         if camera == "follow":
-            self._factor, (width, height) = FOLLOW_FACTOR, VIEW
+            self._factor, (width, height) = zoom, VIEW
         else:
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
         self._size = width * self._factor, height * self._factor
@@ -84,6 +110,14 @@ class Renderer:
         strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos need even sides
         self._panel = (strip, self._size[0], 3) if panel else None
         self.size = self._size[0], self._size[1] + (strip if panel else 0)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of what the map shows, in pixels of the world."""
+        level = self.worlds.level
+        scale = level.tile / sprites.TILE
+        left, top, width, height = (scale * side for side in self.shown)
+        return level.left + left, level.top + top, level.left + left + width, level.top + top + height
 
     def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
@@ -105,25 +139,34 @@ class Renderer:
             player: the player that the camera follows and the panel shows.
         """
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
-        frame = self._whole_map(world) if self.camera == "map" else self._follow(world, player)
+        left, top, width, height = self._window(world, player)
+        canvas = self.background[top : top + height, left : left + width].copy()
+        self._draw(canvas, world, left, top)
+        frame = _centre(sprites.enlarge(canvas, self._factor), self._size)
+        if self._overlay:
+            frame = draw_overlay(frame, self.worlds, world, player, self._to_frame(left, top, width, height))
         return np.concatenate([self._strip(world, player), frame]) if self._panel else frame
 
     # --- Cameras ---------------------------------------------------------------------------------
 
-    def _whole_map(self, world: int) -> np.ndarray:
-        canvas = self.background.copy()
-        self._draw(canvas, world, 0, 0)
-        return sprites.enlarge(canvas, self._factor)
-
-    def _follow(self, world: int, player: int) -> np.ndarray:
+    def _window(self, world: int, player: int) -> tuple[int, int, int, int]:
+        """Return left, top, width and height of what the camera shows of the level, in art pixels."""
+        if self.camera == "map":
+            return self.shown
         row = self.worlds.players[world, player]
         x, y = self._place(row["x"], row["y"])
         rows, columns = self.background.shape[:2]
-        left, columns = _clamp(x, VIEW[0], columns)
-        top, rows = _clamp(y, VIEW[1], rows)
-        canvas = self.background[top : top + rows, left : left + columns].copy()
-        self._draw(canvas, world, left, top)
-        return _centre(sprites.enlarge(canvas, self._factor), self._size)
+        left, width = _clamp(x, VIEW[0], columns)
+        top, height = _clamp(y, VIEW[1], rows)
+        return left, top, width, height
+
+    def _to_frame(self, left: int, top: int, width: int, height: int) -> Place:
+        """Return the function from a place in the world to one in a frame that shows this window."""
+        level, factor = self.worlds.level, self._factor
+        scale = sprites.TILE * factor / level.tile
+        across = (self._size[0] - width * factor) // 2 - left * factor
+        down = (self._size[1] - height * factor) // 2 - top * factor
+        return lambda x, y: ((x - level.left) * scale + across, (y - level.top) * scale + down)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         level = self.worlds.level
@@ -135,12 +178,13 @@ class Renderer:
     def _draw(self, canvas: np.ndarray, world: int, left: int, top: int) -> None:
         """Draw everything in a world onto a canvas whose corner is at (left, top)."""
         height, width = canvas.shape[:2]
-        items = [*self._obstacles, *self._monsters(world), *self._players(world)]
+        among, above = self._passing(world)
+        items = [*self._obstacles, *self._monsters(world), *self._players(world), *among]
         for item in sorted(items, key=lambda item: item.foot):
             across, down = item.left - left, item.top - top
             if -item.picture.shape[1] < across < width and -item.picture.shape[0] < down < height:
                 sprites.blend(canvas, item.picture, across, down)
-        for item in self._bars(world):
+        for item in (*self._bars(world), *above):
             sprites.blend(canvas, item.picture, item.left - left, item.top - top)
 
     def _monsters(self, world: int) -> Iterator[Item]:
@@ -165,8 +209,11 @@ class Renderer:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
             flash = sprites.RED if bitten[index] else ""
+            if player["busy"] > 0 and player["armed"] == rules.DASHING:
+                yield from self._ghosts(index, player, stats)
             yield from self._standing(_player_picture(index, player, flash), player, stats)
             if player["busy"] > 0 and player["armed"] == rules.BLADE:
+                yield self._slash(player, stats)
                 yield self._sword(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
@@ -193,6 +240,72 @@ class Renderer:
         _, foot = self._place(0.0, _foot(player, stats))
         height, width = picture.shape[:2]
         return Item(foot + (-0.2 if facing == "up" else 0.2), picture, x - width // 2, y - height // 2)
+
+    def _slash(self, player: Any, stats: Any) -> Item:
+        """Return the arc over the box that a sword strikes."""
+        way, facing = player["facing"], FACINGS[player["facing"]]
+        half_width, half_height = stats["sword_half_width"][way], stats["sword_half_height"][way]
+        x, y = player["x"] + stats["sword_x"][way], player["y"] + stats["sword_y"][way]
+        left, top = self._place(x - half_width, y - half_height)
+        right, bottom = self._place(x + half_width, y + half_height)
+        moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
+        picture = sprites.slash_picture(right - left + 1, bottom - top + 1, facing, moment)
+        _, foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
+        return Item(foot + 0.1, picture, left, top)
+
+    def _ghosts(self, index: int, player: Any, stats: Any) -> Iterator[Item]:
+        """Yield pale pictures of who dashes along the way it came."""
+        settings, facing = self.worlds.settings[0], int(player["facing"])
+        way_x, way_y = WAYS[facing]
+        gone = float(settings["dash_ticks"] - player["busy"]) * float(stats["dash_speed"])
+        for number, opaque in GHOSTS:
+            back = number * STRIDE * 0.6
+            if back <= gone:
+                x, y = self._place(player["x"] - way_x * back, _foot(player, stats) - way_y * back)
+                picture = sprites.faded(_player_picture(index, player, ""), opaque)
+                height, width = picture.shape[:2]
+                yield Item(y - 0.4, picture, x - width // 2, y + 1 - height)
+
+    # --- What has just happened ------------------------------------------------------------------
+
+    def _passing(self, world: int) -> tuple[list[Item], list[Item]]:
+        """Return what shows for a moment among the bodies, and above them all."""
+        effects = self._effects.setdefault(world, Effects(self.worlds, world))
+        among: list[Item] = []
+        above: list[Item] = []
+        for effect, age in effects.look():
+            if effect.kind == "flame":
+                among += self._flames(effect, age)
+            else:
+                above += self._rising(effect, age)
+        return among, above
+
+    def _flames(self, effect: Effect, age: int) -> Iterator[Item]:
+        """Yield flames all over the box that burns, which die down in the last third."""
+        left_over = min(3 * (effect.ticks - age), effect.ticks) * 13 // effect.ticks
+        columns, rows = (max(round(side / FLAME_GAP), 1) for side in (effect.width, effect.height))
+        for row, column in np.ndindex(rows, columns):
+            x, y = self._place(
+                effect.x + effect.width * ((column + 0.5) / columns - 0.5),
+                effect.y + effect.height * ((row + 1) / rows - 0.5),
+            )
+            picture = sprites.flame_picture(age // 4 + row + column, max(left_over, 3))
+            height, width = picture.shape[:2]
+            yield Item(y, picture, x - width // 2, y - height)
+
+    def _rising(self, effect: Effect, age: int) -> Iterator[Item]:
+        """Yield a cloud, signs of healing, or XP gained, which rise over a body."""
+        x, y = self._place(effect.x, effect.y)
+        if effect.kind == "death":
+            pictures = [(sprites.puff_picture(6 * age // effect.ticks), 0, 0)]
+        elif effect.kind == "xp":
+            pictures = [(sprites.gain_picture(f"+{effect.xp:.10g} XP"), 0, 16 + age // 4)]
+        else:
+            plus = sprites.plus_picture()
+            pictures = [(plus, across, rise + age // 3) for across, rise in PLUSES]
+        for picture, across, rise in pictures:
+            height, width = picture.shape[:2]
+            yield Item(0.0, picture, x + across - width // 2, y - rise - height // 2)
 
     def _bars(self, world: int) -> Iterator[Item]:
         level = int(self.worlds.worlds["level"][world])
@@ -232,12 +345,18 @@ class Renderer:
             f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
             f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
-        if worlds.players.shape[1] > 1:
-            texts.insert(0, f"P{player + 1}")
         if state["ending"] != rules.RUNNING:
             texts.append(worlds.ending(world).replace("-", " "))
+        if worlds.config.magic:
+            texts.insert(1, f"EN {int(row['energy'])}/{ceil(stats['energy'])}")
+        pictures = [sprites.text_picture(text) for text in texts]
         bar = sprites.bar_picture(filled, PANEL_BAR[0], sprites.GOLD, height=PANEL_BAR[1])
-        return [bar, *(sprites.text_picture(text) for text in texts)]
+        if worlds.config.magic:
+            filled = _filled_part(row["energy"], max(stats["energy"], 1.0), PANEL_BAR[0])
+            energy = sprites.bar_picture(filled, PANEL_BAR[0], sprites.BLUE, height=PANEL_BAR[1])
+            pictures.insert(1, energy)
+        named = [sprites.text_picture(f"P{player + 1}")] if worlds.players.shape[1] > 1 else []
+        return [*named, bar, *pictures]
 
 
 def _filled_part(hp: float, full: float, width: int) -> int:
@@ -295,3 +414,16 @@ def _centre(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     top, left = (height - part.shape[0]) // 2, (width - part.shape[1]) // 2
     frame[top : top + part.shape[0], left : left + part.shape[1]] = part
     return frame
+
+
+def _land_and_shore(levels: Sequence[Level]) -> tuple[int, int, int, int]:
+    """Return left, top, width and height of the land of all levels and the water around, in art pixels."""
+    land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
+    edges = []
+    for axis in (0, 1):
+        lines = np.flatnonzero(land.any(axis=axis))
+        first, last = (lines[0], lines[-1]) if lines.size else (0, land.shape[1 - axis] - 1)
+        start = max(int(first) - SHORE_TILES, 0)
+        edges.append((start, min(int(last) + 1 + SHORE_TILES, land.shape[1 - axis]) - start))
+    (left, width), (top, height) = edges
+    return left * sprites.TILE, top * sprites.TILE, width * sprites.TILE, height * sprites.TILE

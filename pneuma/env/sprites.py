@@ -27,7 +27,8 @@ SWINGS = 3
 OBSTACLES = ("pine", "tree", "rock", "cactus", "grave")
 LETTERS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ/-:.+"
 
-WHITE, RED, GOLD, PLATE, OUTLINE = "fffaf0", "e8503f", "ffcf3f", "2a1b33", "33203a"
+WHITE, RED, GOLD, BLUE, PLATE, OUTLINE = "fffaf0", "e8503f", "ffcf3f", "58a8ff", "2a1b33", "33203a"
+EMBER, FIRE, LEAF, STEEL = "d8432a", "f7952f", "7be07f", "e8f4ff"
 
 _QUARTER_TURNS = {"up": 0, "left": 1, "down": 2, "right": 3}
 
@@ -94,6 +95,101 @@ def shadow_picture(width: int) -> np.ndarray:
     picture = np.zeros((height, width, 4), np.uint8)
     picture[x * x + y * y <= (width * height) ** 2] = (*rgb(OUTLINE), 80)
     return picture
+
+
+# --- What passes within a second ------------------------------------------------------------------
+
+_FLAME = (1, 2, 3, 4, 5, 6, 7, 7, 7, 6, 5)
+"""Half the width of a flame in each of its rows, in half art pixels, from the tip down."""
+_FLICKER = ((0, 1, 1, 0, 0), (1, 0, -1, -1, 0), (-1, -1, 0, 1, 0), (0, 0, 1, 0, 0))
+"""How far a flame leans in its rows, the tip first, in each of its moments."""
+_PUFFS = ((-3, -1), (0, -3), (3, -1), (2, 2), (-2, 2))
+"""Where the puffs of a cloud begin, from its middle."""
+
+
+@cache
+def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarray:
+    """Return the arc of a sword over the box that it strikes: pale all over, bright where the blade passes.
+
+    Args:
+        width: of the box, in art pixels.
+        height: of the box.
+        facing: one of `FACINGS`; the box begins at the player, on the other side.
+        moment: one of the `SWINGS`.
+    """
+    turns = _QUARTER_TURNS[facing]
+    ahead, across = (height, width) if turns % 2 == 0 else (width, height)
+    along = (2 * np.arange(ahead) + 1)[::-1, None] / (2 * ahead)  # 1 at the far end, 0 at the player
+    aside = (2 * np.arange(across) + 1)[None] / across - 1
+    edge = along**4 + aside**4
+    picture = np.zeros((ahead, across, 4), np.uint8)
+    picture[edge <= 1.05] = (*rgb(STEEL), 90)
+    passed = (aside <= 2 * (moment + 1) / SWINGS - 1) & (along > 0.25)
+    picture[(edge <= 1.05) & (edge > 0.45) & passed] = (*rgb(STEEL), 170)
+    picture[(edge <= 1.05) & (edge > 0.7) & passed] = (*rgb(WHITE), 240)
+    return np.rot90(picture, turns)
+
+
+@cache
+def flame_picture(moment: int, left_over: int) -> np.ndarray:
+    """Return a flame, flickering by moments; of its 13 rows the lowest are left over as it goes out."""
+    lean = _FLICKER[moment % len(_FLICKER)]
+    picture = np.zeros((len(_FLAME), 13, 4), np.uint8)
+    x = 2 * np.arange(13) - 12
+    for row, half in enumerate(_FLAME):
+        off = abs(x - 2 * lean[min(row // 2, len(lean) - 1)])
+        for colour, inset in ((EMBER, 0), (FIRE, 2), (GOLD, 5)):
+            picture[row, off <= half - inset] = (*rgb(colour), 255)
+    whole = outlined(picture)
+    return whole[len(whole) - left_over :]
+
+
+@cache
+def puff_picture(moment: int) -> np.ndarray:
+    """Return the cloud that is left of a monster, at one of its six moments: it spreads and thins out."""
+    picture = np.zeros((25, 25, 4), np.uint8)
+    row, column = np.ogrid[:25, :25]
+    radius = (9, 9, 7, 5, 2, 1)[moment]
+    for x, y in _PUFFS:
+        middle_x, middle_y = 12 + x * (4 + moment) // 4, 12 + y * (4 + moment) // 4 - moment // 2
+        picture[(column - middle_x) ** 2 + (row - middle_y) ** 2 <= radius] = (*rgb(WHITE), 255)
+    return outlined(picture)
+
+
+@cache
+def plus_picture() -> np.ndarray:
+    """Return the sign of healing."""
+    picture = np.zeros((5, 5, 4), np.uint8)
+    picture[2, :] = picture[:, 2] = (*rgb(LEAF), 255)
+    return outlined(picture)
+
+
+@cache
+def gain_picture(text: str) -> np.ndarray:
+    """Return what was gained, as golden text with an outline."""
+    letters = text_picture(text).copy()
+    letters[letters[..., 3] > 0, :3] = rgb(GOLD)
+    return outlined(letters)
+
+
+def outlined(picture: np.ndarray) -> np.ndarray:
+    """Return a picture with an outline around it, two art pixels wider and higher."""
+    framed = np.pad(picture, ((1, 1), (1, 1), (0, 0)))
+    inside = framed[..., 3] > 0
+    around = np.zeros_like(inside)
+    around[1:] |= inside[:-1]
+    around[:-1] |= inside[1:]
+    around[:, 1:] |= inside[:, :-1]
+    around[:, :-1] |= inside[:, 1:]
+    framed[around & ~inside] = (*rgb(OUTLINE), 255)
+    return framed
+
+
+def faded(picture: np.ndarray, share: int) -> np.ndarray:
+    """Return a picture with a share, in percent, of its opacity."""
+    pale = picture.copy()
+    pale[..., 3] = picture[..., 3].astype(np.uint16) * share // 100
+    return pale
 
 
 # --- Bars and text -------------------------------------------------------------------------------

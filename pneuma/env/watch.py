@@ -1,7 +1,7 @@
 """Showing a world: a window, rendering, smooth episodes, videos, and play by hand.
 
 Environments give one frame per step. Episodes and play show the 8 ticks of a step in four frames, so that
-motion is smooth. A window needs pygame-ce.
+motion is smooth; a GIF shows two, as it would be twice as large. A window needs pygame-ce.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.players import Hunter
 from pneuma.env.render import CAMERAS, Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ACTION_NAMES
+from pneuma.env_fields import ACTION_NAMES, EnvConfig
 from pneuma.errors import UserError, install_extra, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
@@ -31,8 +31,7 @@ RENDER_MODES = ("rgb_array", "human")
 VIDEOS = (".gif", ".mp4", ".png")
 """File formats for frames; .png holds the first one."""
 
-FRAMES_PER_STEP = 4
-FRAMES_PER_SECOND = TICKS_PER_SECOND * FRAMES_PER_STEP // TICKS_PER_STEP
+FRAMES_PER_STEP, GIF_FRAMES_PER_STEP = 4, 2
 SECONDS_AFTER_LAST_KILL = 2
 
 KEYS = {
@@ -182,18 +181,24 @@ class Rendering:
 # --- Episodes to watch ---------------------------------------------------------------------------
 
 
-def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.ndarray]:
+def frame_rate(frames_per_step: int) -> float:
+    return frames_per_step * STEPS_PER_SECOND
+
+
+def episode_frames(
+    worlds: Worlds, act: Act, renderer: Renderer, frames_per_step: int = FRAMES_PER_STEP
+) -> Iterator[np.ndarray]:
     """Yield the frames of one episode of the first world, which must have been reset just before.
 
     An episode that goes on after the last monster's death is shown for two more seconds.
     """
-    smooth(worlds)
+    smooth(worlds, frames_per_step)
     yield renderer.frame(0)
-    left = SECONDS_AFTER_LAST_KILL * FRAMES_PER_SECOND
+    left = SECONDS_AFTER_LAST_KILL * frame_rate(frames_per_step)
     hunted = worlds.monsters.shape[1] > 0
     while worlds.worlds["ending"][0] == 0 and left > 0:
         actions = act(worlds)
-        for _ in range(FRAMES_PER_STEP):
+        for _ in range(frames_per_step):
             if worlds.step(actions):
                 break
             yield renderer.frame(0)
@@ -204,13 +209,14 @@ def episode_frames(worlds: Worlds, act: Act, renderer: Renderer) -> Iterator[np.
 
 def agent_steps(worlds: Worlds) -> int:
     """Return how many steps of 8 ticks a smooth first world has taken; a partial one counts as one."""
-    return -(-int(worlds.worlds["steps"][0]) // FRAMES_PER_STEP)
+    ticks = int(worlds.worlds["steps"][0]) * int(worlds.settings["ticks"][0])
+    return -(-ticks // TICKS_PER_STEP)
 
 
-def smooth(worlds: Worlds) -> None:
+def smooth(worlds: Worlds, frames_per_step: int = FRAMES_PER_STEP) -> None:
     """Let worlds advance by the ticks of one frame at a time."""
-    worlds.settings["ticks"] = TICKS_PER_STEP // FRAMES_PER_STEP
-    worlds.settings["step_limit"] *= FRAMES_PER_STEP
+    worlds.settings["ticks"] = TICKS_PER_STEP // frames_per_step
+    worlds.settings["step_limit"] *= frames_per_step
 
 
 def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
@@ -228,7 +234,7 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     names = worlds.action_names
     scores: list[tuple[int, int]] = []
     while not window.closed:
-        window.show(renderer.frame(0), FRAMES_PER_SECOND)
+        window.show(renderer.frame(0), frame_rate(FRAMES_PER_STEP))
         pressed = window.keys()
         if "leave" in pressed:
             break
@@ -244,19 +250,19 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     return scores
 
 
-def level_worlds(start: int = 0) -> Worlds:
+def level_worlds(start: int = 0, config: EnvConfig | None = None) -> Worlds:
     """Return the shipped level at the start of an episode."""
-    worlds = Worlds(1)
+    worlds = Worlds(1, config)
     worlds.seed([0])
     worlds.reset(starts=np.array([start], np.int64))
     return worlds
 
 
-def fight_worlds() -> Worlds:
+def fight_worlds(config: EnvConfig | None = None) -> Worlds:
     """Return the shipped level during a fight: a monster just hit, and as many awake as possible."""
-    best, most = level_worlds(), 0
+    best, most = level_worlds(config=config), 0
     for start in range(len(best.level.starts)):
-        worlds = level_worlds(start)
+        worlds = level_worlds(start, config)
         hunter = Hunter(worlds)
         smooth(worlds)
         while worlds.worlds["ending"][0] == 0 and most < 3:
@@ -330,25 +336,58 @@ def _with_even_sides(frame: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
 
 
+class _Palette:
+    """The colours of a whole GIF, in order of appearance; from the 256th on, the nearest known one."""
+
+    def __init__(self) -> None:
+        self.colours = np.zeros((256, 3), np.uint8)
+        self._count = 1  # the first stands for "as before"
+        self._indices = np.zeros(1 << 24, np.uint8)  # by red, green and blue; 0 if not yet seen
+
+    def index(self, frame: np.ndarray) -> np.ndarray:
+        """Return the index of each pixel's colour, (height, width) uint8."""
+        packed = frame.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+        indices = self._indices[packed]
+        if not indices.all():
+            for colour in np.unique(packed[indices == 0]).tolist():
+                self._indices[colour] = self._add(np.array([colour >> 16, colour >> 8 & 255, colour & 255]))
+            indices = self._indices[packed]
+        return indices
+
+    def _add(self, colour: np.ndarray) -> int:
+        if self._count == len(self.colours):
+            return 1 + int(((self.colours[1:].astype(int) - colour) ** 2).sum(axis=1).argmin())
+        self.colours[self._count] = colour
+        self._count += 1
+        return self._count - 1
+
+
 def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: float) -> None:
-    """Write a looping GIF; Pillow's own `save_all` would keep every frame in memory."""
+    """Write a looping GIF with one palette; Pillow's own `save_all` would keep every frame in memory."""
     before: np.ndarray | None = None
+    palette = _Palette()
     with open(path, "wb") as file:
         for number, frame in enumerate(frames):
-            height, width = frame.shape[:2]
-            box = (0, 0, width, height)
-            if before is not None:  # where it differs; one pixel if nowhere
-                box = Image.fromarray(before ^ frame).getbbox() or (0, 0, 1, 1)
-            left, top, right, bottom = box
+            pixels = palette.index(frame)
+            left, top, right, bottom = 0, 0, *pixels.shape[::-1]
             if before is None:
                 size = b"".join(side.to_bytes(2, "little") for side in (right, bottom))
-                file.write(b"GIF89a" + size + bytes(3) + b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
+                file.write(b"GIF89a" + size + b"\xf7\0\0" + palette.colours.tobytes())
+                file.write(b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
+                shown = pixels
+            else:  # where it differs; one pixel if nowhere
+                shown = np.where(pixels == before, 0, pixels).astype(np.uint8)
+                left, top, right, bottom = Image.fromarray(shown).getbbox() or (0, 0, 1, 1)
             start, end = (round(100 * edge / frames_per_second) for edge in (number, number + 1))
-            # With at most 256 colours this changes none.
-            piece = Image.fromarray(frame[top:bottom, left:right]).quantize(256, dither=Image.Dither.NONE)
-            image = getdata(
-                piece, (left, top), duration=10 * (end - start), disposal=1, include_color_table=True
+            piece = Image.fromarray(shown[top:bottom, left:right])
+            file.writelines(
+                getdata(piece, (left, top), duration=10 * (end - start), disposal=1, transparency=0)
             )
-            file.writelines(image)
-            before = frame.copy()  # the caller may draw the next frame into the same array
+            before = pixels
         file.write(b";")
+        file.seek(_PALETTE_AT)
+        file.write(palette.colours.tobytes())
+
+
+_PALETTE_AT = 13
+"""Where a GIF's palette begins, which is complete when all frames are written."""

@@ -10,6 +10,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from pneuma.env.render import Renderer
 from pneuma.env.watch import fight_worlds, level_worlds
+from pneuma.env_fields import make_env_config
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 
@@ -51,13 +52,13 @@ def draw_level(folder: Path, command: str = "") -> list[Path]:
     """Draw Fig. 6.1: the whole level, with its start places and monsters."""
     worlds = level_worlds()
     level = worlds.level
-    image = Renderer(worlds, "map", panel=False).frame(0)
-    rows, columns = level.terrain.shape
-    edges = (level.left, level.left + columns * level.tile, level.top + rows * level.tile, level.top)
+    renderer = Renderer(worlds, "map", panel=False)
+    image = renderer.frame(0)
+    left, top, right, bottom = renderer.extent
     with house_style():
         figure = Figure(figsize=(5.2, 4.7), layout="constrained")
         axes = figure.subplots()
-        axes.imshow(image, extent=edges, interpolation="none")
+        axes.imshow(image, extent=(left, right, bottom, top), interpolation="none")
         axes.plot(
             *level.starts.T, "*", color="#FFD400", markeredgecolor="black", markersize=9, label="start places"
         )
@@ -68,10 +69,14 @@ def draw_level(folder: Path, command: str = "") -> list[Path]:
 
 
 def draw_screens(folder: Path, command: str = "") -> list[Path]:
-    """Draw Figs. 5.1 and 5.2: the view that follows a player, at the start and in a fight."""
+    """Draw Figs. 5.1 and 5.2, the view that follows a player in two scenes, and what is measured.
+
+    The last one, for the page of rules, is the same fight of a player who sees by rays.
+    """
     paths = []
-    for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds())):
-        frame: np.ndarray = Renderer(worlds, "follow").frame(0)
+    fight = fight_worlds(make_env_config({"perceive": "rays:32"}))
+    for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds()), ("rules", fight)):
+        frame: np.ndarray = Renderer(worlds, "follow", overlay=worlds is fight).frame(0)
         with house_style():
             figure = Figure(figsize=(frame.shape[1] / 200, frame.shape[0] / 200))
             axes = figure.add_axes((0, 0, 1, 1))

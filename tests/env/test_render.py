@@ -14,11 +14,12 @@ import pytest
 from PIL import Image, ImageSequence
 
 from pneuma.env import rules, watch
+from pneuma.env.effects import Effects
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import make_env_config
 
-from .arena import ATTACK, DOWN, LEFT, RIGHT, begin, play, stage
+from .arena import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, begin, play, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
 BODY = 12  # no picture of a body reaches further from its centre
@@ -88,6 +89,83 @@ def test_same_state_gives_the_same_bytes() -> None:
     for camera in ("map", "follow"):
         here, there = (Renderer(worlds, camera).frame(1, 2) for worlds in (first, second))
         assert here.tobytes() == there.tobytes()
+
+
+# --- What passes, and what is measured ------------------------------------------------------------
+
+
+def test_effects_tell_spells_deaths_and_gains_for_their_time(arena: str) -> None:
+    """A cast lasts 24 ticks, 3 steps, a death shows for 24 and XP for 45; the first state shows none."""
+    worlds = stage(arena, (100.0, 0.0), settings={"magic": True})
+    worlds.monsters["hp"][0, 0] = 1.0
+    effects = Effects(worlds, 0)
+    assert effects.look() == []
+    shown = []
+    for action in [FLAME] * 4 + [HEAL] * 4:
+        play(worlds, action)
+        shown.append(" ".join(effect.kind for effect, _ in effects.look()))
+    burning, later = ["flame death xp"] * 2 + ["death xp"], ["xp flame", "xp flame", "xp"]
+    assert shown == [*burning, *later, "heal", "heal"]
+
+
+def test_a_new_episode_shows_nothing_of_the_last(arena: str) -> None:
+    worlds = stage(arena, settings={"magic": True})
+    effects = Effects(worlds, 0)
+    effects.look()
+    play(worlds, FLAME)
+    assert [effect.kind for effect, _ in effects.look()] == ["flame"]
+    worlds.reset()
+    assert effects.look() == []
+
+
+@pytest.mark.parametrize("facing", range(4))
+def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
+    """All of it is brightened but the round corners."""
+    worlds = stage(arena, facing=facing)
+    worlds.players["busy"] = 12
+    before = bare(worlds)
+    worlds.players["armed"] = rules.BLADE
+    x, y = changed(before, bare(worlds))
+    stats = worlds.player_stats[0]
+    across = abs(x + 0.5 - MIDDLE - stats["sword_x"][facing] / 4) <= stats["sword_half_width"][facing] / 4 + 1
+    down = abs(y + 0.5 - MIDDLE - stats["sword_y"][facing] / 4) <= stats["sword_half_height"][facing] / 4 + 1
+    box = 4 * stats["sword_half_width"][facing] * stats["sword_half_height"][facing] / 16
+    assert (across & down).sum() > 0.85 * box
+
+
+def test_the_map_shows_the_land_and_two_tiles_of_water() -> None:
+    worlds = Worlds(1)
+    left, top, right, bottom = worlds.level.land
+    edges = Renderer(worlds).extent
+    assert edges == (left - 128, top - 128, right + 128, bottom + 128)
+    assert Renderer(worlds, panel=False).frame().shape == (
+        (bottom - top) / 4 + 64,
+        (right - left) / 4 + 64,
+        3,
+    )
+
+
+@pytest.mark.parametrize("camera", ["map", "follow"])
+def test_an_overlay_draws_rays_to_what_they_meet(arena: str, camera: str) -> None:
+    worlds = stage(arena, (200.0, 0.0), settings={"perceive": "rays:4"})
+    plain, over = (Renderer(worlds, camera, panel=False, overlay=each).frame() for each in (False, True))
+    x, y = changed(plain, over)
+    height, width = plain.shape[:2]
+    factor = 0.75 if camera == "map" else 1.0  # pixels of the frame for one of the world
+    on_ray = (abs(y - height / 2) <= 2) & (x > width / 2) & (x < width / 2 + 188 * factor)
+    assert len(set(x[on_ray])) > 180 * factor
+    assert over.shape == plain.shape
+
+
+def test_a_gif_of_many_colours_has_one_palette_and_the_nearest_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "many.gif"
+    ramp = np.zeros((2, 300, 3), np.uint8)
+    ramp[..., 0] = np.arange(300) // 2
+    ramp[..., 1] = np.arange(300) % 2
+    watch.write_video(path, iter([ramp, ramp[:, ::-1]]), 15)
+    frames, _ = gif_frames(path)
+    assert abs(frames[1].astype(int) - ramp[:, ::-1]).max() <= 45
+    np.testing.assert_array_equal(frames[1], frames[0][:, ::-1])
 
 
 # --- Videos ---------------------------------------------------------------------------------------
