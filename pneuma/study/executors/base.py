@@ -125,6 +125,7 @@ def watch(
     live: Callable[[], Mapping[str, Job]],
     seconds: float,
     lost: str,
+    until: Mapping[str, int],
 ) -> None:
     """Report events of runs in jobs until all runs have ended; ended runs are removed from `left`.
 
@@ -135,6 +136,7 @@ def watch(
         live: returns the remaining jobs, by the ids of their runs.
         seconds: time between two looks.
         lost: the reason for a run whose job has ended without results.
+        until: steps at which runs pause, by run.
     """
     jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
     while left:
@@ -143,7 +145,8 @@ def watch(
             status, job = store.status(name), jobs.get(name, before.get(name))
             if status.finished or job is None:
                 left.discard(name)
-                gone = not (status.finished or status.failed or status.name == "killed")
+                paused = 0 < until.get(name, 0) <= status.step
+                gone = not (status.finished or status.failed or status.name == "killed" or paused)
                 end = end_event(name, Status("killed", status.step) if gone else status)
                 on_event({**end, "reason": lost} if gone else end)
             elif status.step:

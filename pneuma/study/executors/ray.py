@@ -94,7 +94,7 @@ def run_groups(
             return {name: job for job, group in groups for name in group}
 
         try:
-            watch(left, store, on_event, live, LOOK_SECONDS, "its node was lost twice")
+            watch(left, store, on_event, live, LOOK_SECONDS, "its node was lost twice", how.until)
         finally:
             for task in tasks:
                 ray.cancel(task, force=True)

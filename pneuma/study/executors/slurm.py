@@ -77,7 +77,7 @@ def run_groups(
         if wanted:
             _submit(wanted, store, how)
         if not asked or not wanted:
-            return _watch(left, store, on_event)
+            return _watch(left, store, on_event, how)
     except KeyboardInterrupt:
         asked = False
     jobs = [name for name, groups in _noted(store).items() for group in groups if not left.isdisjoint(group)]
@@ -150,7 +150,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
             raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
 
 
-def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
+def _watch(left: set[str], store: Store, on_event: OnEvent, how: Supervision) -> None:
     jobs: dict[str, Job] = {}
 
     def live() -> dict[str, Job]:
@@ -160,7 +160,7 @@ def _watch(left: set[str], store: Store, on_event: OnEvent) -> None:
         return jobs
 
     printed = f"what it printed lies in {_folder(store)}, the same command submits it again"
-    watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}")
+    watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}", how.until)
     with suppress(UserError):  # remaining files are removed next time
         _put_away(store)
 
