@@ -16,7 +16,7 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import local, slurm
-from pneuma.study.executors.base import Detached, Event, Supervision
+from pneuma.study.executors.base import HERE, Detached, Event, Supervision
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 
@@ -114,7 +114,7 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     store.save_run(crashed, Status("crashed"), {"run.json": b"{}"})
     queue.gone = True
     events: list[Event] = []
-    slurm._watch({*runs}, store, events.append)
+    slurm._watch({*runs}, store, events.append, HERE)
     assert ends(events) == {done: "done", crashed: "crashed", lost: "killed"}
     assert "results-slurm" in next(event["reason"] for event in events if event.get("reason"))
     assert folders(store)  # what its job printed tells why
@@ -129,7 +129,7 @@ def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
     submit = queue.submit_array
 
     def slowly(jobs: Sequence[slurm.Training]) -> None:
-        slurm._watch(set(), store, lambda event: None)  # it clears away what is not in the queue
+        slurm._watch(set(), store, lambda event: None, HERE)  # it clears away what is not in the queue
         submit(jobs)
 
     monkeypatch.setattr(queue, "submit_array", slowly)
