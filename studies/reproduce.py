@@ -32,7 +32,7 @@ PARTS = {
     ),
     "causes": (
         "collapse", "late-collapse", "robustness", "noise-scale", "betas-and-units", "three-updates",
-        "greedy-gap",
+        "greedy-gap", "tuned",
     ),
 }  # fmt: skip
 """Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
