@@ -8,6 +8,7 @@ never given to a sampler but for parameters and values: CMA-ES would unpickle mo
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -106,7 +107,11 @@ PRUNERS = {
 }
 """By name. The steps of a pruner are a run's evaluations, of which there are 20; Wilcoxon's are seeds."""
 
-LEAST = {"min_resource": 1, "max_resource": 1, "reduction_factor": 2}
+LEAST = {
+    "min_resource": 1, "max_resource": 1, "reduction_factor": 2, "n_ei_candidates": 1, "popsize": 2,
+    "sigma0": 1e-6, "population_size": 2,
+}  # fmt: skip
+"""Of arguments that Optuna checks only when it uses them."""
 
 
 def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
@@ -114,7 +119,7 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     name = value.get("name", "")
-    if name not in kinds:
+    if not isinstance(name, str) or name not in kinds:
         raise wrong(str(unknown_name("name", str(name), [*filter(None, kinds)])), "name")
     given = {key: each for key, each in value.items() if key != "name"}
     kind = kinds[name]
@@ -122,11 +127,14 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         if key not in kind.arguments:
             raise wrong(str(unknown_name(f"argument of {name}", key, kind.arguments)), key)
         usual = kind.arguments[key]
-        if isinstance(each, bool) != isinstance(usual, bool) or not isinstance(each, bool | int | float):
+        number = isinstance(each, int if isinstance(usual, int) or key == "popsize" else int | float)
+        if isinstance(each, bool) != isinstance(usual, bool) or not number:
             raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
-        if each < (least := LEAST.get(key, each)):  # Optuna finds these when it prunes first
+        if each < (least := LEAST.get(key, each)):
             raise wrong(f"{key} = {shown(each)} is not allowed: at least {least}", key)
     arguments = {**kind.arguments, **given}
+    if arguments.get("max_resource", math.inf) < arguments.get("min_resource", 0):
+        raise wrong("max_resource is less than min_resource", "name")
     if kind.package and not _is_installed(kind.package):
         raise wrong(f"{name} needs a package that is missing: pip install {kind.package}", "name")
     if name != "grid":
@@ -145,7 +153,7 @@ def _is_installed(package: str) -> bool:
 
 
 def _type(usual: Any) -> str:
-    return "true or false" if isinstance(usual, bool) else "a number"
+    return "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
 
 
 def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
@@ -165,26 +173,6 @@ def make_sampler(search: Search, number: int) -> samplers.BaseSampler:
         }
     made: samplers.BaseSampler = _make(SAMPLERS[chosen.name], chosen.arguments, **more)
     return made
-
-
-def pauses(search: Search) -> list[int]:
-    """Return the evaluations, counted from 1, at which the pruner may stop a trial.
-
-    Training pauses there, so that all trials of a generation are compared with the same earlier ones.
-    """
-    name, given = search.spec.pruner.name, search.spec.pruner.arguments
-    if name in ("median", "percentile"):
-        first, every = int(given["n_warmup_steps"]), int(given["interval_steps"])
-        return [k for k in range(1, EVALUATIONS) if k >= first and (k - first) % every == 0]
-    if name in ("successive-halving", "hyperband"):
-        least, factor = int(given["min_resource"]), int(given["reduction_factor"])
-        rungs = (least * factor**rung for rung in range(EVALUATIONS))
-        return [k for k in rungs if k < EVALUATIONS]
-    return []
-
-
-EVALUATIONS = 20
-"""Evaluations of a run (`pneuma.engines.loop`), fewer if it has fewer updates."""
 
 
 # --- Asking ---------------------------------------------------------------------------------------

@@ -48,6 +48,8 @@ OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
 }
 """Functions that combine the outcomes of a trial's seeds."""
 DIRECTIONS = ("maximize", "minimize")
+BY_SEED = "wilcoxon"
+"""The pruner that compares trials seed by seed, each trained to its end."""
 Count = Annotated[int, Interval(ge=1, le=10_000)]
 
 
@@ -248,6 +250,11 @@ def read_search(path: Path) -> Search:
         raise UserError(f"{path}: {error}") from None
     if len(said.objectives) > 1 and said.pruner.name:
         raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
+    for sought in said.objectives.values():
+        if sought.over_seeds == "deviation" and said.pruner.name:
+            raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
+        if sought.over_seeds != "mean" and said.pruner.name == BY_SEED:
+            raise file.mistake(("pruner",), f"{BY_SEED} goes with a mean over seeds alone", "name")
     ranges = [each.name for each in parameters if not each.choices]
     if said.sampler.name == "grid" and (ranges or any(each.when for each in parameters)):
         dependent = next((each.name for each in parameters if each.when), "")

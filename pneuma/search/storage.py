@@ -97,12 +97,13 @@ class JournalLog(Log):
 
     def __init__(self, path: Path, task: Task) -> None:
         self._task, about = task, _about(task)
-        self._storage = JournalStorage(JournalFileBackend(str(path)))
+        Path(f"{path}.lock").unlink(missing_ok=True)  # left by a kill: Optuna would wait for it for ever
+        self._storage = JournalStorage(JournalFileBackend(str(path.resolve())))
         if not self._storage.get_all_studies():
             create_study(task.search, storage=self._storage)
         self._study = optuna.load_study(study_name=task.search.name, storage=self._storage)
-        known = self._study.user_attrs.get(ABOUT, {})
-        if known.get("trials_asked", 0) < task.budget.trials:
+        known = self._study.user_attrs.get(ABOUT)
+        if not isinstance(known, dict) or known["trials_asked"] < task.budget.trials:
             self._study.set_user_attr(ABOUT, about)
         self._noted = {trial.number: trial for trial in self._study.get_trials()}
         self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
@@ -126,7 +127,12 @@ class JournalLog(Log):
             distributions=distributions(self._task.search.space, params),
             user_attrs=attributes,
         )
-        self._storage.create_new_trial(self._study._study_id, template_trial=template)
+        made = self._storage.create_new_trial(self._study._study_id, template_trial=template)
+        if self._storage.get_trial(made).number != number:
+            raise UserError(
+                f"another program added a trial to the log of search {self._task.search.name} meanwhile; "
+                "move the log away, and no run is trained twice"
+            )
 
     def report(self, number: int, step: int, value: float) -> None:
         self._storage.set_trial_intermediate_value(self._id(number), step, value)
@@ -144,7 +150,6 @@ class JournalLog(Log):
 def _about(task: Task) -> dict[str, Any]:
     about = {
         "search": task.search.name,
-        "file": task.search.file,
         "set": task.over,
         "digest": task.digest,
         "identity": task.identity,
@@ -165,24 +170,35 @@ def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLo
         raise UserError(f"{path}: is a link; remove it")
     if path.exists():
         data = read_whole(path, LARGEST_LOG)
-        torn = len(data) - data.rfind(b"\n") - 1
-        if torn:
-            os.truncate(path, len(data) - torn)
+        whole = data.rfind(b"\n") + 1
+        if data and not whole and not data.startswith(b'{"op_code"'):
+            raise _damaged(path)
+        about = _read_study(path, task.search).user_attrs.get(ABOUT) if whole else None
+        if whole < len(data):
+            os.truncate(path, whole)
             say(f"{path}: its last line was cut off, and is left out")
-        about = _read_study(path, task.search).user_attrs.get(ABOUT) if len(data) > torn else None
-        if about and about.get("digest") != task.digest:
-            changed = ", ".join(_changed(about.get("identity"), task)) or "files"
-            aside = path.with_name(f"{path.stem}.{_digest(about)}.log")
-            os.replace(path, aside)
-            say(f"the search so far had other {changed}: its log is now {aside}; its runs stay")
-            before = path.with_name(f"{path.stem}.{task.digest}.log")
-            if before.is_file() and not before.is_symlink():
-                os.replace(before, path)
-                _read_study(path, task.search)
+        if isinstance(about, dict) and about.get("digest") != task.digest:
+            _set_aside(path, about, task, say)
     try:
         return JournalLog(path, task)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise _damaged(path) from None
+
+
+def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[str], None]) -> None:
+    """Rename the log of an earlier search, and take back that of this one if it was set aside."""
+    aside = path.with_name(f"{path.stem}.{_digest(about)}.log")
+    if os.path.lexists(aside):
+        raise UserError(f"{aside}: is there already, and {path} is of the same search; move one away")
+    os.replace(path, aside)
+    changed = ", ".join(_changed(about.get("identity"), task)) or "files"
+    say(f"the search so far had other {changed}: its log is now {aside}; its runs stay")
+    before = path.with_name(f"{path.stem}.{task.digest}.log")
+    if before.is_file() and not before.is_symlink():
+        found = _read_study(before, task.search).user_attrs.get(ABOUT)
+        if not isinstance(found, dict) or found.get("digest") != task.digest:
+            raise _damaged(before)
+        os.replace(before, path)
 
 
 def _digest(about: Mapping[str, Any]) -> str:
@@ -249,9 +265,10 @@ def _read_study(path: Path, search: Search) -> optuna.Study:
     Raises:
         UserError: for a log that is damaged or of another study.
     """
+    data = read_whole(path, LARGEST_LOG)
     try:
-        storage = JournalStorage(_Lines(read_whole(path, LARGEST_LOG)))
-        names = [study.study_name for study in storage.get_all_studies()]
+        storage = JournalStorage(_Lines(data))
+        names = [str(study.study_name) for study in storage.get_all_studies()]
         if search.name in names:
             return optuna.load_study(study_name=search.name, storage=storage)
     except Exception:  # a line of JSON may be any operation, on anything
@@ -262,6 +279,8 @@ def _read_study(path: Path, search: Search) -> optuna.Study:
 def _read(path: Path, search: Search) -> RecordedSearch:
     """Return a search from its log, which may be untrusted, and its file."""
     study = _read_study(path, search)
+    if ABOUT not in study.user_attrs and not study.get_trials(deepcopy=False):
+        raise UserError(f"{path}: no trial was begun yet: `pneuma search run` it first")
     try:
         about = study.user_attrs[ABOUT]
         over = read_fields(Run, about["set"])
@@ -290,10 +309,18 @@ def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTri
         UserError: for parameters that are not in the search's space.
         ValueError: for values that do not fit the search.
     """
-    names, ended = {state: name for name, state in STATES.items()}, []
+    names, ended, running = {state: name for name, state in STATES.items()}, [], False
     for trial in sorted(trials, key=lambda each: int(each.number)):
         if trial.state not in names:
-            break
+            running = True
+            continue
+        if running or "run_ids" not in trial.user_attrs:
+            raise UserError(
+                f"the log of search {search.name}: another program ended trial {trial.number}; "
+                "move the log away, and no run is trained twice"
+            )
+        if trial.state == TrialState.PRUNED and len(trial.values or ()) != 1:
+            raise ValueError("a trial that was stopped early without a value")
         try:
             for name, distribution in distributions(search.space, trial.params).items():
                 check_distribution_compatibility(distribution, trial.distributions[name])

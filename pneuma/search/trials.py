@@ -22,8 +22,8 @@ from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, as_fields
 from pneuma.engines.loop import EVALUATIONS, evaluation_step
 from pneuma.errors import UserError
-from pneuma.search.optuna_study import STATES, ask, create_study, ended_study, pauses
-from pneuma.search.spec import OVER_SEEDS, Budget, Objective, Search
+from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
+from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
 from pneuma.study.identity import contents, run_id
 from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell, Plan, Selection
@@ -165,11 +165,15 @@ class Outcomes:
 
     def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
         """Return an outcome as it is at steps before the run's end, in their order; NaN if there is none."""
-        if self.diverged(cell):
-            return [self.read(cell, name)] * len(steps)
-        row = row_until(self.store, cell.run_id, cell.run, steps[-1])
-        run = FinishedRun(cell.condition, cell.seed, row)
-        return [outcome(self._data(run, cell), run, name, step) for step in steps]
+        status = self.store.status(cell.run_id)
+        healthy = [step for step in steps if status.name != "diverged" or step < status.step]
+        values = []
+        if healthy:
+            run = FinishedRun(
+                cell.condition, cell.seed, row_until(self.store, cell.run_id, cell.run, healthy[-1])
+            )
+            values = [outcome(self._data(run, cell), run, name, step) for step in healthy]
+        return values + [self.read(cell, name) for _ in steps[len(healthy) :]]
 
     def diverged(self, cell: Cell) -> bool:
         return self.store.status(cell.run_id).name == "diverged"
@@ -203,8 +207,20 @@ def rounds(task: Task) -> list[Round]:
     return [Round(seeds, range(start + 1, end + 1), end) for start, end in pairwise(ends)]
 
 
-BY_SEED = "wilcoxon"
-"""The pruner that compares trials seed by seed, each trained to its end."""
+def pauses(search: Search) -> list[int]:
+    """Return the evaluations, counted from 1, at which the pruner may stop a trial.
+
+    Training pauses there, so that all trials of a generation are compared with the same earlier ones.
+    """
+    name, given = search.spec.pruner.name, search.spec.pruner.arguments
+    if name in ("median", "percentile"):
+        first, every = int(given["n_warmup_steps"]), int(given["interval_steps"])
+        return [k for k in range(1, EVALUATIONS) if k >= first and (k - first) % every == 0]
+    if name in ("successive-halving", "hyperband"):
+        least, factor = int(given["min_resource"]), int(given["reduction_factor"])
+        rungs = (least * factor**rung for rung in range(EVALUATIONS))
+        return [k for k in rungs if k < EVALUATIONS]
+    return []
 
 
 def conduct(
@@ -289,7 +305,7 @@ def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, lo
     if known:
         found = {step: known.reports[step] for step in part.reports if step in known.reports}
     else:
-        found = dict(zip(part.reports, _values(sought, part, asked.cells, outcomes), strict=True))
+        found = dict(zip(part.reports, _values(task, sought, part, asked.cells, outcomes), strict=True))
     for step, value in found.items():
         if np.isfinite(value):
             asked.reports[step] = value
@@ -298,12 +314,13 @@ def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, lo
                 log.report(asked.trial.number, step, value)
 
 
-def _values(sought: Objective, part: Round, cells: Sequence[Cell], outcomes: Outcomes) -> list[float]:
-    of_round = [cell for cell in cells if cell.seed in part.seeds]
-    if len(of_round) < len(cells):
-        return [outcomes.read(cell, sought.outcome) for cell in of_round]
+def _values(
+    task: Task, sought: Objective, part: Round, cells: Sequence[Cell], outcomes: Outcomes
+) -> list[float]:
+    if task.search.spec.pruner.name == BY_SEED:
+        return [outcomes.read(cell, sought.outcome) for cell in cells if cell.seed in part.seeds]
     steps = [evaluation_step(cells[0].run, number) for number in part.reports]
-    each = np.array([outcomes.read_early(cell, sought.outcome, steps) for cell in of_round])
+    each = np.array([outcomes.read_early(cell, sought.outcome, steps) for cell in cells])
     return [over_seeds(sought.over_seeds, column) for column in each.T]
 
 

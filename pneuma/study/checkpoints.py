@@ -155,6 +155,12 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
 
 
+def sound_step(store: Store, name: str) -> int:
+    """Return the step of a run's latest sound checkpoint; 0 if it has none."""
+    files = checkpoint_files(store.run_folder(name))
+    return next((file.step for file in files if read_checkpoint(file)), 0)
+
+
 def file_name(step: int, data: bytes) -> str:
     return f"{step:013}-{checksum(data)[:16]}.safetensors"
 

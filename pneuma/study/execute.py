@@ -12,6 +12,7 @@ from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, env_config
 from pneuma.errors import counted
+from pneuma.study.checkpoints import sound_step
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
@@ -66,7 +67,7 @@ def prepare(
         todo = {
             name: run
             for name, run in todo.items()
-            if name in until and not 0 < until[name] <= statuses[name].step
+            if name in until and not 0 < until[name] <= sound_step(store, name)
         }
     check_environments(todo.values())
     store.check_writable()

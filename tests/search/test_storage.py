@@ -169,3 +169,38 @@ def test_trials_outside_the_space_are_refused(make_task: MakeTask, store: Store)
     for use in (lambda: read_record(store, task.search.file, "text"), lambda: search(task, store)):
         with pytest.raises(UserError, match="trial 4 is outside the search's space"):
             use()
+
+
+def test_a_lock_that_a_kill_left_holds_nobody_up(make_task: MakeTask, store: Store) -> None:
+    task = make_task(4)
+    search(task, store)
+    path = log_path(store, task.search.label)
+    path.with_name(path.name + ".lock").symlink_to("nowhere")
+    assert search(make_task(8), store)[0] == solve(make_task(8))
+
+
+def test_a_file_that_is_no_log_is_refused_and_kept(make_task: MakeTask, store: Store) -> None:
+    task = make_task(4)
+    path = log_path(store, task.search.label)
+    path.parent.mkdir(parents=True)
+    path.write_text("dear diary")
+    with pytest.raises(UserError, match="damaged"):
+        search(task, store)
+    assert path.read_text() == "dear diary"
+
+
+def test_trials_that_another_program_ended_are_refused(make_task: MakeTask, store: Store) -> None:
+    task = make_task(8)
+    search(task, store, most=1)  # the second generation is under way
+    study = load(log_path(store, task.search.label))
+    study.tell(5, 0.5)
+    with pytest.raises(UserError, match="another program ended trial 5"):
+        read_record(store, task.search.file, "text")
+
+
+def test_attributes_that_make_no_sense_are_refused(make_task: MakeTask, store: Store) -> None:
+    task = make_task(4)
+    search(task, store)
+    load(log_path(store, task.search.label)).set_user_attr("pneuma", "mine")
+    with pytest.raises(UserError, match="damaged"):
+        read_record(store, task.search.file, "text")
