@@ -12,7 +12,6 @@ from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, env_config
 from pneuma.errors import counted
-from pneuma.study.checkpoints import sound_step
 from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
@@ -64,6 +63,8 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     if until is not None:
+        from pneuma.study.checkpoints import sound_step  # pydantic: not for `--help`
+
         todo = {
             name: run
             for name, run in todo.items()
