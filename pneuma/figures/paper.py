@@ -97,7 +97,9 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
             written += paths
     written += verdicts.result()
     for name, world in published_searches(Store(results)):
-        written += draw_search(read_record(Store(results), name, world), folder, ("png",), COMMAND)
+        written += draw_search(
+            read_record(Store(results), name, world, stored=False), folder, ("png",), COMMAND
+        )
     _remove_others(folder, written)
     return written
 

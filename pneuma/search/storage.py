@@ -213,19 +213,21 @@ def _damaged(path: Path) -> UserError:
 # --- Reading ---------------------------------------------------------------------------------------
 
 
-def read_record(store: Store, name: str, world: str | None = None) -> RecordedSearch:
+def read_record(store: Store, name: str, world: str | None = None, stored: bool = True) -> RecordedSearch:
     """Return a search that was run here, or else a published one.
 
     Args:
         store: the results folder.
         name: of the search, or the path of its file.
         world: of `pneuma.worlds.WORLDS`; default: the arena.
+        stored: whether searches that were run here count, or published ones alone.
 
     Raises:
         UserError: when it was never run here, its log is damaged, or its file has changed.
     """
     search = load_search(name, world)
-    for path in (log_path(store, search.label), *published_logs(store, search.label)):
+    own = [log_path(store, search.label)] if stored else []
+    for path in (*own, *published_logs(store, search.label)):
         if path.exists():
             return _read(path, search)
     raise UserError(
