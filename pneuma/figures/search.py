@@ -189,7 +189,9 @@ class _Drawn:
         study = ended_study(self.trials, self.search, objectives=1)
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             evaluator = PedAnovaImportanceEvaluator(target_quantile=share)
-            return dict(get_param_importances(study, evaluator=evaluator))
+            found = get_param_importances(study, evaluator=evaluator)  # equal ones in any order
+        names = [each.name for each in self.search.space.parameters if each.name in found]
+        return {name: found[name] for name in sorted(names, key=lambda name: -found[name])}
 
     def caption(self) -> list[str]:
         """Return what the search consists of."""
