@@ -241,6 +241,7 @@ def conduct(
     search, budget, log = task.search, task.budget, log or Log()
     study, first_trials = create_study(search), search.first_trials
     trained: list[Cell] = []
+    parts = rounds(task)
 
     for first in range(0, budget.trials, search.spec.generation):
         asked = [PendingTrial(*ask(study, search, first_trials)) for _ in range(search.spec.generation)]
@@ -252,7 +253,7 @@ def conduct(
                 each.note = str(error)
             log.begin(each)
             trained += each.cells
-        for part in (parts := rounds(task)):
+        for part in parts:
             pending = [each for each in asked if each.cells and not each.pruned]
             if until := _to_train(part, [each for each in pending if each.trial.number not in log.ended]):
                 train(make_trial_plan(task, trained), until)

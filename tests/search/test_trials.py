@@ -12,9 +12,11 @@ import pytest
 
 from pneuma.config import Run
 from pneuma.engines.loop import evaluation_updates
+from pneuma.search import trials
 from pneuma.search.spec import load_search
-from pneuma.search.trials import EndedTrial, Task, best_number, over_seeds, rounds
+from pneuma.search.trials import EndedTrial, Outcomes, Task, best_number, over_seeds, rounds
 from pneuma.study.plan import Cell, Plan
+from pneuma.study.store import Status, Store
 
 from .conftest import Formula, MakeTask, height, solve
 
@@ -164,3 +166,18 @@ def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
 def test_over_seeds_by_hand(name: str, values: tuple[int, ...], expected: float) -> None:
     assert over_seeds(name, np.array(values, float)) == pytest.approx(expected)
     assert np.isnan(over_seeds(name, np.array([1.0, np.nan])))
+
+
+def test_a_run_that_diverges_after_a_pause_had_its_values_there(
+    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that what a pruner decided at the pause is decided again once the run's end is known."""
+    task = make_task()
+    run = task.search.space.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
+    cell = Cell("trial-000", 1000, run, "0" * 16)
+    monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
+    monkeypatch.setattr(trials, "row_until", lambda *asked: asked[-1])
+    monkeypatch.setattr(Outcomes, "_data", lambda *_: None)
+    monkeypatch.setattr(trials, "outcome", lambda _, run, name, step: step / run.row)
+    early = Outcomes(task, store).read_early(cell, "final-share-killed", [100, 200, 300])
+    assert early == [0.5, 1.0, 0.0]  # the worst share from where it diverged on
