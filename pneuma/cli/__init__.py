@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -18,6 +19,7 @@ from typer.core import TyperGroup
 
 from pneuma import __version__
 from pneuma.cli import env, misc, runs, search, study
+from pneuma.cli.study_run import STOPPED
 from pneuma.errors import UserError, plain
 
 COMMANDS = ("study", "run", "search", "env", "report", "figure", "import", "bench", "doctor")
@@ -78,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(error.format_message())
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
-        return 130
+        return STOPPED
     except (BrokenPipeError, SystemExit) as ended:  # Typer exits by 1 where a pipe is closed
         if isinstance(ended, SystemExit) and not isinstance(ended.__context__, BrokenPipeError):
             raise
@@ -100,7 +102,10 @@ def run() -> None:
     for stream in (sys.stdout, sys.stderr):  # a terminal of few characters shows the others as \\u…
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    raise SystemExit(main())
+    code = main()
+    if code == STOPPED:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C, while the interpreter ends
+    raise SystemExit(code)
 
 
 def _refuse(message: str) -> int:
