@@ -23,8 +23,8 @@ from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import Supervision
-from pneuma.study.identity import own_things
+from pneuma.study.executors.base import ExecutorConfig
+from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
@@ -88,7 +88,7 @@ def run_study(
 
         asked = with_claims(asked, steps)
     planned, store = plan.make_plan(asked, selection), _store(results)
-    how = Supervision(
+    how = ExecutorConfig(
         workers=workers or available_cores(),
         keep_checkpoints=planned.study.keep_checkpoints,
     )
@@ -199,9 +199,9 @@ def load_policy(
         settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
     else:
         settings = {key: run[key] for key in OF_WORLDS if key in run}
-    if (named_code := own_things(run)) and not trust:
-        mend = "if you trust its source, give --trust (in Python trust=True)"
-        raise UserError(f"run {found} would {' and '.join(named_code.values())}: {mend}")
+    if (named_code := describe_user_code(run)) and not trust:
+        fix = "if you trust its source, give --trust (in Python trust=True)"
+        raise UserError(f"run {found} would {' and '.join(named_code.values())}: {fix}")
     return read_sound_policy(store.read_file(found, POLICY_FILE)), env, settings
 
 

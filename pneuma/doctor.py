@@ -52,19 +52,19 @@ class Finding:
         check: what was looked at.
         state: good; note, for what is worth knowing and stops nothing; or broken.
         found: what was found.
-        mend: what to do about it, if anything.
+        fix: what to do about it, if anything.
     """
 
     check: str
     state: str
     found: str
-    mend: str = ""
+    fix: str = ""
 
 
 def examine(results: Path) -> Iterator[Finding]:
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
-    mend = "" if sound else "use Python 3.11 to 3.13"
-    yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), mend)
+    fix = "" if sound else "use Python 3.11 to 3.13"
+    yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), fix)
     command, path = [sys.executable, "-P", "-c", TRIAL], one_thread_environment()["PYTHONPATH"]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path})
     last = (done.stderr if done.returncode else done.stdout).strip().rpartition("\n")[2]
@@ -91,5 +91,5 @@ def _results(folder: Path) -> Finding:
     except UserError as error:
         return Finding("results", BROKEN, str(error), "name another folder with --results")
     summary = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "no runs yet"
-    state, mend = (NOTE, "`pneuma study run` trains damaged runs again") if counts["damaged"] else (GOOD, "")
-    return Finding("results", state, f"{folder}: {summary}", mend)
+    state, fix = (NOTE, "`pneuma study run` trains damaged runs again") if counts["damaged"] else (GOOD, "")
+    return Finding("results", state, f"{folder}: {summary}", fix)

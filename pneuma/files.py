@@ -157,14 +157,14 @@ def to_json(value: object) -> bytes:
     return (json.dumps(value, indent=2) + "\n").encode()
 
 
-def seal(document: Mapping[str, Any]) -> bytes:
+def dump_checksummed(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON, with a schema number and a checksum."""
     whole = {"schema": SCHEMA, **document}
     return to_json({**whole, _SEAL: checksum(to_json(whole))})
 
 
-def read_sealed(path: Path) -> dict[str, Any] | None:
-    """Return a document that `seal` wrote; None if it is missing or damaged."""
+def load_checksummed(path: Path) -> dict[str, Any] | None:
+    """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
     document = read_json(path)
     if document is None or document.get("schema") != SCHEMA:
         return None

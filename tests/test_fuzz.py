@@ -20,7 +20,7 @@ from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
 from pneuma.env.level import load_level
 from pneuma.errors import UserError
-from pneuma.files import checksum, seal
+from pneuma.files import checksum, dump_checksummed
 from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
 from pneuma.study.imported import read_event_file
@@ -107,7 +107,7 @@ FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
     ),
     "published": (TABLE, (ROOT / "results" / TABLE).read_bytes, _published),
     "listing": (
-        "studies/mine.json", lambda: seal({"study": "mine", "runs": []}),
+        "studies/mine.json", lambda: dump_checksummed({"study": "mine", "runs": []}),
         lambda path: Store(path.parent.parent).listing("mine"),
     ),
     "row": (

@@ -17,7 +17,7 @@ import pytest
 
 from pneuma.config import Run
 from pneuma.study.executors import local
-from pneuma.study.executors.base import OnEvent, Supervision
+from pneuma.study.executors.base import ExecutorConfig, OnEvent
 from pneuma.study.store import Store
 from pneuma.study.worker import Job, Reporter, train_group
 
@@ -35,7 +35,7 @@ class _Told(io.StringIO):
 
 
 def _train_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train groups of runs one after another."""
     for runs in groups:

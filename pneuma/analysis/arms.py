@@ -14,7 +14,7 @@ import numpy as np
 
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
-from pneuma.analysis.outcomes import QUIET, find_outcome, have_one_return, is_return, outcome, reason
+from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import as_fields
@@ -55,7 +55,7 @@ class ClaimRuns:
     Attributes:
         cells: the fixed runs, by condition.
         data: the finished ones; None if there are none.
-        mend: the end of a reason if runs are missing, with the command that trains them.
+        fix: the end of a reason if runs are missing, with the command that trains them.
         damaged: published tables that could not be read, and may contain them.
     """
 
@@ -63,7 +63,7 @@ class ClaimRuns:
     world: str
     cells: Mapping[str, tuple[Cell, ...]]
     data: StudyData | None
-    mend: str
+    fix: str
     damaged: Sequence[str]
 
     def found(self, condition: str) -> list[FinishedRun]:
@@ -78,7 +78,7 @@ class ClaimRuns:
             engines = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
             return f"engines are mixed: {engines}"
         if missing := [*filter(None, map(self._missing, names))]:
-            return "; ".join([*missing, self.mend])
+            return "; ".join([*missing, self.fix])
         parts = outcome.split(MINUS)
         if self.data and any(map(is_return, parts)) and not have_one_return(self.data, names):
             return "returns of unlike rewards"
@@ -101,7 +101,7 @@ class ClaimRuns:
         if len({(on, str(origin.get("threads"))) for origin in origins for on in processors(origin)}) > 1:
             return "timed on different machines"
         least = min((row.processor_share for row in rows if row.processor_share is not None), default=1.0)
-        return f"timed beside other work: on {least:.0%} of a core" if least < QUIET else ""
+        return f"timed beside other work: on {least:.0%} of a core" if least < MIN_CPU_SHARE else ""
 
     def arm(self, name: str, condition: str) -> Arm:
         """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
@@ -171,9 +171,9 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
                 for condition in claim.compared
             }
             commands = _preset_commands(claims, claim, study) or _commands(claim, path, world, study.worlds)
-            mend = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
+            fix = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
             data = _read(index, study, cells)
-            yield ClaimRuns(claim.in_world(world), world, cells, data, mend, index.problems)
+            yield ClaimRuns(claim.in_world(world), world, cells, data, fix, index.problems)
 
 
 def _read(index: RunIndex, study: Study, cells: Mapping[str, Sequence[Cell]]) -> StudyData | None:

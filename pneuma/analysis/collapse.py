@@ -46,7 +46,7 @@ class Diagnosis:
         collapsed: whether it ever did.
         onset_step: agent steps at the first update or evaluation of the collapse.
         onset_update: the number of that update; None if unknown.
-        sound_step: the last update, evaluation or best return before it, from which a fork can start.
+        last_healthy_step: the last update, evaluation or best return before it, from which a fork can start.
         signs: those of `SIGNS` that held over most of it.
         unseen: signs that the run's records cannot show; for a fork, a fall from its parent's best.
         recovered_step: where the last collapse ended; None if it lasts to the run's end.
@@ -56,14 +56,14 @@ class Diagnosis:
     collapsed: bool
     onset_step: int | None = None
     onset_update: int | None = None
-    sound_step: int | None = None
+    last_healthy_step: int | None = None
     signs: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
     recovered_step: int | None = None
     relearned: bool | None = None
 
     @property
-    def blind(self) -> bool:
+    def undiagnosable(self) -> bool:
         """Whether the run's records show none of the signs that decide."""
         return {NO_ENTROPY, FALL, LOSS} <= {*self.unseen}
 
@@ -107,7 +107,7 @@ def diagnose(seen: RunView) -> Diagnosis:
         True,
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
-        sound_step=int(sound),
+        last_healthy_step=int(sound),
         signs=tuple(sign for sign in SIGNS if sign in present),
         unseen=unseen,
         recovered_step=None if lasts else int(ended),
@@ -125,8 +125,8 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
         found = diagnose(view(data, run))
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
         shown = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
-        rows.append({**named, **shown, "collapsed": None if found.blind else found.collapsed})
-    whole = ["onset_step", "onset_update", "sound_step", "recovered_step"]
+        rows.append({**named, **shown, "collapsed": None if found.undiagnosable else found.collapsed})
+    whole = ["onset_step", "onset_update", "last_healthy_step", "recovered_step"]
     kinds = {**dict.fromkeys(whole, "Int64"), "collapsed": "boolean", "relearned": "boolean"}
     return pd.DataFrame(rows).astype(kinds)
 

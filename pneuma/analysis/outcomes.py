@@ -34,7 +34,7 @@ LATE = 5
 """The number of last evaluations from which late outcomes are taken."""
 LEAST_NORM = 1e-8
 """Smaller gradient norms count as this, in logarithms."""
-QUIET = 0.9
+MIN_CPU_SHARE = 0.9
 """The least share of a core for a valid time; below it, other work on the machine counts too much."""
 
 
@@ -271,7 +271,7 @@ def _diagnosed(part: str) -> Measure:
 
     def measure(seen: RunView) -> float:
         found = diagnose(seen)
-        value = None if found.blind else getattr(found, part)
+        value = None if found.undiagnosable else getattr(found, part)
         return NAN if value is None else float(value)
 
     return measure

@@ -107,10 +107,10 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
-            from pneuma.study.documents import Listing, fits  # pydantic: not for `--help`
+            from pneuma.study.documents import Listing, matches_schema  # pydantic: not for `--help`
 
             published = self.tables[name].about.get("listing") or {}
-            listing = published if fits(published, Listing) and published["study"] == name else None
+            listing = published if matches_schema(published, Listing) and published["study"] == name else None
         return listing
 
     def listings(self) -> list[str]:

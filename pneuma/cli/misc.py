@@ -65,7 +65,7 @@ def figure(
 
 
 def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
-    """Say what is installed here and whether it works, with the mend for what does not."""
+    """Say what is installed here and whether it works, with the fix for what does not."""
     from pneuma.doctor import BROKEN, examine
 
     findings = [*examine(results)]
@@ -73,10 +73,10 @@ def doctor(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
     if json:
         print_json({"ok": sound, "checks": findings})
     else:
-        rows = [(each.check, each.state, each.found, each.mend and f"-> {each.mend}") for each in findings]
+        rows = [(each.check, each.state, each.found, each.fix and f"-> {each.fix}") for each in findings]
         print_table([""] * 4, rows)
         begin = "All that Pneuma needs is here. Begin with: pneuma study run activation"
-        print(f"\n{begin}" if sound else "\nSomething that Pneuma needs is broken: mend it, then ask again.")
+        print(f"\n{begin}" if sound else "\nSomething that Pneuma needs is broken: fix it, then ask again.")
     if not sound:
         raise typer.Exit(1)
 

@@ -16,7 +16,15 @@ from pneuma.cli import complete
 from pneuma.cli.output import OUTPUT_FORMATS
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.executors.base import EXECUTORS, HERE, LOCAL, RAY, SLURM, Supervision, load_executor
+from pneuma.study.executors.base import (
+    EXECUTORS,
+    LOCAL,
+    LOCAL_CONFIG,
+    RAY,
+    SLURM,
+    ExecutorConfig,
+    load_executor,
+)
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
 from pneuma.study.store import Store
@@ -265,7 +273,7 @@ def _place(
     detach: Annotated[
         bool, flag("--detach", "Leave once jobs of --executor slurm are submitted (no search).")
     ] = False,
-) -> Supervision:
+) -> ExecutorConfig:
     """Read the options that say where runs train."""
     for name, given, executor_of_option in (
         ("address", address, RAY),
@@ -275,7 +283,7 @@ def _place(
         if given and executor != executor_of_option:
             raise UserError(f"--{name}: goes with --executor {executor_of_option}")
     asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
-    return Supervision(executor=executor, address=address, slurm=asked, detach=detach)
+    return ExecutorConfig(executor=executor, address=address, slurm=asked, detach=detach)
 
 
 Answer = TypeVar("Answer")
@@ -310,7 +318,7 @@ def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
     return run
 
 
-def most_workers(asked: int | None, place: Supervision = HERE) -> int:
+def most_workers(asked: int | None, place: ExecutorConfig = LOCAL_CONFIG) -> int:
     """Return how many runs train at once: `--workers`, or what the executor has room for.
 
     Raises:

@@ -82,7 +82,7 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
     label = f"{asked.name} in {WORLDS[world].title}" if several and world else asked.name
     words = shlex.join(spec.asked_words(study) if study else [asked.name])
     part = Part(label, words, f"In {WORLDS[world].title}" if world else "")
-    part.mend = spec.run_command(study) if study else ""
+    part.fix = spec.run_command(study) if study else ""
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
     environments = dict.fromkeys(str(fields.get("env")) for fields in asked.fields.values())
     part.where = ", ".join(titles.get(env, env) for env in environments)
@@ -106,7 +106,7 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
             f"{missing} of {len(shown.runs)} runs are not finished or damaged, and left out below."
         )
     else:
-        part.mend = ""
+        part.fix = ""
     if diverged := sum(entry.status == "diverged" for *_, entry in shown.runs):
         part.notes.append(f"{diverged} of {len(shown.runs)} runs diverged; they count in every number below.")
     if missing < len(shown.runs):

@@ -15,7 +15,7 @@ from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
 from pneuma.study import stored_runs
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import StoredRun
@@ -121,7 +121,7 @@ def fork(
     """
     store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
     plan = plan_fork(store, stored_runs.find_run(store, name), at, change, seeds, trust)
-    how = Supervision(workers=opt.most_workers(workers))
+    how = ExecutorConfig(workers=opt.most_workers(workers))
     return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
 
 

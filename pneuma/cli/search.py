@@ -28,7 +28,7 @@ from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Detached, Supervision
+from pneuma.study.executors.base import LOCAL_CONFIG, Detached, ExecutorConfig
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
 
@@ -167,7 +167,7 @@ def run(
     set_: opt.Settings = None,
     world: opt.WorldName = None,
     workers: opt.Workers = None,
-    place: Supervision = HERE,
+    place: ExecutorConfig = LOCAL_CONFIG,
     retry_failed: opt.RetryFailed = False,
     results: opt.Results = opt.RESULTS,
     json: opt.Json = False,
@@ -245,7 +245,7 @@ def train(
     until: Mapping[str, int],
     *,
     store: Store,
-    how: Supervision,
+    how: ExecutorConfig,
     retry_failed: bool,
     quiet: bool,
     noted: set[str],
@@ -341,7 +341,7 @@ def promote(
     store.write(path, text)
     say(f"wrote {path}", aside=True, quiet=quiet)
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=seeds, steps=steps))
-    how = Supervision(workers=opt.most_workers(workers))
+    how = ExecutorConfig(workers=opt.most_workers(workers))
     code = train_study(planned, store, how, retry_failed=True, json=json, quiet=quiet, document=False)
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}

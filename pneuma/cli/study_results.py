@@ -18,7 +18,7 @@ from pneuma.cli.output import (
 from pneuma.cli.study_records import open_data, told_step, with_unit
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import plan_cause_forks
 from pneuma.values import shown_level, shown_value
 
@@ -58,14 +58,14 @@ def collapse(
     if fork:
         here = {run.run_id for run in data.runs if not run.row.published}
         collapsed = collapsed[collapsed["run_id"].isin(here)]
-        parents = dict(zip(collapsed["run_id"], map(int, collapsed["sound_step"]), strict=True))
+        parents = dict(zip(collapsed["run_id"], map(int, collapsed["last_healthy_step"]), strict=True))
         if not parents:
             runs = counted(len(here), "run")
             raise UserError(
                 f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork"
             )
         plan = plan_cause_forks(store, data.study, parents, fork_seeds, trust=trust)
-        how = Supervision(workers=opt.most_workers(workers))
+        how = ExecutorConfig(workers=opt.most_workers(workers))
         return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
     files = []
     if out is not None:

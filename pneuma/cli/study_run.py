@@ -14,13 +14,13 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import command, print_json, print_table, say, tallied
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import HERE, Detached, Supervision
-from pneuma.study.identity import own_things
+from pneuma.study.executors.base import LOCAL_CONFIG, Detached, ExecutorConfig
+from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 
-UNWELL = ("crashed", "killed", "timeout", "damaged", "running", "partial")
+UNFINISHED_STATUSES = ("crashed", "killed", "timeout", "damaged", "running", "partial")
 """Statuses that no cell should have after a study was run."""
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
@@ -77,7 +77,7 @@ def run(
     name: opt.StudyName,
     chosen: opt.Chosen,
     workers: opt.Workers = None,
-    place: Supervision = HERE,
+    place: ExecutorConfig = LOCAL_CONFIG,
     checkpoint_seconds: Annotated[
         float,
         typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
@@ -111,7 +111,7 @@ def run(
 def train(
     planned: plan.Plan,
     store: Store,
-    how: Supervision,
+    how: ExecutorConfig,
     retry_failed: bool,
     json: bool,
     quiet: bool,
@@ -138,7 +138,7 @@ def train(
     try:
         with ProgressDisplay(planned, todo, store, quiet) as display:
             results = execute.execute(planned, todo, store, how, display.update)
-        code = int(any(result.status.name in UNWELL for result in results))
+        code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
         _tell_results(planned, results, store, json, quiet)
     except Detached as left:  # as --detach asks, or by Ctrl-C
         say(str(left), aside=True)
@@ -170,7 +170,7 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(name, chosen.world)
     fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
-    named_code = dict.fromkeys(deed for settings in fields for deed in own_things(settings).values())
+    named_code = dict.fromkeys(deed for settings in fields for deed in describe_user_code(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)
     if chosen.selection.preset == spec.CLAIMS:
@@ -210,7 +210,7 @@ def _tell_results(
         label, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
             say(f"{label} diverged at step {state.step:,}; its records count", as_json)
-        elif state.name in UNWELL:
+        elif state.name in UNFINISHED_STATUSES:
             trace, why = store.run_folder(result.cell.run_id) / "error.txt", result.reason
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
             say(f"{label} {state.name}: {why}", as_json)
@@ -218,6 +218,6 @@ def _tell_results(
     states = tallied(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
-    if results and not any(result.status.name in UNWELL for result in results):
+    if results and not any(result.status.name in UNFINISHED_STATUSES for result in results):
         drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
         say(f"Draw it with: {drawn}", as_json, quiet)

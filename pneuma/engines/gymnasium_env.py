@@ -264,8 +264,8 @@ def _action_space(
 
 def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     if part := _not_flat(space):
-        mend = "name a wrapper that leaves that out"
-        raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {mend}")
+        fix = "name a wrapper that leaves that out"
+        raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {fix}")
     if isinstance(space, spaces.Box):
         shape = space.shape
         return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))

@@ -78,8 +78,8 @@ def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
             else:
                 going_on.append(row)
         if slots.lengths[going_on].max(initial=0) >= LONGEST_EPISODE:
-            mend = "set env_kwargs = { max_episode_steps = N }"
-            raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {mend}")
+            fix = "set env_kwargs = { max_episode_steps = N }"
+            raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {fix}")
         rows = np.array(going_on, np.int64)
     for env in slots.envs:
         env.close()

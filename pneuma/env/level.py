@@ -303,7 +303,7 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
         low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
         for body in bodies if config.players > 1 else others:
             depth = np.minimum(high, body.high) - np.maximum(low, body.low)
-            for index in np.flatnonzero((depth > rules.HAIR).all(axis=1)):  # touching is no overlap
+            for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
                 if bodies[index].who != body.who:  # itself, or another player's body at one place
                     raise UserError(f"level {level.name}: {body.who} begins inside {bodies[index].who}")
 

@@ -27,7 +27,7 @@ BLADE, DASHING = 1, 2
 OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 
-HAIR = 2.0**-10
+CONTACT_EPS = 2.0**-10
 """Pixels by which bodies may overlap and still count as touching, as sums of floats are not exact."""
 
 
@@ -566,8 +566,8 @@ def _stop_at_bodies(
             there, there_aside = _turned(on_x, there_x, there_y)
             other_half, other_breadth = _turned(on_x, half_width, half_height)
             reach = half + other_half
-            beside = abs(aside - there_aside) >= breadth + other_breadth - HAIR
-            if not beside and way * (there - middle) >= reach - HAIR:
+            beside = abs(aside - there_aside) >= breadth + other_breadth - CONTACT_EPS
+            if not beside and way * (there - middle) >= reach - CONTACT_EPS:
                 stop = min(stop, way * there - reach)
     return stop
 

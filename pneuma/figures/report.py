@@ -53,7 +53,7 @@ class Part:
         words: the words of a command that ask for it.
         where: its heading: in which world its runs are played.
         notes: important sentences, shown first.
-        mend: the command that trains what is missing.
+        fix: the command that trains what is missing.
         extent: the number of conditions, runs and steps.
         pictures: the result of `study_pictures`.
         conditions: the `differing` fields, as a table; and those that are `alike`, by name.
@@ -65,7 +65,7 @@ class Part:
     words: str
     where: str
     notes: list[str] = field(default_factory=list)
-    mend: str = ""
+    fix: str = ""
     extent: str = ""
     pictures: Sequence[Mapping[str, str]] = ()
     numbers: Table | None = None

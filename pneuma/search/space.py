@@ -19,7 +19,7 @@ from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
 from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, read_field, read_fields
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
-from pneuma.study.identity import own_things
+from pneuma.study.identity import describe_user_code
 from pneuma.study.spec import does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
@@ -218,7 +218,7 @@ class Space:
             for key in fields
             for value in fields[key]
         )
-        return [deed for one in each for deed in own_things(one).values()]
+        return [deed for one in each for deed in describe_user_code(one).values()]
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the run that a trial sets on top of the base."""

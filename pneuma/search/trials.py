@@ -24,7 +24,7 @@ from pneuma.engines.loop import EVALUATIONS, evaluation_step
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
-from pneuma.study.identity import contents, run_id
+from pneuma.study.identity import run_id, user_files_digest
 from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
@@ -57,7 +57,7 @@ class Task:
         """Return everything that the suggestions depend on, except the number of trials."""
         search = self.search
         values = [{key: value} for key, each in search.space.all_values().items() for value in each]
-        code = [*filter(None, map(contents, values))]
+        code = [*filter(None, map(user_files_digest, values))]
         return {
             **({"contents": code} if code else {}),
             "base": search.space.base,

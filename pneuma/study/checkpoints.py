@@ -31,8 +31,8 @@ from pneuma.engines.records import (
 )
 from pneuma.errors import UserError
 from pneuma.files import SCHEMA, checksum, read_whole
-from pneuma.study.documents import History, fits
-from pneuma.study.executors.base import Supervision
+from pneuma.study.documents import History, matches_schema
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
@@ -55,7 +55,7 @@ class RunCheckpoints:
     """
 
     def __init__(
-        self, store: Store, name: str, run: Run, how: Supervision, say: Callable[[str], None]
+        self, store: Store, name: str, run: Run, how: ExecutorConfig, say: Callable[[str], None]
     ) -> None:
         self._store, self._name, self._run, self._say = store, name, run, say
         self._folder = store.run_folder(name)
@@ -155,7 +155,7 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
 
 
-def sound_step(store: Store, name: str) -> int:
+def last_healthy_step(store: Store, name: str) -> int:
     """Return the step of a run's latest sound checkpoint; 0 if it has none."""
     files = checkpoint_files(store.run_folder(name))
     return next((file.step for file in files if read_checkpoint(file)), 0)
@@ -175,7 +175,11 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
     run, history = file.path.parent.parent.name, about["history"]
-    whole = checkpoint.step == file.step and about.get("run_id") in (None, run) and fits(history, History)
+    whole = (
+        checkpoint.step == file.step
+        and about.get("run_id") in (None, run)
+        and matches_schema(history, History)
+    )
     return (checkpoint, history.get("attempts", [])) if whole else None
 
 

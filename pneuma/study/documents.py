@@ -51,7 +51,7 @@ class History(TypedDict):
     attempts: NotRequired[list[_Attempt]]
 
 
-def fits(document: Mapping[str, Any], kind: type) -> bool:
+def matches_schema(document: Mapping[str, Any], kind: type) -> bool:
     """Return whether a document has the structure of `kind`: `Manifest`, `Listing` or `History`."""
     try:
         _adapter(kind).validate_python(document, strict=True)

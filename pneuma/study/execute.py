@@ -12,7 +12,7 @@ from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, env_config
 from pneuma.errors import counted
-from pneuma.study.executors.base import SLURM, Event, Supervision, load_executor
+from pneuma.study.executors.base import SLURM, Event, ExecutorConfig, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
 
@@ -63,12 +63,12 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     if until is not None:
-        from pneuma.study.checkpoints import sound_step  # pydantic: not for `--help`
+        from pneuma.study.checkpoints import last_healthy_step  # pydantic: not for `--help`
 
         todo = {
             name: run
             for name, run in todo.items()
-            if name in until and not 0 < until[name] <= sound_step(store, name)
+            if name in until and not 0 < until[name] <= last_healthy_step(store, name)
         }
     check_environments(todo.values())
     store.check_writable()
@@ -80,7 +80,7 @@ def prepare(
 
 
 def execute(
-    plan: Plan, todo: Mapping[str, Run], store: Store, how: Supervision, on_progress: OnProgress
+    plan: Plan, todo: Mapping[str, Run], store: Store, how: ExecutorConfig, on_progress: OnProgress
 ) -> list[CellResult]:
     """Train the runs that `prepare` found missing; return the plan's cells, without those only published.
 

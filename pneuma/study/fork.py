@@ -15,7 +15,7 @@ from pneuma.algorithms import OF_OPTIMIZERS
 from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run, as_fields, make_run
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.identity import own_things, run_id
+from pneuma.study.identity import describe_user_code, run_id
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
@@ -153,7 +153,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
     settings = stored_settings(store, parent)
-    if (named_code := own_things(settings)) and not trust:
+    if (named_code := describe_user_code(settings)) and not trust:
         raise UserError(f"run {parent}: a fork would {' and '.join(named_code.values())}; --trust allows it")
     whole = make_run(settings)
     if run_id(whole) != parent:

@@ -49,7 +49,7 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         hashed["reward"] = [_by_module(name) for name in fields["reward"]]
     identity = {
         "run": hashed,
-        "contents": contents(fields),
+        "contents": user_files_digest(fields),
         "rules": RULES_VERSION,
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
@@ -64,7 +64,7 @@ def _by_module(reward: str) -> str:
     return f"{in_package(Path(path))[1]}:{function}"
 
 
-def contents(fields: Mapping[str, Any]) -> str:
+def user_files_digest(fields: Mapping[str, Any]) -> str:
     """Return a digest of the user's own files in a run's fields: level, characters, and modules; "" of none.
 
     Shipped files are part of the rules' version. The fields may be untrusted: files are read, nothing is run.
@@ -94,7 +94,7 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in named.items() if value}
 
 
-def own_things(fields: Mapping[str, object]) -> dict[str, str]:
+def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     """Return what using a user's own files in untrusted fields would do, by field; for messages.
 
     Nothing is imported or opened.

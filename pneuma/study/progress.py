@@ -156,7 +156,7 @@ class ProgressDisplay:
 
     def update(self, cell: Cell, event: Event) -> None:
         name, label, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
-        if event["event"] in ("note", "passing"):
+        if event["event"] in ("note", "status"):
             if self._show or event["event"] == "note":
                 print_aside(f"{label}: {event['text']}")
             return

@@ -34,12 +34,12 @@ from pneuma.files import (
     SCHEMA,
     checksum,
     create_whole,
+    dump_checksummed,
+    load_checksummed,
     names_in,
     parse_json,
-    read_sealed,
     read_whole,
     replace_files,
-    seal,
     shipped_folder,
     to_json,
 )
@@ -226,7 +226,7 @@ class Store:
         self._check_within(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            create_whole(folder / "status.json", seal(manifest))
+            create_whole(folder / "status.json", dump_checksummed(manifest))
         except OSError as error:
             raise UserError(f"{folder}: cannot be written ({error.strerror or error})") from None
 
@@ -302,10 +302,10 @@ class Store:
         return files
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        manifest = read_sealed(self.run_folder(run_id) / "status.json")
-        from pneuma.study.documents import Manifest, fits  # pydantic: not for `--help`
+        manifest = load_checksummed(self.run_folder(run_id) / "status.json")
+        from pneuma.study.documents import Manifest, matches_schema  # pydantic: not for `--help`
 
-        return manifest if manifest and fits(manifest, Manifest) else None
+        return manifest if manifest and matches_schema(manifest, Manifest) else None
 
     # --- Studies without a file, and published tables ------------------------------------------
 
@@ -315,14 +315,14 @@ class Store:
         Raises:
             UserError: when the folder cannot be written.
         """
-        self.write(self.listing_path(study), seal({"study": study, **listing}))
+        self.write(self.listing_path(study), dump_checksummed({"study": study, **listing}))
 
     def listing(self, study: str) -> dict[str, Any] | None:
         """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        from pneuma.study.documents import Listing, fits
+        from pneuma.study.documents import Listing, matches_schema
 
-        found = read_sealed(self.listing_path(study)) or {}
-        return found if fits(found, Listing) and found["study"] == study else None
+        found = load_checksummed(self.listing_path(study)) or {}
+        return found if matches_schema(found, Listing) and found["study"] == study else None
 
     def listing_path(self, study: str) -> Path:
         return self.root / "studies" / f"{study}.json"
@@ -396,4 +396,4 @@ def run_document(run: Run, run_id: str) -> bytes:
 
 def _status_document(status: Status, checksums: Mapping[str, str], identity: Identity | None) -> bytes:
     known = asdict(identity) if identity else {}
-    return seal({"status": status.name, "step": status.step, "files": checksums, **known})
+    return dump_checksummed({"status": status.name, "step": status.step, "files": checksums, **known})

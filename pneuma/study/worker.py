@@ -31,7 +31,7 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.executors.base import HERE, Supervision
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
 from pneuma.study.identity import run_id
 from pneuma.study.live import LiveLog
 from pneuma.study.locks import remove_lock
@@ -56,7 +56,7 @@ class Job:
 
     store: Store
     runs: Mapping[str, Run]
-    how: Supervision = HERE
+    how: ExecutorConfig = LOCAL_CONFIG
     last_try: bool = True
 
 
@@ -69,7 +69,7 @@ def main() -> int:
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
     runs = {name: make_run(settings) for name, settings in job["runs"].items()}
-    what = Job(Store(job["results"]), runs, Supervision(**job["how"]), job["last_try"])
+    what = Job(Store(job["results"]), runs, ExecutorConfig(**job["how"]), job["last_try"])
     return train_group(what, Reporter(events), stop)
 
 
@@ -171,7 +171,7 @@ def _train_once(
         with suppress(OSError):  # a folder that cannot be written: training goes on
             log = LiveLog(job.how.logs[name], first)
     reporter.send("step", name, step=first)
-    reporter.send("passing", name, text="begins")
+    reporter.send("status", name, text="begins")
 
     def update(progress: Progress) -> bool:
         attempt.update(progress.step)

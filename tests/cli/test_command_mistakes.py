@@ -1,4 +1,4 @@
-"""Mistakes on the command line: exit code 2, one line that says what to mend, and nothing written."""
+"""Mistakes on the command line: exit code 2, one line that says what to fix, and nothing written."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
-from pneuma.study.identity import own_things, run_id
+from pneuma.study.identity import describe_user_code, run_id
 
 from .trained import bits, check_that_it_goes_on, train, train_once
 
@@ -240,7 +240,7 @@ def test_a_run_is_named_by_what_is_in_its_module_not_by_where_it_lies(tmp_path: 
         path.write_text(contents)
         own = {"env": "CartPole-v1", "env_module": str(path)}
         ids.append(run_id(make_run(own)))
-        assert own_things(own) == {"env_module": f"run the module {path}"}
+        assert describe_user_code(own) == {"env_module": f"run the module {path}"}
     assert len({*ids}) == 3 and run_id(make_run({"env": "CartPole-v1"})) not in ids
     assert run_id(make_run({"env": "CartPole-v1", "env_kwargs": {}})) == run_id(
         make_run({"env": "CartPole-v1"})

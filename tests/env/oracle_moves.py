@@ -13,7 +13,7 @@ from pneuma.env.rules import COAST, SLOW
 
 Pair = tuple[float, float]
 """Something along x and along y."""
-HAIR = 2**-10
+CONTACT_EPS = 2**-10
 """Bodies that overlap by less only touch: what rounding leaves of a contact stops nobody from turning off."""
 
 
@@ -123,5 +123,5 @@ def _stops_at_bodies(body: Box, axis: int, step: float, others: Sequence[Box]) -
         touching = body.half[axis] + other.half[axis]
         aside = abs(body.centre[across] - other.centre[across])
         ahead = (other.centre[axis] - body.centre[axis]) * way
-        if aside < body.half[across] + other.half[across] - HAIR and ahead >= touching - HAIR:
+        if aside < body.half[across] + other.half[across] - CONTACT_EPS and ahead >= touching - CONTACT_EPS:
             yield other.centre[axis] - touching * way

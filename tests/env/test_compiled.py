@@ -23,15 +23,15 @@ worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]
 weights = np.array([0.0] * features + [1, 9, -9, 0, 0], np.float32)  # one unit, tanh(1), then logits
 room = [np.zeros((1, 1), kind) for kind in (np.int64, np.float32, np.float32)]
-tape = rollout.Tape(
+buffers = rollout.RolloutBuffers(
     np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_),
     np.zeros((1, 1, features), np.float32), *room, np.zeros(1, rollout.ENDED),
     np.zeros((1, features), np.float32),
 )
 draws, scratch = np.full(1, 0.5, np.float32), np.zeros((2, 1, features), np.float32)
 chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, weights, np.array([features, 1, 2]), 0, draws, tape, 0, chosen, scratch)
-print(tape.actions[0, 0], *rollout._choose.stats.cache_hits.values())
+rollout._choose(worlds.handle, weights, np.array([features, 1, 2]), 0, draws, buffers, 0, chosen, scratch)
+print(buffers.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 
 

@@ -19,7 +19,7 @@ from pneuma.env.worlds import Worlds
 
 from .oracle_cases import Case, cases, make_worlds
 from .oracle_maps import KINDS, Map
-from .oracle_moves import HAIR
+from .oracle_moves import CONTACT_EPS
 
 LAW = settings(
     max_examples=60,
@@ -51,7 +51,7 @@ def overlaps(worlds: Worlds, world: int) -> set[tuple[int, int]]:
     sides, living = boxes(worlds, world)
     low, high = sides[:, None, :2], sides[:, None, 2:]
     depth = np.minimum(high, high.swapaxes(0, 1)) - np.maximum(low, low.swapaxes(0, 1))
-    deep = (depth > HAIR + ROUNDING).all(axis=-1) & living & living[:, None]
+    deep = (depth > CONTACT_EPS + ROUNDING).all(axis=-1) & living & living[:, None]
     return {(one, other) for one, other in np.argwhere(deep).tolist() if one < other}
 
 
@@ -121,7 +121,7 @@ def test_who_chases_one_that_stands_arrives_and_bites(tmp_path: Path) -> None:
             worlds.step(np.zeros((1, 1), np.int64))
         (player, monster), _ = boxes(worlds, 0)
         gaps = np.maximum(monster[:2] - player[2:], player[:2] - monster[2:])
-        assert gaps.max() == pytest.approx(0, abs=HAIR)
+        assert gaps.max() == pytest.approx(0, abs=CONTACT_EPS)
         assert worlds.players["hp"][0, 0] < 100
 
     check()

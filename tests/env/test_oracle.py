@@ -35,7 +35,7 @@ from pneuma.env_fields import make_env_config
 from .oracle import Oracle
 from .oracle_arrays import Pair
 from .oracle_cases import STEPS_OF_A_MOOD, Case, cases, choose_actions, hunt, make_worlds
-from .oracle_moves import HAIR, Box
+from .oracle_moves import CONTACT_EPS, Box
 from .oracle_parts import Player
 from .oracle_stage import FAR, HERE, QUIET, act, put, set_up, told
 
@@ -98,7 +98,7 @@ def count_events(pair: Pair, happened: Counter[str]) -> None:
 def touches(world: Oracle, player: Player) -> bool:
     """Tell whether a living monster's body lies flush to a player's, or a little inside."""
     (left, top), (wide, high) = player.box.centre, player.box.half
-    grown = Box((left, top), (wide + 2 * HAIR, high + 2 * HAIR))
+    grown = Box((left, top), (wide + 2 * CONTACT_EPS, high + 2 * CONTACT_EPS))
     return player.hp > 0 and any(monster.hp > 0 and grown.meets(monster.box) for monster in world.monsters)
 
 

@@ -21,7 +21,7 @@ from pneuma.engines.environment import check_environment
 from pneuma.errors import UserError
 from pneuma.godot.game import GodotGame
 from pneuma.godot.wire import receive, send
-from pneuma.study.identity import own_things
+from pneuma.study.identity import describe_user_code
 from tests.cli.calls import call
 from tests.engines.trained import bits, train
 
@@ -73,7 +73,7 @@ def test_a_study_of_a_game_is_that_of_the_environment(tmp_path: Path) -> None:
 
 def test_a_game_that_untrusted_fields_name_is_not_started_unasked() -> None:
     fields = {"env": "Godot-v0", "env_kwargs": '{"env_path": "game"}'}
-    assert own_things(fields) == {"env_kwargs": 'start the game of {"env_path": "game"}'}
+    assert describe_user_code(fields) == {"env_kwargs": 'start the game of {"env_path": "game"}'}
 
 
 def serving(name: str, agents: int) -> tuple[int, subprocess.Popen[bytes]]:

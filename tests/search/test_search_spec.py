@@ -1,4 +1,4 @@
-"""Search files: what is read, and what is refused with its place and mend."""
+"""Search files: what is read, and what is refused with its place and fix."""
 
 from __future__ import annotations
 

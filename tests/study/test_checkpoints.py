@@ -11,7 +11,7 @@ from pneuma.engines.loop import Progress
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
 
@@ -36,7 +36,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
 
 
 def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunCheckpoints:
-    how = Supervision(checkpoint_seconds=15.0, keep_checkpoints=keep)
+    how = ExecutorConfig(checkpoint_seconds=15.0, keep_checkpoints=keep)
     return RunCheckpoints(store, NAME, RUN, how, (said if said is not None else list[str]()).append)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.study.execute import CellResult, OnProgress, execute, prepare
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.measure import stored_row
 from pneuma.study.plan import Plan
 from pneuma.study.rows import decode_row
@@ -35,7 +35,7 @@ class Executed:
 
 def _run(plan: Plan, store: Store, workers: int, on_progress: OnProgress) -> list[CellResult]:
     todo = prepare(plan, store)[0]
-    return execute(plan, todo, store, Supervision(workers, checkpoint_seconds=0.2), on_progress)
+    return execute(plan, todo, store, ExecutorConfig(workers, checkpoint_seconds=0.2), on_progress)
 
 
 def _execute(plan: Plan, folder: Path, workers: int) -> Executed:

@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.study.executors import local
-from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.base import Event, ExecutorConfig
 from pneuma.study.executors.local import Interrupts
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
@@ -24,7 +24,7 @@ TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 def train(runs: dict[str, Run], folder: Path) -> list[Event]:
     events: list[Event] = []
-    local.run_groups([runs], Store(folder / "results"), Supervision(1), events.append)
+    local.run_groups([runs], Store(folder / "results"), ExecutorConfig(1), events.append)
     return events
 
 

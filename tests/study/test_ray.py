@@ -16,7 +16,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.executors import ray
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.store import Store
 
@@ -84,7 +84,7 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
     told = ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere")
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        ray.train_here({}, Store("/shared/results"), Supervision(), *told)
+        ray.train_here({}, Store("/shared/results"), ExecutorConfig(), *told)
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

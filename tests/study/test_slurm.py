@@ -16,7 +16,7 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import local, slurm
-from pneuma.study.executors.base import HERE, Detached, Event, Supervision
+from pneuma.study.executors.base import LOCAL_CONFIG, Detached, Event, ExecutorConfig
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 
@@ -25,7 +25,7 @@ from .begun import outcome
 submitit = pytest.importorskip("submitit")
 
 SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
-HOW = Supervision(2, executor="slurm")
+HOW = ExecutorConfig(2, executor="slurm")
 DETACHED = replace(HOW, detach=True)
 
 
@@ -42,7 +42,7 @@ class Queue:
         self.runs_jobs = runs_jobs
         self.gone = False
 
-    def executor(self, folder: Path, name: str, how: Supervision) -> Any:
+    def executor(self, folder: Path, name: str, how: ExecutorConfig) -> Any:
         self.name = name
         self.local = submitit.LocalExecutor(folder)
         return self
@@ -69,7 +69,7 @@ def queue(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Qu
     return queue
 
 
-def train(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision = HOW) -> list[Event]:
+def train(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig = HOW) -> list[Event]:
     events: list[Event] = []
     slurm.run_groups(groups, store, how, events.append)
     return events
@@ -114,7 +114,7 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     store.save_run(crashed, Status("crashed"), {"run.json": b"{}"})
     queue.gone = True
     events: list[Event] = []
-    slurm._watch({*runs}, store, events.append, HERE)
+    slurm._watch({*runs}, store, events.append, LOCAL_CONFIG)
     assert ends(events) == {done: "done", crashed: "crashed", lost: "killed"}
     assert "results-slurm" in next(event["reason"] for event in events if event.get("reason"))
     assert folders(store)  # what its job printed tells why
@@ -129,7 +129,9 @@ def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
     submit = queue.submit_array
 
     def slowly(jobs: Sequence[slurm.Training]) -> None:
-        slurm._watch(set(), store, lambda event: None, HERE)  # it clears away what is not in the queue
+        slurm._watch(
+            set(), store, lambda event: None, LOCAL_CONFIG
+        )  # it clears away what is not in the queue
         submit(jobs)
 
     monkeypatch.setattr(queue, "submit_array", slowly)
@@ -162,7 +164,7 @@ def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
 _JOB = """
 import os, signal, sys, threading, time
 from pathlib import Path
-from pneuma.study.executors.base import Supervision
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.executors.slurm import Training
 from pneuma.study.store import Store
 from tests.study.test_slurm import group
@@ -179,7 +181,7 @@ def hit():
 
 signal.signal(signal.SIGUSR2, lambda *_: print("back into the queue"))
 threading.Thread(target=hit, daemon=True).start()
-Training(group(0, steps=10**9), store, Supervision(1, checkpoint_seconds=1000, keep_checkpoints=2))()
+Training(group(0, steps=10**9), store, ExecutorConfig(1, checkpoint_seconds=1000, keep_checkpoints=2))()
 """
 
 

@@ -17,10 +17,10 @@ import pneuma
 from pneuma.config import as_fields, make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
-from pneuma.files import checksum, seal, to_json
+from pneuma.files import checksum, dump_checksummed, to_json
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors import local
-from pneuma.study.executors.base import Event, Supervision
+from pneuma.study.executors.base import Event, ExecutorConfig
 from pneuma.study.identity import run_id
 from pneuma.study.store import Identity, Status, Store
 
@@ -46,7 +46,7 @@ def test_a_status_that_names_a_file_elsewhere_is_damaged_and_nothing_is_read(
     secret = b"secret"
     (tmp_path / "results" / "runs" / "secret").write_bytes(secret)
     manifest = {"status": "done", "step": 512, "files": {name: checksum(secret)}}
-    (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+    (store.run_folder(NAME) / "status.json").write_bytes(dump_checksummed(manifest))
     assert store.status(NAME).name == "damaged"
     with pytest.raises(UserError, match="missing or damaged"):
         store.read_file(NAME, name)
@@ -107,10 +107,10 @@ def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
         {"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"status": ["done"]}, {"seed": "0"},
     ):  # fmt: skip
         manifest = {"status": "done", "step": 512, "files": {}, **change}
-        (store.run_folder(NAME) / "status.json").write_bytes(seal(manifest))
+        (store.run_folder(NAME) / "status.json").write_bytes(dump_checksummed(manifest))
         assert store.status(NAME).name == "damaged", change
     (store.root / "studies").mkdir()
-    (store.root / "studies" / "mine.json").write_bytes(seal(LISTING))
+    (store.root / "studies" / "mine.json").write_bytes(dump_checksummed(LISTING))
     assert store.listing("mine") is not None
     records: list[Any] = [
         {"runs": 5}, {"runs": [5]}, {"runs": []}, {"study": "../mine"}, {"study": "other"},
@@ -118,7 +118,7 @@ def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
         *({key: 3} for key in ("study", "title", "baseline")),
     ]  # fmt: skip
     for change in records:
-        (store.root / "studies" / "mine.json").write_bytes(seal({**LISTING, **change}))
+        (store.root / "studies" / "mine.json").write_bytes(dump_checksummed({**LISTING, **change}))
         assert store.listing("mine") is None, change
 
 
@@ -134,7 +134,7 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.symlink_to(theirs)
     events = list[Event]()
-    local.run_groups([{run_id(run): run}], store, Supervision(1), events.append)
+    local.run_groups([{run_id(run): run}], store, ExecutorConfig(1), events.append)
     (end,) = [event for event in events if event["event"] == "end"]
     assert end["status"] == "crashed" and "is a link; remove it" in end["reason"]
     assert {path.name: path.read_text() for path in theirs.iterdir()} == {

@@ -12,7 +12,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
-from pneuma.engines.batched.update import METRICS, annealed_numbers, learn, look_back, run_numbers
+from pneuma.engines.batched.update import METRICS, annealed_numbers, evaluate_rollout, learn, run_numbers
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.records import action_shares
 
@@ -62,7 +62,7 @@ class Learner:
     def learn_from(self, rollout: Rollout, left: float = 1.0) -> dict[str, float]:
         """Take an update's gradient steps, with a share of the budget left after them; return its metrics."""
         run, numbers = self.run, {**self._numbers, **annealed_numbers(self.run, left)}
-        batch, values, dead = self._judge(rollout)
+        batch, values, dead = self._compute_advantages(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
         networks, optimizer, metrics = learn(
@@ -85,13 +85,13 @@ class Learner:
             **action_shares(run, batch["actions"], self._actions),
         }
 
-    def _judge(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
+    def _compute_advantages(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
         """Return the batch, slot by slot, the values, and the share of dead units."""
         run = self.run
         slots, steps, features = rollout.observations.shape
         observations = np.concatenate([rollout.observations.reshape(-1, features), rollout.last_observations])
         actions = rollout.actions.reshape(-1)
-        logs, values, dead = look_back(self.networks, observations, actions, run.activation)
+        logs, values, dead = evaluate_rollout(self.networks, observations, actions, run.activation)
         values = np.asarray(values)
         value = values[: slots * steps].reshape(slots, steps)
         gain = advantages(

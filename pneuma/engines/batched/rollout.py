@@ -63,7 +63,7 @@ class Rollout:
     terminal_observations: np.ndarray
 
 
-class Tape(NamedTuple):
+class RolloutBuffers(NamedTuple):
     """The arrays that a rollout reads and writes, beside the worlds."""
 
     returns: Any
@@ -119,7 +119,7 @@ class Collector:
     def collect(self, actor: Layers) -> Rollout:
         steps, slots, features = self._run.horizon, len(self.idle), self.features
         rewards, starts = np.zeros((2, slots, steps), np.float32)
-        tape = Tape(
+        buffers = RolloutBuffers(
             self.returns, self.lengths, self.episodes, self.begins, self.idle,
             np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64),
             rewards, starts,
@@ -129,13 +129,19 @@ class Collector:
         play = self._play_asking if self._asks else _play
         activation = ACTIVATION_CODES[self._run.activation]
         count = play(
-            self.worlds.handle, flat(actor), sizes(actor), activation, draws, self.worlds.usual_starts, tape
+            self.worlds.handle,
+            flat(actor),
+            sizes(actor),
+            activation,
+            draws,
+            self.worlds.usual_starts,
+            buffers,
         )
         last = self.observations.copy()
         last[self.idle] = 0.0
         return Rollout(
-            tape.observations, tape.actions, tape.rewards, tape.starts, last, self.begins.copy(),
-            tape.ended[:count], tape.terminal[:count],
+            buffers.observations, buffers.actions, buffers.rewards, buffers.starts, last, self.begins.copy(),
+            buffers.ended[:count], buffers.terminal[:count],
         )  # fmt: skip
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
@@ -167,7 +173,7 @@ class Collector:
 
     def _play_asking(
         self, handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
-        tape: Tape,
+        buffers: RolloutBuffers,
     ) -> int:  # fmt: skip
         """Do the same as `_play` step by step, because a user's reward is plain Python."""
         worlds = self.worlds
@@ -176,9 +182,9 @@ class Collector:
         scratch = np.zeros((2, len(self.idle), int(widths.max())), np.float32)
         count = 0
         for step, draw in enumerate(draws):
-            _choose(handle, weights, widths, activation, draw, tape, step, chosen, scratch)
+            _choose(handle, weights, widths, activation, draw, buffers, step, chosen, scratch)
             worlds.advance(chosen)
-            count = _note(handle, usual_starts, tape, step, count, over)
+            count = _note(handle, usual_starts, buffers, step, count, over)
         return count
 
 
@@ -198,24 +204,24 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 @kernel
 def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, tape: Any
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, buffers: Any
 ) -> int:
     """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     over = np.zeros(s.players.shape[0], np.bool_)
-    scratch = np.zeros((2, len(tape.idle), widths.max()), np.float32)
+    scratch = np.zeros((2, len(buffers.idle), widths.max()), np.float32)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, weights, widths, activation, draws[step], tape, step, chosen, scratch)
+        _choose(handle, weights, widths, activation, draws[step], buffers, step, chosen, scratch)
         step_worlds(handle, chosen)
-        count = _note(handle, usual_starts, tape, step, count, over)
+        count = _note(handle, usual_starts, buffers, step, count, over)
     return count
 
 
 @kernel
 def _choose(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, tape: Any, step: int, chosen: Any,
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, buffers: Any, step: int, chosen: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
     """Record what each slot observes and draw its action; idle slots observe zeros."""
@@ -223,51 +229,51 @@ def _choose(
     players = s.players.shape[1]
     for i in range(len(draws)):
         w, p = i // players, i % players
-        if tape.idle[i]:
-            tape.observations[i, step] = 0.0
+        if buffers.idle[i]:
+            buffers.observations[i, step] = 0.0
         else:
-            tape.observations[i, step] = s.observations[w, p]
-        tape.starts[i, step] = tape.begins[i]
-        scratch[0, i, : widths[0]] = tape.observations[i, step]
+            buffers.observations[i, step] = s.observations[w, p]
+        buffers.starts[i, step] = buffers.begins[i]
+        scratch[0, i, : widths[0]] = buffers.observations[i, step]
     logits = forward(weights, widths, activation, len(draws), scratch)
     for i in range(len(draws)):
-        chosen[i // players, i % players] = tape.actions[i, step] = sample(logits[i], draws[i])
+        chosen[i // players, i % players] = buffers.actions[i, step] = sample(logits[i], draws[i])
 
 
 @kernel
-def _note(handle: Any, usual_starts: Any, tape: Any, step: int, count: int, over: Any) -> int:
+def _note(handle: Any, usual_starts: Any, buffers: Any, step: int, count: int, over: Any) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = open_state(handle)
     players = s.players.shape[1]
     any_over = False
-    for i in range(len(tape.idle)):
+    for i in range(len(buffers.idle)):
         w, p = i // players, i % players
         player, event = s.players[w, p], s.events[w, p]
         over[w] = s.worlds[w].ending != rules.RUNNING
         any_over |= over[w]
         present = event.present > 0 or event.died > 0
-        tape.rewards[i, step] = event.reward
-        tape.returns[i] += event.reward
-        tape.lengths[i] += 1
+        buffers.rewards[i, step] = event.reward
+        buffers.returns[i] += event.reward
+        buffers.lengths[i] += 1
         ended = present and (over[w] or player.hp <= 0)
-        tape.begins[i] = ended
+        buffers.begins[i] = ended
         if ended:
-            row = tape.ended[count]
+            row = buffers.ended[count]
             row.slot = i
-            row.episode = tape.episodes[i]
+            row.episode = buffers.episodes[i]
             row.step = step + 1
-            row["return"] = tape.returns[i]
-            row.length = tape.lengths[i]
+            row["return"] = buffers.returns[i]
+            row.length = buffers.lengths[i]
             row.kills = player.kills
             row.hp = player.hp
             row.ending = s.worlds[w].ending if player.hp > 0 else rules.KILLED
-            tape.terminal[count] = s.observations[w, p]
+            buffers.terminal[count] = s.observations[w, p]
             count += 1
-            tape.episodes[i] += 1
-            tape.returns[i] = 0.0
+            buffers.episodes[i] += 1
+            buffers.returns[i] = 0.0
         if ended or over[w]:  # idle slots start again too
-            tape.lengths[i] = 0
-        tape.idle[i] = not present and not over[w]
+            buffers.lengths[i] = 0
+        buffers.idle[i] = not present and not over[w]
     if any_over:
         reset_worlds(handle, usual_starts, over)
         observe_worlds(handle)

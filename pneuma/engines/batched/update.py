@@ -80,7 +80,9 @@ def annealed_numbers(run: Run, left: float) -> dict[str, np.float32]:
 
 
 @partial(jax.jit, static_argnames="activation")
-def look_back(parameters: Tree, observations: Any, actions: Any, activation: str) -> tuple[Any, Any, Any]:
+def evaluate_rollout(
+    parameters: Tree, observations: Any, actions: Any, activation: str
+) -> tuple[Any, Any, Any]:
     """Evaluate a rollout by the networks that played it.
 
     Args:

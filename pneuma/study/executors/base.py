@@ -38,7 +38,7 @@ EXECUTORS = {name: f"pneuma.study.executors.{name}" for name in (LOCAL, RAY, SLU
 
 
 @dataclass(frozen=True)
-class Supervision:
+class ExecutorConfig:
     """Where and how runs are trained.
 
     Attributes:
@@ -64,7 +64,7 @@ class Supervision:
     detach: bool = False
 
 
-HERE = Supervision()
+LOCAL_CONFIG = ExecutorConfig()
 
 
 class Detached(KeyboardInterrupt):
@@ -82,7 +82,7 @@ class Detached(KeyboardInterrupt):
 class Executor(Protocol):
     """The functions of an executor's module."""
 
-    def most_workers(self, how: Supervision) -> int:
+    def most_workers(self, how: ExecutorConfig) -> int:
         """Return how many runs train at once unless the user says otherwise.
 
         Raises:
@@ -93,12 +93,12 @@ class Executor(Protocol):
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        how: Supervision,
+        how: ExecutorConfig,
         on_event: OnEvent,
     ) -> None:
         """Train all groups of runs and pass their events to `on_event`.
 
-        Events are `{"event": "step" | "note" | "passing" | "end", "run_id", …}`: a step has a `step`, a
+        Events are `{"event": "step" | "note" | "status" | "end", "run_id", …}`: a step has a `step`, a
         note, passing or not, a `text`, an end a `status`, a `step` and `trained`, whether it was trained
         here; one that could not be stored a `reason`.
 
@@ -152,7 +152,7 @@ def watch(
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):
-                on_event({"event": "passing", "run_id": name, "text": str(job)})
+                on_event({"event": "status", "run_id": name, "text": str(job)})
         time.sleep(seconds if left else 0)
 
 
@@ -160,5 +160,5 @@ def end_event(name: str, status: Status) -> Event:
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 
-def load_executor(how: Supervision) -> Executor:
+def load_executor(how: ExecutorConfig) -> Executor:
     return cast(Executor, import_module(EXECUTORS[how.executor]))

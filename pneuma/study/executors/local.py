@@ -30,7 +30,7 @@ from typing import IO, Any, TypeVar
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
-from pneuma.study.executors.base import Event, OnEvent, Supervision, end_event
+from pneuma.study.executors.base import Event, ExecutorConfig, OnEvent, end_event
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import available_cores, machine
 from pneuma.study.store import Status, Store
@@ -49,13 +49,13 @@ SOURCE = str(Path(__file__).parents[3])
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def most_workers(how: Supervision) -> int:
+def most_workers(how: ExecutorConfig) -> int:
     """Return how many runs train at once unless the user says otherwise: one per core."""
     return available_cores()
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs in a process of its own; see `base.Executor`.
 
@@ -149,7 +149,7 @@ class Supervisor:
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        how: Supervision,
+        how: ExecutorConfig,
         on_event: OnEvent,
         interrupts: Interrupts,
     ) -> None:
@@ -163,7 +163,7 @@ class Supervisor:
         """Run all tasks; if an exception ends it, the workers are killed."""
         try:
             while self._tasks or self._workers():
-                self._start_what_may()
+                self._start_pending()
                 waits = self._tasks and len(self._workers()) < self._how.workers
                 for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
                     self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
@@ -171,7 +171,7 @@ class Supervisor:
         finally:
             for worker in self._workers():
                 worker.kill()
-                worker.bury()
+                worker.wait_and_read_stderr()
             self._selector.close()
 
     def _workers(self) -> list[_Worker]:
@@ -189,7 +189,7 @@ class Supervisor:
         for worker in self._workers():
             worker.kill() if count > 1 else worker.tell("stop")
 
-    def _start_what_may(self) -> None:
+    def _start_pending(self) -> None:
         for task in [*self._tasks]:
             if len(self._workers()) >= self._how.workers:
                 return
@@ -227,7 +227,7 @@ class Supervisor:
 
     def _bury(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
-        code, words = worker.bury()
+        code, words = worker.wait_and_read_stderr()
         group, tries = worker.task.group, worker.task.tries
         silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
         begun = {*silent[:1], *worker.crashed}  # groups are trained in order
@@ -284,7 +284,7 @@ class _Worker:
         events: its lines.
     """
 
-    def __init__(self, task: _Task, store: Store, how: Supervision) -> None:
+    def __init__(self, task: _Task, store: Store, how: ExecutorConfig) -> None:
         self.task = task
         self.ended, self.busy = set[str](), set[str]()
         self.crashed: dict[str, Event] = {}
@@ -321,7 +321,7 @@ class _Worker:
     def kill(self) -> None:
         self._process.kill()
 
-    def bury(self) -> tuple[int, bytes]:
+    def wait_and_read_stderr(self) -> tuple[int, bytes]:
         """Wait until the process has ended; return its exit code and standard error."""
         code = self._process.wait()
         self._orders.close()

@@ -23,7 +23,7 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import Job, OnEvent, Supervision, watch
+from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.study.provenance import CARRIED_CODE, available_cores, code, machine
 from pneuma.study.store import Store
@@ -37,7 +37,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 CODE = Path(__file__).parents[2]
 
 
-def most_workers(how: Supervision) -> int:
+def most_workers(how: ExecutorConfig) -> int:
     """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out.
 
     Raises:
@@ -57,7 +57,7 @@ def most_workers(how: Supervision) -> int:
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs on a node of the cluster; see `base.Executor`.
 
@@ -176,7 +176,7 @@ def join(address: str | None) -> None:
 def train_here(
     runs: dict[str, Run],
     store: Store,
-    how: Supervision,
+    how: ExecutorConfig,
     wanted: Mapping[str, str],
     source: str,
     folder: str,

@@ -31,7 +31,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import replace_files, to_json
-from pneuma.study.executors.base import Detached, Job, OnEvent, Supervision, watch
+from pneuma.study.executors.base import Detached, ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
 from pneuma.study.locks import is_held, run_lock
 from pneuma.study.store import Store
@@ -56,14 +56,14 @@ SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 """Signals for the end of a job's time, and for the loss of its node or `scancel`."""
 
 
-def most_workers(how: Supervision) -> int:
+def most_workers(how: ExecutorConfig) -> int:
     """Return how many jobs of an array run at once unless the user says otherwise; see `base.Executor`."""
     _executor(Path("unused"), "unused", how)
     return MOST_AT_ONCE
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: Supervision, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs in a job of its own; see `base.Executor`.
 
@@ -106,7 +106,7 @@ class Training:
 
     runs: Mapping[str, Run]
     store: Store
-    how: Supervision
+    how: ExecutorConfig
 
     def __call__(self) -> None:
         prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
@@ -128,7 +128,7 @@ class Training:
 # --- In the command -----------------------------------------------------------------------------------
 
 
-def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision) -> None:
+def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> None:
     """Submit groups, without runs that are in the queue already.
 
     Raises:
@@ -150,7 +150,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: Supervision)
             raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
 
 
-def _watch(left: set[str], store: Store, on_event: OnEvent, how: Supervision) -> None:
+def _watch(left: set[str], store: Store, on_event: OnEvent, how: ExecutorConfig) -> None:
     jobs: dict[str, Job] = {}
 
     def live() -> dict[str, Job]:
@@ -217,7 +217,7 @@ def queued(store: Store) -> dict[str, Job]:
     return jobs
 
 
-def _executor(folder: Path, name: str, how: Supervision) -> Any:
+def _executor(folder: Path, name: str, how: ExecutorConfig) -> Any:
     """Return a submitit executor for jobs of this name.
 
     Raises:
