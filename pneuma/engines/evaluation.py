@@ -19,7 +19,7 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
-from pneuma.env.kernel import step_worlds
+from pneuma.env.kernel import run_worlds
 from pneuma.env.players import RandomPlayer
 from pneuma.env.state import cached, open_state
 from pneuma.env.worlds import Worlds
@@ -210,7 +210,7 @@ def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any
         if not plays.any():
             break
         choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
-        ended += step_worlds(handle, actions)
+        ended += run_worlds(handle, actions, True)
         for w in range(worlds):
             rewards = 0.0
             for p in range(players):

@@ -3,57 +3,72 @@
 from __future__ import annotations
 
 import math
+import sys
+from functools import cache
+from typing import Any
+
+from numba.core import event
 
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import write_reward
 from pneuma.env.rules import RUNNING, begin_episode, step_world
 from pneuma.env.state import Array, entry, open_state, part
 
-
-@entry
-def reset_worlds(handle: Array, chosen: Array, mask: Array) -> None:
-    """Start an episode in every world whose `mask` is set.
-
-    Takes the handle of a `State`, `chosen` (N,) and `mask` (N,). Player p of a world takes start place
-    `chosen + p`, wrapping around; `chosen` below zero asks for one at random. Where there are several
-    levels, one is drawn first.
-    """
-    s = open_state(handle)
-    for w in range(s.worlds.shape[0]):
-        if mask[w]:
-            begin_episode(s, w, chosen[w])
+GO_ON = -2
+"""In place of a start place in `begins`: this world is not reset."""
 
 
 @entry
-def step_worlds(handle: Array, actions: Array) -> int:
-    """Advance every running world by one agent step, observe it, and return how many ended.
+def run_worlds(handle: Array, actions: Array, steps: bool) -> int:
+    """Advance every running world by one agent step, or reset worlds; observe; return how many ended.
 
-    Takes the handle of a `State` and actions (N, P), whole numbers. A world whose episode has ended stays as
-    it is, with empty events, until it is reset.
+    This is the only function that is compiled to be called, as each would compile the observations anew.
+
+    Args:
+        handle: of a `State`. With `steps` False, its `begins` say which worlds start an episode, and where:
+            player p of a world takes start place `begins + p`, wrapping around; -1 draws one at random.
+            Where there are several levels, one is drawn first. All worlds are observed.
+        actions: (N, P), whole numbers, read by a step alone. A world whose episode has ended stays as it is,
+            with empty events, until it is reset.
+        steps: whether worlds advance.
     """
     s = open_state(handle)
     ended = 0
     for w in range(s.worlds.shape[0]):
+        if steps:
+            for p in range(s.players.shape[1]):
+                _clear(s.events[w, p])
+            if s.worlds[w].ending != RUNNING:
+                continue
+            ended += step_world(s, w, actions)
+        elif s.begins[w] != GO_ON:
+            begin_episode(s, w, s.begins[w])
+        tell = steps or s.worlds[w].ending == RUNNING
         for p in range(s.players.shape[1]):
-            _clear(s.events[w, p])
-        if s.worlds[w].ending != RUNNING:
-            continue
-        ended += step_world(s, w, actions)
-        for p in range(s.players.shape[1]):
-            observe_player(s, w, p, True)
-        for p in range(s.players.shape[1]):
-            if s.events[w, p].present or s.events[w, p].died:
-                write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
+            observe_player(s, w, p, tell)
+        if steps:
+            for p in range(s.players.shape[1]):
+                if s.events[w, p].present or s.events[w, p].died:
+                    write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
     return ended
 
 
-@entry
-def observe_worlds(handle: Array) -> None:
-    """Write the observations of every world as it stands."""
-    s = open_state(handle)
-    for w in range(s.worlds.shape[0]):
-        for p in range(s.players.shape[1]):
-            observe_player(s, w, p, s.worlds[w].ending == RUNNING)
+@cache
+def announce_compiling() -> None:
+    """From now on say on standard error when the rules are compiled, so that nobody thinks it hangs."""
+    event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
+
+
+class _Announcer(event.Listener):
+    def on_start(self, event: Any) -> None:
+        if event.data["dispatcher"] is run_worlds:
+            print(
+                "Compiling the rules of the world, as for every new version: some ten seconds.",
+                file=sys.stderr,
+            )
+
+    def on_end(self, event: Any) -> None:
+        pass
 
 
 @part

@@ -432,7 +432,7 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     free = player.busy < s.settings[0].ticks
     for a in range(4):
         s.masks[w, p, a] = free
-    ahead = free and _may_walk(s, w, p, player.facing)
+    ahead = free and _may_walk(s, w, p)
     s.masks[w, p, player.facing] = ahead
     s.masks[w, p, rules.ATTACK] = 1
     dash = s.settings[0].dash
@@ -447,10 +447,8 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 
 
 @part
-def _may_walk(s: State, w: int, p: int, action: int) -> bool:
-    """Return whether terrain lets a player walk for a tick; bodies are ignored, as they may move."""
+def _may_walk(s: State, w: int, p: int) -> bool:
+    """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = s.players[w, p]
-    stats = s.player_stats[p]
-    dx, dy = rules.walk(stats.speed, action)
-    x, y = rules.moved(s, w, -1, player.x, player.y, stats, dx, dy, s.settings[0].player_stops)
+    x, y = rules.ahead(s, w, p, s.player_stats[p].speed, s.settings[0].player_stops & ~(1 << rules.BODIES))
     return x != player.x or y != player.y

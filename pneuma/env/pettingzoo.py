@@ -10,9 +10,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
+from pneuma.env.kernel import announce_compiling
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Slots, Worlds, chosen_starts, ending_info
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
+
+announce_compiling()
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):

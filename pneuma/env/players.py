@@ -262,7 +262,8 @@ class Ways:
         self._abreast = math.ceil(2 * max(self._halves) / level.tile)
         rim = self._abreast
         self._corner = (level.left - rim * level.tile, level.top - rim * level.tile)
-        closed = [np.pad(stops >> each.terrain & 1 > 0, rim, constant_values=True) for each in levels]
+        solid = [stops >> each.terrain.astype(np.int64) & 1 > 0 for each in levels]
+        closed = [np.pad(each, rim, constant_values=True) for each in solid]
         drowns = [np.pad((each.terrain == rules.COAST) & sea, rim) for each in levels]
         self._shape = closed[0].shape
         # The cells into which the body fits, in the shape of the grid.

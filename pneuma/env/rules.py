@@ -25,6 +25,8 @@ DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, DASHING = 1, 2
 """What a busy player does: attack with its sword, or dash."""
 OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
+BODIES = 8
+"""Beside codes of terrain, what can stop a body: bit 1 << BODIES says that other bodies do."""
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 
 CONTACT_EPS = 2.0**-10
@@ -117,8 +119,9 @@ def step_world(s: State, w: int, actions: Array) -> bool:
         for p in range(s.players.shape[1]):
             _begin_tick(s, w, p, actions[w, p])
         for i in range(count):
-            if s.monsters[w, s.scratch[i].order].hp > 0.0:
-                _live(s, w, s.scratch[i].order)
+            m = np.int64(s.scratch[i].order)
+            if s.monsters[w, m].hp > 0.0:
+                _live(s, w, m)
         for p in range(s.players.shape[1]):
             if s.tick[p].there:
                 _end_tick(s, w, p)
@@ -210,7 +213,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         if player.armed == BLADE:
             _raise_sword(player, stats, tick)
         elif player.armed == DASHING:
-            _dash(s, w, p)
+            _walk(s, w, p, stats.dash_speed)
     if player.rest > 0:
         player.rest -= 1
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
@@ -251,26 +254,23 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
             player.hp = hp
     else:
         player.facing = action
-        me, stops = s.monsters.shape[1] + p, s.settings[0].player_stops
-        dx, dy = walk(stats.speed, action)
-        player.x, player.y = moved(s, w, me, player.x, player.y, stats, dx, dy, stops)
+        _walk(s, w, p, stats.speed)
 
 
 @kernel
-def _dash(s: State, w: int, p: int) -> None:
-    """Move a player through one tick of a dash, in the direction it faces."""
+def _walk(s: State, w: int, p: int, speed: float) -> None:
+    """Move a player for one tick in the direction it faces."""
     player = s.players[w, p]
-    stats = s.player_stats[p]
-    dx, dy = walk(stats.dash_speed, player.facing)
-    me, stops = s.monsters.shape[1] + p, s.settings[0].player_stops
-    player.x, player.y = moved(s, w, me, player.x, player.y, stats, dx, dy, stops)
+    player.x, player.y = ahead(s, w, p, speed, s.settings[0].player_stops)
 
 
 @part
-def walk(speed: float, action: int) -> tuple[float, float]:
-    dx = speed if action == RIGHT else -speed if action == LEFT else 0.0
-    dy = speed if action == DOWN else -speed if action == UP else 0.0
-    return dx, dy
+def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, float]:
+    """Return where a player is after one tick in the direction it faces."""
+    facing = s.players[w, p].facing
+    dx = speed if facing == RIGHT else -speed if facing == LEFT else 0.0
+    dy = speed if facing == DOWN else -speed if facing == UP else 0.0
+    return moved(s, w, s.monsters.shape[1] + p, dx, dy, stops)
 
 
 @part
@@ -346,8 +346,7 @@ def _live(s: State, w: int, m: int) -> None:
         dx = _approach(s.players[w, target].x - monster.x, kind.stand_off, kind.speed)
         dy = _approach(s.players[w, target].y - monster.y, kind.stand_off, kind.speed)
     if dx != 0.0 or dy != 0.0:
-        stops = s.settings[0].monster_stops
-        monster.x, monster.y = moved(s, w, m, monster.x, monster.y, kind, dx, dy, stops)
+        monster.x, monster.y = moved(s, w, m, dx, dy, s.settings[0].monster_stops)
 
 
 @part
@@ -478,23 +477,22 @@ def _end_tick(s: State, w: int, p: int) -> None:
 # --- Moving --------------------------------------------------------------------------------------
 
 
-@part
-def moved(
-    s: State, w: int, me: int, x: float, y: float, shape: Array, dx: float, dy: float, stops: int
-) -> tuple[float, float]:
+@kernel
+def moved(s: State, w: int, me: int, dx: float, dy: float, stops: int) -> tuple[float, float]:
     """Return where a body moves, x first, among terrain and other bodies; slower on slow ground.
 
-    `me` is its index, players after monsters, or -1 if no other body stops it; `shape` its stats; `stops`
-    the tiles that stop it.
+    `me` is its index, players after monsters; `stops` the bits of what stops it.
     """
+    x, y, shape = body(s, w, me)
     slow = s.settings[0].slow_factor
-    if slow < 1.0 and _tile_at(s, s.worlds[w].level, x + shape.body_x, y + shape.body_y) == SLOW:
+    if slow < 1.0 and _tile_at(s, s.worlds[w].level, x + shape[0], y + shape[1]) == SLOW:
         dx *= slow
         dy *= slow
-    if dx != 0.0:
-        x = _moved_along(s, w, me, True, x, y, shape, dx, stops)
-    if dy != 0.0:
-        y = _moved_along(s, w, me, False, x, y, shape, dy, stops)
+    for axis in range(2):
+        distance = dy if axis else dx
+        if distance != 0.0:
+            there = _moved_along(s, w, me, axis == 0, x, y, shape, distance, stops)
+            x, y = (x, there) if axis else (there, y)
     return x, y
 
 
@@ -505,18 +503,19 @@ def _tile_at(s: State, level: int, x: float, y: float) -> int:
     return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 
 
-@kernel
+@part
 def _moved_along(
-    s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: Array, distance: float, stops: int
-) -> float:
+    s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: tuple[float, float, float, float],
+    distance: float, stops: int,
+) -> float:  # fmt: skip
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
     start, _ = _turned(on_x, x, y)
-    offset, _ = _turned(on_x, shape.body_x, shape.body_y)
-    middle, aside = _turned(on_x, x + shape.body_x, y + shape.body_y)
-    half, breadth = _turned(on_x, shape.half_width, shape.half_height)
+    offset, _ = _turned(on_x, shape[0], shape[1])
+    middle, aside = _turned(on_x, x + shape[0], y + shape[1])
+    half, breadth = _turned(on_x, shape[2], shape[3])
     way = 1.0 if distance > 0.0 else -1.0
     stop = _stop_at_tiles(s, w, on_x, way, middle + distance, half, aside, breadth, stops)
-    if s.settings[0].bodies_block and me >= 0:
+    if stops >> BODIES & 1:
         stop = min(stop, _stop_at_bodies(s, w, me, on_x, way, middle, half, aside, breadth))
     if way * (middle + distance) <= stop:
         return start + distance
@@ -560,8 +559,9 @@ def _stop_at_bodies(
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `way`, touches the first body ahead; it may overlap others."""
     stop = math.inf
+    x, y = _turned(on_x, middle, aside)
     for other in range(s.monsters.shape[1] + s.players.shape[1]):
-        if other != me and is_alive(s, w, other):
+        if other != me and _is_near(s, w, other, x, y):
             there_x, there_y, half_width, half_height = box(s, w, other)
             there, there_aside = _turned(on_x, there_x, there_y)
             other_half, other_breadth = _turned(on_x, half_width, half_height)
@@ -573,6 +573,20 @@ def _stop_at_bodies(
 
 
 @part
+def _is_near(s: State, w: int, other: int, x: float, y: float) -> bool:
+    """Return whether a living body may stop one whose middle is at a point in this tick.
+
+    Most are too far off, which is seen without their stats.
+    """
+    reach = s.settings[0].body_reach
+    if other < s.monsters.shape[1]:
+        monster = s.monsters[w, other]
+        return abs(monster.x - x) < reach and abs(monster.y - y) < reach and monster.hp > 0.0
+    player = s.players[w, other - s.monsters.shape[1]]
+    return abs(player.x - x) < reach and abs(player.y - y) < reach and player.hp > 0.0
+
+
+@part
 def is_alive(s: State, w: int, body: int) -> bool:
     if body < s.monsters.shape[1]:
         return s.monsters[w, body].hp > 0.0
@@ -580,15 +594,22 @@ def is_alive(s: State, w: int, body: int) -> bool:
 
 
 @part
-def box(s: State, w: int, body: int) -> tuple[float, float, float, float]:
-    """Return the centre and half sides of a body, monsters first, then players."""
-    if body < s.monsters.shape[1]:
-        monster = s.monsters[w, body]
-        kind = s.monster_stats[s.worlds[w].level, body]
-        return monster.x + kind.body_x, monster.y + kind.body_y, kind.half_width, kind.half_height
-    player = s.players[w, body - s.monsters.shape[1]]
-    stats = s.player_stats[body - s.monsters.shape[1]]
-    return player.x + stats.body_x, player.y + stats.body_y, stats.half_width, stats.half_height
+def body(s: State, w: int, me: int) -> tuple[float, float, tuple[float, float, float, float]]:
+    """Return a body's position, and its shape: the centre from there, and half sides; monsters come first."""
+    if me < s.monsters.shape[1]:
+        monster = s.monsters[w, me]
+        kind = s.monster_stats[s.worlds[w].level, me]
+        return monster.x, monster.y, (kind.body_x, kind.body_y, kind.half_width, kind.half_height)
+    player = s.players[w, me - s.monsters.shape[1]]
+    stats = s.player_stats[me - s.monsters.shape[1]]
+    return player.x, player.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
+
+
+@part
+def box(s: State, w: int, me: int) -> tuple[float, float, float, float]:
+    """Return the centre and half sides of a body."""
+    x, y, shape = body(s, w, me)
+    return x + shape[0], y + shape[1], shape[2], shape[3]
 
 
 @part

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np import arrayobj
 
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
@@ -149,10 +151,10 @@ SETTINGS = _record(
     ("step_limit", "i8"),
     ("end_on_clear", "i4"),
     ("deadly_coast", "i4"),
-    ("player_stops", "i4"),  # bit 1 << code: tiles of this code stop players
-    ("monster_stops", "i4"),
+    ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players, or bodies do
+    ("monster_stops", "i8"),
+    ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a tick
     ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
-    ("bodies_block", "i4"),
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
     ("dash_rest", "i4"),  # ticks from its end until the next one may begin
@@ -222,7 +224,7 @@ class State(NamedTuple):
     """Every array that the kernels share.
 
     The first three are the whole state of the worlds. `events`, `observations` and `masks` are written by
-    every step. The last two are scratch space.
+    every step. `tick` and `scratch` are scratch space.
     """
 
     worlds: Array  # (N,) WORLD
@@ -238,13 +240,15 @@ class State(NamedTuple):
     masks: Array  # (N, P, actions) int8: 0 where an action would do nothing
     tick: Array  # (P,) TICK
     scratch: Array  # (M,) SCRATCH
+    begins: Array  # (N,) int64: start places of the worlds that the next call of `run_worlds` resets
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
     EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH,
+    np.dtype(np.int64),
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
@@ -253,7 +257,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (13,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (14,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.
@@ -268,6 +272,14 @@ def make_handle(state: State) -> np.ndarray:
         row["address"] = array.ctypes.data
         row["shape"][:dimensions] = array.shape
     return handle
+
+
+def share(state: State, worlds: slice) -> State:
+    """Return some of the worlds as a state with room of its own, so that a thread can advance them."""
+    parts = state._asdict()
+    for name in ("worlds", "players", "monsters", "events", "observations", "masks", "begins"):
+        parts[name] = parts[name][worlds]
+    return State(**parts | {name: np.zeros_like(parts[name]) for name in ("tick", "scratch")})
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
@@ -309,39 +321,51 @@ def cached(**options: Any) -> Callable[[Any], Any]:
 # numba's reference counts, which took half the time of a step.
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _UNCOUNTED: Any = {**_INNER, "_nrt": False}
-entry: Any = cached(error_model="numpy")
+entry: Any = cached(error_model="numpy", nogil=True)
 opening: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 part: Any = njit(**_UNCOUNTED, forceinline=True)
 merged: Any = njit(**_UNCOUNTED, inline="always")  # inlined by numba before compiling: for the few large ones
 typed_intrinsic: Any = intrinsic
+typed_arrays: Any = arrayobj
+typed_codegen: Any = cgutils
 
 
 @opening
 def open_state(h: Array) -> State:
     """Turn addresses and shapes back into arrays; the reverse of `make_handle`."""
     return State(
-        carray(_pointer(h[0].address), (h[0].shape[0],), WORLD),
-        carray(_pointer(h[1].address), (h[1].shape[0], h[1].shape[1]), PLAYER),
-        carray(_pointer(h[2].address), (h[2].shape[0], h[2].shape[1]), MONSTER),
-        carray(_pointer(h[3].address), (h[3].shape[0],), PLAYER_STATS),
-        carray(_pointer(h[4].address), (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
-        carray(_pointer(h[5].address), (h[5].shape[0],), SETTINGS),
-        carray(_pointer(h[6].address), (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
-        carray(_pointer(h[7].address), (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
-        carray(_pointer(h[8].address), (h[8].shape[0], h[8].shape[1]), EVENTS),
-        carray(_pointer(h[9].address), (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
-        carray(_pointer(h[10].address), (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
-        carray(_pointer(h[11].address), (h[11].shape[0],), TICK),
-        carray(_pointer(h[12].address), (h[12].shape[0],), SCRATCH),
+        _array(h[0].address, (h[0].shape[0],), WORLD),
+        _array(h[1].address, (h[1].shape[0], h[1].shape[1]), PLAYER),
+        _array(h[2].address, (h[2].shape[0], h[2].shape[1]), MONSTER),
+        _array(h[3].address, (h[3].shape[0],), PLAYER_STATS),
+        _array(h[4].address, (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
+        _array(h[5].address, (h[5].shape[0],), SETTINGS),
+        _array(h[6].address, (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
+        _array(h[7].address, (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
+        _array(h[8].address, (h[8].shape[0], h[8].shape[1]), EVENTS),
+        _array(h[9].address, (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
+        _array(h[10].address, (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
+        _array(h[11].address, (h[11].shape[0],), TICK),
+        _array(h[12].address, (h[12].shape[0],), SCRATCH),
+        _array(h[13].address, (h[13].shape[0],), np.int64),
     )
 
 
 @typed_intrinsic
-def _pointer(context: Any, address: Any) -> Any:
-    """Return an integer as an address."""
+def _array(context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+    """Return the array of a shape and dtype at an address, as `numba.carray` does, which compiles slowly."""
+    kind = types.Array(dtype.dtype, len(shape), "C")
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], codegen.get_value_type(types.voidptr))
+        array = typed_arrays.make_array(kind)(codegen, builder)
+        item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
+        lengths = typed_codegen.unpack_tuple(builder, arguments[1], len(shape))
+        strides = [item]
+        for length in reversed(lengths[1:]):
+            strides.insert(0, builder.mul(strides[0], length))
+        data = builder.inttoptr(arguments[0], array.data.type)
+        typed_arrays.populate_array(array, data, lengths, strides, item, None)
+        return array._getvalue()
 
-    return types.voidptr(types.int64), generate
+    return kind(types.int64, shape, dtype), generate

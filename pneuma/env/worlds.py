@@ -7,9 +7,13 @@ give the same bits for the same seeds and actions.
 from __future__ import annotations
 
 import operator
+import os
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +27,8 @@ from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_
 from pneuma.env_fields import DASH, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
+LEAST_WORLDS = 128
+"""Worlds from which a thread of their own saves time."""
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
 
@@ -105,6 +111,7 @@ class Worlds:
             self.masks,
             np.zeros(players, state.TICK),
             np.zeros(monsters, state.SCRATCH),
+            np.zeros(count, np.int64),
         )
         self._take_addresses()
         self._every = np.ones(count, np.bool_)
@@ -121,6 +128,11 @@ class Worlds:
 
     def _take_addresses(self) -> None:
         self.handle = state.make_handle(self._arrays)
+        count = max(1, min(thread_count(), len(self) // LEAST_WORLDS))
+        edges = [len(self) * part // count for part in range(count + 1)]
+        parts = [slice(*ends) for ends in pairwise(edges)]
+        self._shares = [state.share(self._arrays, worlds) for worlds in parts]
+        self._parts = [*zip(map(state.make_handle, self._shares), parts, strict=True)]
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
     def __len__(self) -> int:
@@ -151,11 +163,11 @@ class Worlds:
         row["end_on_clear"] = config.end_on_clear
         row["deadly_coast"] = config.coast == "deadly"
         trees = (config.trees == "wall") << rules.SOLID
-        row["player_stops"] = trees | (config.coast == "wall") << rules.COAST
-        row["monster_stops"] = (trees | 1 << rules.COAST) if config.terrain_stops == "all" else 0
+        bodies = (config.bodies == "block") << rules.BODIES
+        row["player_stops"] = trees | (config.coast == "wall") << rules.COAST | bodies
+        row["monster_stops"] = (trees | 1 << rules.COAST if config.terrain_stops == "all" else 0) | bodies
         slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
         row["slow_factor"] = config.slow_factor if slow else 1.0
-        row["bodies_block"] = config.bodies == "block"
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
         row["bite_while_knocked"] = config.bite_while_knocked
@@ -163,10 +175,19 @@ class Worlds:
         row["credit_near"] = config.kill_credit == "near"
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
+        row["body_reach"] = 2 * self._largest_body() + self.level.tile
         fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
+
+    def _largest_body(self) -> float:
+        """Return how far a body reaches from its position, on x or y, in pixels."""
+        return max(
+            float((abs(stats[middle]) + stats[half]).max(initial=0.0))
+            for stats in (self.player_stats, self.monster_stats)
+            for middle, half in (("body_x", "half_width"), ("body_y", "half_height"))
+        )
 
     def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
         """Seed the random stream of all worlds, or of those in `mask`.
@@ -196,8 +217,7 @@ class Worlds:
         usual = self.usual_starts if starts is None else _checked(starts, (len(self),), "iu", "starts")
         if usual.max(initial=0) >= (count := len(self.level.starts)):
             raise ValueError(f"start {usual.max()} is none of the level's {count}")
-        kernel.reset_worlds(self.handle, usual, which)
-        kernel.observe_worlds(self.handle)
+        self._begin(np.where(which, usual, kernel.GO_ON))
 
     def step(self, actions: np.ndarray) -> int:
         """Advance all running worlds; return how many episodes ended.
@@ -215,11 +235,23 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = int(kernel.step_worlds(self.handle, actions))
+        ended = self._run(actions, True)
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
         return ended
+
+    def _begin(self, places: Any) -> None:
+        """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
+        self._arrays.begins[:] = places
+        self._run(np.zeros(self.players.shape, np.int64), False)
+
+    def _run(self, actions: np.ndarray, steps: bool) -> int:
+        """Call the compiled rules, with each part of the worlds on a thread of its own."""
+        if len(self._parts) == 1:
+            return int(kernel.run_worlds(self.handle, actions, steps))
+        calls = [(handle, actions[worlds], steps) for handle, worlds in self._parts]
+        return sum(threads().map(lambda call: kernel.run_worlds(*call), calls))
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events.
@@ -262,7 +294,7 @@ class Worlds:
         self._refuse_nowhere()
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
-        kernel.observe_worlds(self.handle)
+        self._begin(kernel.GO_ON)
 
     def _refuse_nowhere(self) -> None:
         """Refuse positions that the rules cannot look up. Dead monsters may be anywhere."""
@@ -279,6 +311,26 @@ class Worlds:
                     raise ValueError(f"{name}: x or y lies off the grid, {grid}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
+
+
+def thread_count() -> int:
+    """Return on how many threads many worlds are advanced: the variable PNEUMA_THREADS, or 1.
+
+    Raises:
+        UserError: for anything but a number from 1 to that of the cores.
+    """
+    asked, cores = os.environ.get("PNEUMA_THREADS", "1"), len(os.sched_getaffinity(0))
+    if not asked.isdecimal() or not 1 <= int(asked) <= cores:
+        raise UserError(f"the variable PNEUMA_THREADS = {asked} is not allowed: a number from 1 to {cores}")
+    return int(asked)
+
+
+@cache
+def threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_count())
+
+
+os.register_at_fork(after_in_child=threads.cache_clear)  # threads do not come along
 
 
 def world_key(seed: int) -> int:
@@ -298,7 +350,7 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("handle", "_shown")
+_ADDRESSES = ("handle", "_parts", "_shares", "_shown")
 """Attributes of `Worlds` that are valid in one process only."""
 
 

@@ -13,7 +13,7 @@ A tick goes:
    no HP left is dead from the next tick on; until then he stands in the way.
 
 Bodies are boxes around points beside which they may lie; who observes, chases or is knocked goes by the
-points. Where `bodies_block`, the living stop each other as walls do; nobody pushes.
+points. Where `player_stops` has the bit of bodies, the living stop each other as walls do; nobody pushes.
 
 An agent step is `settings.ticks` of them with the same actions. Its end may be the episode's.
 
@@ -35,6 +35,7 @@ from pneuma.env.reward import (
 )
 from pneuma.env.rules import (
     ATTACK,
+    BODIES,
     CLEARED,
     DOWN,
     FLAME,
@@ -240,7 +241,7 @@ class Oracle:
 
     def _others(self, mover: Player | Monster) -> list[Box]:
         """Return the bodies that stop one: of all others who live, if bodies block at all."""
-        if not self.book.settings.bodies_block:
+        if not self.book.settings.player_stops >> BODIES & 1:
             return []
         players = [player.box for player in self.players if player is not mover and player.hp > 0.0]
         return players + [m.box for m in self.monsters if m is not mover and m.hp > 0.0]

@@ -20,7 +20,7 @@ from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
-from pneuma.env.kernel import observe_worlds, reset_worlds, step_worlds
+from pneuma.env.kernel import GO_ON, run_worlds
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes, cached, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.env_fields import own_rewards
@@ -214,8 +214,8 @@ def _play(
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], buffers, step, chosen, scratch)
-        step_worlds(handle, chosen)
-        count = _note(handle, usual_starts, buffers, step, count, over)
+        run_worlds(handle, chosen, True)
+        count = _note(handle, usual_starts, buffers, step, count, over, chosen)
     return count
 
 
@@ -241,7 +241,7 @@ def _choose(
 
 
 @kernel
-def _note(handle: Any, usual_starts: Any, buffers: Any, step: int, count: int, over: Any) -> int:
+def _note(handle: Any, usual_starts: Any, buffers: Any, step: int, count: int, over: Any, chosen: Any) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = open_state(handle)
     players = s.players.shape[1]
@@ -275,8 +275,9 @@ def _note(handle: Any, usual_starts: Any, buffers: Any, step: int, count: int, o
             buffers.lengths[i] = 0
         buffers.idle[i] = not present and not over[w]
     if any_over:
-        reset_worlds(handle, usual_starts, over)
-        observe_worlds(handle)
+        for w in range(len(over)):
+            s.begins[w] = usual_starts[w] if over[w] else GO_ON
+        run_worlds(handle, chosen, False)
     return count
 
 
