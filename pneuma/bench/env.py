@@ -1,10 +1,12 @@
-"""Speed of the environment's interfaces, and of Gymnasium's CartPole, on one core."""
+"""Speed of the environment's interfaces, and of tasks of other packages, on one core."""
 
 from __future__ import annotations
 
+import importlib
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -30,8 +32,9 @@ def bench_env() -> list[dict[str, Any]]:
         ("kernel", "kernel", 64, _kernel(64)),
         ("kernel, all engaged", "kernel", 1, _kernel(1, engaged=True)),
         ("Gymnasium single", "single", 1, _single(ENVIRONMENTS[0])),
-        ("Gymnasium vector", "vector", 64, _vector(64)),
-        ("CartPole-v1, single", "cartpole", 1, _single("CartPole-v1")),
+        ("Gymnasium vector", "vector", 64, _vector(gymnasium.make_vec(ENVIRONMENTS[0], num_envs=64))),
+        ("CartPole-v1, single", "single", 1, _single("CartPole-v1")),
+        *_others(),
     ]
     rates: list[list[float]] = [[] for _ in cases]
     for _ in range(ROUNDS):
@@ -41,6 +44,18 @@ def bench_env() -> list[dict[str, Any]]:
         {"case": case, "face": face, "worlds": worlds, "agent_steps_per_second": statistics.median(rate)}
         for (case, face, worlds, _), rate in zip(cases, rates, strict=True)
     ]
+
+
+def _others() -> Iterator[tuple[str, str, int, Step]]:
+    """Yield tasks of other packages, of those that are installed."""
+    if find_spec("minatar"):
+        importlib.import_module("minatar.gym").register_envs()
+        yield "MinAtar Breakout, single", "single", 1, _single("MinAtar/Breakout-v1")
+    if find_spec("minigrid"):
+        yield "MiniGrid Empty 8x8, single", "single", 1, _single("minigrid:MiniGrid-Empty-8x8-v0")
+    if find_spec("envpool"):
+        envs = importlib.import_module("envpool").make_gymnasium("CartPole-v1", num_envs=64)
+        yield "EnvPool CartPole-v1, vector", "vector", 64, _vector(envs)
 
 
 def rate_of(step: Step) -> float:
@@ -92,13 +107,13 @@ def _single(name: str) -> Step:
     return step
 
 
-def _vector(count: int) -> Step:
-    env = gymnasium.make_vec(ENVIRONMENTS[0], num_envs=count)
-    env.reset(seed=0)
-    actions = np.random.default_rng(0).integers(5, size=(200, count))
+def _vector(envs: Any) -> Step:
+    envs.reset()
+    most = int(getattr(envs, "single_action_space", envs.action_space).n)
+    actions = np.random.default_rng(0).integers(most, size=(200, 64))
 
     def step(i: int) -> None:
-        env.step(actions[i])
+        envs.step(actions[i])
 
     step(0)
     return step
