@@ -279,7 +279,9 @@ def share(state: State, worlds: slice) -> State:
     parts = state._asdict()
     for name in ("worlds", "players", "monsters", "events", "observations", "masks", "begins"):
         parts[name] = parts[name][worlds]
-    return State(**parts | {name: np.zeros_like(parts[name]) for name in ("tick", "scratch")})
+    for name in ("tick", "scratch"):  # padded: threads that write to one line of cache wait for each other
+        parts[name] = np.zeros(len(parts[name]) + 64, parts[name].dtype)[: len(parts[name])]
+    return State(**parts)
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

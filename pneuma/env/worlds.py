@@ -250,8 +250,9 @@ class Worlds:
         """Call the compiled rules, with each part of the worlds on a thread of its own."""
         if len(self._parts) == 1:
             return int(kernel.run_worlds(self.handle, actions, steps))
-        calls = [(handle, actions[worlds], steps) for handle, worlds in self._parts]
-        return sum(threads().map(lambda call: kernel.run_worlds(*call), calls))
+        (handle, worlds), *others = self._parts
+        calls = [threads().submit(kernel.run_worlds, one, actions[where], steps) for one, where in others]
+        return int(kernel.run_worlds(handle, actions[worlds], steps)) + sum(call.result() for call in calls)
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events.
