@@ -184,7 +184,7 @@ class Collector:
         for step, draw in enumerate(draws):
             _choose(handle, weights, widths, activation, draw, buffers, step, chosen, scratch)
             worlds.advance(chosen)
-            count = _note(handle, usual_starts, buffers, step, count, over)
+            count = _note(handle, usual_starts, buffers, step, count, over, chosen)
         return count
 
 
