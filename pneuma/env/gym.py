@@ -21,10 +21,11 @@ from gymnasium.vector.utils import batch_space
 
 from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.kernel import announce_compiling
-from pneuma.env.observe import MOST_XP, most_hp
+from pneuma.env.layouts import MOST_XP, most_hp
 from pneuma.env.reward import PARTS, reward_parts
+from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering, write_video
-from pneuma.env.worlds import Slots, Worlds, chosen_starts, ending_info
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
 from pneuma.errors import UserError
 

@@ -1,33 +1,4 @@
-"""What a player perceives: layouts, bounds and scales of an observation.
-
-Three layouts, each a few numbers about the player, then a row for each monster perceived:
-
-    thesis  x, y, HP, XP                      distance, direction x, direction y, HP
-    pygame  x, y, facing x, facing y, HP,     distance, direction x, direction y, HP, XP it is worth
-            energy
-    godot   x, y, HP, XP                      x, y, HP, direction x, direction y (monster to player)
-
-With `observe_facing` four numbers follow on those about the player: 1 for the way faced, else 0.
-
-With `perceive = "rays:N"` there is a row for each of N rays instead of one for each monster: how far off
-the first thing is that it meets, then 1 for what that is, else 0: terrain, another player, or a monster
-of one of the level's kinds, by name. Rays begin at the player's place, the first to the right, the others
-clockwise. They end at living bodies, and at terrain that stops or drowns players.
-
-`perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
-rest zeros; or fixed, a dead one's row zeros but in layout godot), `scale` the units:
-
-    unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
-            monster's notice radii, along rays in the largest one: what matters is of order one
-    map     x, y and distances over the map's size, the rest as shares
-    raw     pixels and points
-
-The map is the whole grid of tiles. So is the land of random levels: each sees the same place as the
-same numbers, whichever are played together.
-
-`pneuma/Pneuma-v0` has layout thesis, all monsters, nearest first, unit scale: the quantities of the
-thesis's section 5.1. A layout's own choices are in `pneuma.env_fields.OBSERVATION_FIELDS`.
-"""
+"""Writing what a player perceives, and which of its actions have an effect, compiled (`layouts.py`)."""
 
 from __future__ import annotations
 
@@ -35,172 +6,15 @@ import math
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 
 from pneuma.env import rules
-from pneuma.env.characters import FACINGS
-from pneuma.env.level import RANDOM, Level
+from pneuma.env.layouts import LAYOUT_GODOT, LAYOUT_PYGAME, LAYOUT_THESIS
 from pneuma.env.state import Array, State, kernel, merged, part
-from pneuma.env_fields import EnvConfig
-from pneuma.errors import UserError, unknown_name
-
-LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
-LAYOUTS = {"thesis": LAYOUT_THESIS, "pygame": LAYOUT_PYGAME, "godot": LAYOUT_GODOT}
-PLAYER_FEATURES = {
-    "thesis": ("x", "y", "hp", "xp"),
-    "pygame": ("x", "y", "facing_x", "facing_y", "hp", "energy"),
-    "godot": ("x", "y", "hp", "xp"),
-}
-MONSTER_FEATURES = {
-    "thesis": ("distance", "direction_x", "direction_y", "hp"),
-    "pygame": ("distance", "direction_x", "direction_y", "hp", "xp"),
-    "godot": ("x", "y", "hp", "direction_x", "direction_y"),
-}
-FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
-MOST_XP = 1e9
-"""Bound of XP, in points, that is kept through episodes."""
-
-
-def player_features(config: EnvConfig) -> tuple[str, ...]:
-    """Return the names of the numbers that a player observes of itself, in order."""
-    return PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
-
-
-def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
-    """Return whether each monster is perceived, and the most rows in an observation.
-
-    Raises:
-        UserError: for a kind of monster that is not in the level.
-    """
-    kinds = [kind for kind, _, _ in levels[0].monsters]
-    what, _, which = config.perceive.partition(":")
-    if what == "rays":
-        return [True] * len(kinds), 0
-    if what == "kind":
-        wanted = which.split(",")
-        for name in wanted:
-            if name not in kinds:
-                raise unknown_name("kind of monster on this level", name, sorted(set(kinds)))
-        if any([kind for kind, _, _ in level.monsters] != kinds for level in levels):
-            raise UserError("perceive = kind:… needs levels with the same monsters")
-        perceived = [kind in wanted for kind in kinds]
-        return perceived, sum(perceived)
-    most = int(which) if what == "nearest" else len(kinds)
-    return [True] * len(kinds), min(most, len(kinds))
-
-
-def fill_scales(
-    settings: Any, players: np.ndarray, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
-) -> None:
-    """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
-    perceived, rows = perceived_kinds(config, levels)
-    settings["layout"] = LAYOUTS[config.observation]
-    settings["observe_facing"] = config.observe_facing
-    settings["fixed_order"] = config.order == "fixed"
-    settings["perceived"] = rows
-    monsters["perceived"] = perceived
-    raw = config.scale == "raw"
-    if config.scale == "unit":
-        left, top, right, bottom = _land(levels)
-        settings["middle_x"], settings["middle_y"] = (left + right) / 2, (top + bottom) / 2
-        settings["scale_x"], settings["scale_y"] = 2 / (right - left), 2 / (bottom - top)
-        monsters["distance_scale"] = 1 / np.sqrt(np.maximum(monsters["notice_squared"], 1.0))
-    elif config.scale == "map":
-        left, top, right, bottom = levels[0].grid
-        settings["middle_x"], settings["middle_y"] = left, top
-        settings["scale_x"], settings["scale_y"] = 1 / (right - left), 1 / (bottom - top)
-        monsters["distance_scale"] = 1 / max(right - left, bottom - top)
-    else:
-        settings["scale_x"] = settings["scale_y"] = monsters["distance_scale"] = 1.0
-    _fill_rays(settings, monsters, config, levels)
-    settings["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].sum(axis=-1).max(initial=0.0), 1.0)
-    players["hp_scale"] = 1.0 if raw else 1 / players["hp"]
-    players["energy_scale"] = 1.0 if raw else 1 / np.maximum(players["energy"], 1.0)
-    monsters["hp_scale"] = 1.0 if raw else 1 / monsters["hp"]
-    monsters["xp_scale"] = 1.0 if raw else 1 / max(monsters["xp"].max(initial=0.0), 1.0)
-
-
-def _fill_rays(settings: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]) -> None:
-    """Write the number and directions of rays, and the kinds of monsters they distinguish."""
-    what, _, count = config.perceive.partition(":")
-    settings["rays"] = rays = int(count) if what == "rays" else 0
-    sights = sorted({kind for level in levels for kind, _, _ in level.monsters})
-    settings["sights"] = len(sights)
-    for monster, level in zip(monsters, levels, strict=True):
-        monster["sight"] = [sights.index(kind) for kind, _, _ in level.monsters]
-    left, top, right, bottom = levels[0].grid
-    without_monsters = 1.0 if config.scale == "raw" else 1 / max(right - left, bottom - top)  # as `map`
-    settings["ray_scale"] = monsters["distance_scale"].min() if monsters.size else without_monsters
-    angles = 2 * np.pi * np.arange(rays) / max(rays, 1)
-    settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
-    settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
-
-
-def observation_space(
-    settings: Any, player: Any, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
-) -> spaces.Box:
-    """Return the Box, with finite bounds, of a player's observations, float32."""
-    edges = levels[0].grid
-    beyond = config.coast == "deadly"  # players die a little way out
-    left, top, right, bottom = edges if beyond else _land(levels)
-    diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
-    forever = config.xp_scope == "forever"
-    worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
-    xp = (MOST_XP if forever else worth) * settings["xp_scale"]
-    bounds = {
-        "x": _scaled(settings, "x", left, right),
-        "y": _scaled(settings, "y", top, bottom),
-        "hp": (0.0, most_hp(player, monsters, config) * player["hp_scale"]),
-        "energy": (0.0, player["energy"] * player["energy_scale"]),
-        "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
-        "facing_x": (-1.0, 1.0),
-        "facing_y": (-1.0, 1.0),
-        **dict.fromkeys(FACING_FEATURES, (0.0, 1.0)),
-    }
-    seen = bounds | {
-        "distance": (0.0, diagonal * monsters["distance_scale"].max(initial=0.0)),
-        "hp": (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0)),
-        "xp": (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0)),
-        "direction_x": (-1.0, 1.0),
-        "direction_y": (-1.0, 1.0),
-    }
-    if config.terrain_stops == "players":  # monsters follow out over the sea
-        seen["x"] = _scaled(settings, "x", edges[0], edges[2])
-        seen["y"] = _scaled(settings, "y", edges[1], edges[3])
-    row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
-    ray = [(0.0, diagonal * settings["ray_scale"])] + [(0.0, 1.0)] * (2 + int(settings["sights"]))
-    limits = np.array(
-        [bounds[name] for name in player_features(config)]
-        + row * int(settings["perceived"])
-        + ray * int(settings["rays"])
-    )
-    low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
-    high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
-    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-
-
-def _scaled(settings: Any, axis: str, *places: float) -> tuple[float, ...]:
-    return tuple((place - settings[f"middle_{axis}"]) * settings[f"scale_{axis}"] for place in places)
-
-
-def most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
-    """Return the HP of a player who kills every monster and is never hurt."""
-    healed = 0.0 if config.healing_cap else monsters["heal"].sum(axis=-1).max(initial=0.0)
-    return float(player["hp"] + healed)
-
-
-def _land(levels: list[Level]) -> tuple[float, float, float, float]:
-    """Return the box of the land: left, top, right, bottom; for random levels, the whole grid."""
-    level = levels[0]  # several are random
-    return level.grid if level.name.startswith(RANDOM) else level.land
-
-
-# --- Writing an observation (compiled) -------------------------------------------------------------
 
 
 @merged
 def observe_player(s: State, w: int, p: int, tell: bool) -> None:
-    """Write a player's observation and action mask; the layouts are above.
+    """Write a player's observation and action mask; `layouts.py` has the layouts.
 
     `tell` says whether to write the nearest monster's distance to the events, which an ended world does not
     do.

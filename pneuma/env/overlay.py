@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from pneuma.env.observe import player_features
+from pneuma.env.layouts import player_features
 from pneuma.env.rules import BLADE
 from pneuma.env.worlds import Worlds
 

@@ -11,8 +11,9 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.env.kernel import announce_compiling
+from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Slots, Worlds, chosen_starts, ending_info
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 announce_compiling()

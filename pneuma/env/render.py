@@ -7,7 +7,7 @@ shows for a moment (`effects.py`) follows from the states that were drawn before
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -17,7 +17,8 @@ import numpy as np
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
 from pneuma.env.effects import Effect, Effects
-from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level
+from pneuma.env.ground import ground_kinds, hatch, land_and_shore, paint_ground, tile_hash
+from pneuma.env.level import GRASS, SAND, SNOW
 from pneuma.env.overlay import Place, draw_overlay
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -42,8 +43,6 @@ PANEL_WIDTH = 360
 """Pixels of a frame's width for each step that the strip is enlarged by."""
 STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
-SHORE_TILES = 2
-"""Tiles of water around the land on the whole map."""
 GHOSTS = ((3, 35), (2, 50), (1, 70))
 """Behind who dashes: by how many pictures, and how opaque in percent."""
 WAYS = ((0, 1), (-1, 0), (0, -1), (1, 0))
@@ -99,7 +98,7 @@ class Renderer:
         self._effects: dict[int, Effects] = {}
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
-        self.shown = _land_and_shore(worlds.levels)
+        self.shown = land_and_shore(worlds.levels)
         _, _, width, height = self.shown
         if camera == "follow":
             self._factor, (width, height) = zoom, VIEW
@@ -127,7 +126,7 @@ class Renderer:
                 raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
             ground = ground_kinds(level)
             solid = level.terrain == rules.SOLID
-            painted = sprites.hatch(sprites.paint_ground(ground), level.terrain == rules.SLOW)
+            painted = hatch(paint_ground(ground), level.terrain == rules.SLOW)
             self._scenes[index] = painted, tuple(_obstacles(solid, ground))
         return self._scenes[index]
 
@@ -142,7 +141,7 @@ class Renderer:
         left, top, width, height = self._window(world, player)
         canvas = self.background[top : top + height, left : left + width].copy()
         self._draw(canvas, world, left, top)
-        frame = _centre(sprites.enlarge(canvas, self._factor), self._size)
+        frame = sprites.centred(sprites.enlarge(canvas, self._factor), self._size, SEA)
         if self._overlay:
             frame = draw_overlay(frame, self.worlds, world, player, self._to_frame(left, top, width, height))
         return np.concatenate([self._strip(world, player), frame]) if self._panel else frame
@@ -367,21 +366,12 @@ def _foot(body: Any, stats: Any) -> float:
     return float(body["y"] + stats["body_y"] + stats["half_height"])
 
 
-def ground_kinds(level: Level) -> np.ndarray:
-    """Return the ground of each tile of a level, (rows, columns) of `WATER` to `BRIDGE`.
-
-    Any other code is drawn as grass. The coast is always water.
-    """
-    kinds = np.where((level.ground >= 0) & (level.ground <= BRIDGE), level.ground, GRASS)
-    return np.where(level.terrain == rules.COAST, WATER, kinds)
-
-
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
     kinds = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
     shadow = sprites.shadow_picture(14)
     for row, column in np.argwhere(solid).tolist():
         names = kinds.get(int(ground[row, column]), ("rock",))
-        picture = sprites.obstacle_picture(names[int(sprites.tile_hash(row, column)) % len(names)])
+        picture = sprites.obstacle_picture(names[int(tile_hash(row, column)) % len(names)])
         foot, left = (row + 1) * sprites.TILE - 2, column * sprites.TILE
         yield Item(foot - 0.5, shadow, left + 1, foot + 2 - shadow.shape[0])
         yield Item(foot, picture, left, foot + 1 - picture.shape[0])
@@ -401,29 +391,3 @@ def _clamp(centre: int, length: int, available: int) -> tuple[int, int]:
     if length >= available:
         return 0, available
     return min(max(centre - length // 2, 0), available - length), length
-
-
-def _centre(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a picture cropped, or padded with water, to a width and height."""
-    width, height = size
-    if picture.shape[:2] == (height, width):
-        return picture
-    frame = np.empty((height, width, 3), np.uint8)
-    frame[...] = sprites.rgb(SEA)
-    part = picture[:height, :width]
-    top, left = (height - part.shape[0]) // 2, (width - part.shape[1]) // 2
-    frame[top : top + part.shape[0], left : left + part.shape[1]] = part
-    return frame
-
-
-def _land_and_shore(levels: Sequence[Level]) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the land of all levels and the water around, in art pixels."""
-    land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
-    edges = []
-    for axis in (0, 1):
-        lines = np.flatnonzero(land.any(axis=axis))
-        first, last = (lines[0], lines[-1]) if lines.size else (0, land.shape[1 - axis] - 1)
-        start = max(int(first) - SHORE_TILES, 0)
-        edges.append((start, min(int(last) + 1 + SHORE_TILES, land.shape[1 - axis]) - start))
-    (left, width), (top, height) = edges
-    return left * sprites.TILE, top * sprites.TILE, width * sprites.TILE, height * sprites.TILE

@@ -13,9 +13,10 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env import vec_video_recorder
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
+from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering, write_video
-from pneuma.env.worlds import Slots, Worlds, chosen_starts, ending_info
+from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 

@@ -19,7 +19,7 @@ from numba.np import arrayobj
 
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
-    "env/kernel.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
+    "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
     "engines/batched/rollout.py", "engines/evaluation.py", "engines/mlp.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""

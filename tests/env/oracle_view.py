@@ -1,6 +1,6 @@
 """What a player of the oracle's world sees, and which actions would do anything next.
 
-Layouts, orders and scales are told in `pneuma/env/observe.py`; the numbers are Python floats, which
+Layouts, orders and scales are told in `pneuma/env/layouts.py`; the numbers are Python floats, which
 the kernel stores as float32.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from pneuma.env.observe import (
+from pneuma.env.layouts import (
     LAYOUT_GODOT,
     LAYOUT_PYGAME,
     LAYOUT_THESIS,

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.env.players import Body, Hunter, RandomPlayer, Ways
+from pneuma.env.players import Hunter, RandomPlayer
+from pneuma.env.ways import Body, Ways
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import make_env_config
 

@@ -1,0 +1,121 @@
+"""The players of N worlds as slots, as learners need them, and what every interface says of episodes."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+
+from pneuma.env import rules
+from pneuma.env.worlds import Worlds
+
+
+class Slots:
+    """Each player of each world as an environment of its own, as learners need it.
+
+    Slot i is player i % P of world i // P. A slot's player may die while its world goes on. Its episode then
+    ends at once, with its last observation. From the next step until its world ends the slot idles: its
+    observations are zeros, and it has no rewards and no endings. When the world ends, all its other slots end
+    with it, and all start again together.
+
+    Attributes:
+        begun: whether all worlds were ever reset.
+        terminated, truncated: (slots,) what the last step ended.
+        world_over: (N,) which worlds it ended.
+    """
+
+    def __init__(self, worlds: Worlds) -> None:
+        self.worlds = worlds
+        self.players = worlds.players.shape[1]
+        self.count = worlds.players.size
+        self._action_count = int(worlds.action_space.n)
+        self.begun = False
+        self._none = np.zeros(self.count, np.bool_)
+        self.terminated = self.truncated = self._none
+        self.world_over = np.zeros(len(worlds), np.bool_)
+
+    def checked(self, actions: np.ndarray) -> np.ndarray:
+        """Return actions in the form that the rules take, (slots,) int64.
+
+        Raises:
+            ValueError: for invalid actions, or another number of them than slots.
+        """
+        given = np.asarray(actions)
+        if given.dtype.kind in "iu" and given.size == self.count:
+            whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
+            if whole.view(np.uint64).max() < self._action_count:  # negative numbers are huge as unsigned ones
+                return whole
+        raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
+
+    def step(self, actions: np.ndarray) -> bool:
+        """Advance all worlds by (slots,) actions; return whether any slot's episode ended."""
+        worlds = self.worlds
+        ended = worlds.advance(actions.reshape(worlds.players.shape))
+        if not ended and self.players == 1:
+            self.terminated = self.truncated = self._none
+            self.world_over = self._none
+            return False
+        present = worlds.present  # none in a world that had already ended
+        self.world_over = (worlds.worlds["ending"] != rules.RUNNING) & present.any(axis=1)
+        died = present & (worlds.players["hp"] <= 0)
+        over = present & self.world_over[:, None]
+        cut = over & ~died & worlds.truncated[:, None]
+        self.terminated = ((died | over) & ~cut).ravel()
+        self.truncated = cut.ravel()
+        return bool(self.terminated.any() or self.truncated.any())
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """Rewards of the last step, (slots,) float64."""
+        return self.worlds.events["reward"].ravel()
+
+    @property
+    def observations(self) -> np.ndarray:
+        """A copy of all observations, (slots, features); zeros for idle slots."""
+        observations = self.worlds.observations.reshape(self.count, -1).copy()
+        if self.players > 1:
+            observations[self._idle] = 0.0
+        return observations
+
+    @property
+    def masks(self) -> np.ndarray:
+        """A copy of all action masks, (slots, actions); idle slots may only attack."""
+        masks = self.worlds.masks.reshape(self.count, -1).copy()
+        if self.players > 1:
+            masks[self._idle] = np.arange(masks.shape[1]) == rules.ATTACK
+        return masks
+
+    @property
+    def _idle(self) -> np.ndarray:
+        """Which slots' players were dead before the last step, (slots,)."""
+        return ((self.worlds.players["hp"] <= 0) & ~self.worlds.present).ravel()
+
+
+def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
+    """Describe how a world's episode ended for a player."""
+    row = state.players[world, player]
+    return {
+        "ending": state.ending(world) if row["hp"] > 0 else "killed",
+        "kills": int(row["kills"]),
+        "xp": float(row["xp"]),
+        "hp": float(row["hp"]),
+    }
+
+
+def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
+    """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
+
+    Args:
+        worlds: the worlds to reset.
+        start: None, the index of a start place, or a list with one of these for each world.
+    """
+    if start is None:
+        return None
+    try:
+        asked = np.broadcast_to(np.array(start, object), len(worlds))
+        both = zip(asked, worlds.usual_starts, strict=True)
+        return np.array([usual if one is None else operator.index(one) for one, usual in both], np.int64)
+    except (TypeError, ValueError, OverflowError):
+        wanted = f"the index of a start place, or one for each of {len(worlds)} worlds"
+        raise ValueError(f"start = {start!r}: must be {wanted}") from None
