@@ -210,7 +210,7 @@ def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) 
 
 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
-    """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or of an example.
+    """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
 
     Raises:
         UserError: for an unknown name; `others` are names that exist otherwise.
@@ -219,7 +219,9 @@ def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) ->
     if name in known:
         return folder / f"{name}.toml"
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
+    if not name.endswith(".toml") and os.path.isfile(f"examples/{name}.toml"):
+        path = Path("examples") / path
+    elif not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
         if name in (examples := shipped_names(folder / "examples")):
             return folder / "examples" / path
         raise unknown_name(what, name, [*known, *others, *examples])

@@ -163,3 +163,13 @@ def test_a_copy_of_a_shipped_study_does_not_take_its_figure(tmp_path: Path) -> N
     (copy := tmp_path / "mine.toml").write_bytes((studies_folder() / "activation.toml").read_bytes())
     assert load_study(str(copy)).figure == "study-mine"
     assert load_study("activation").figure == "fig-6-5"
+
+
+@pytest.mark.parametrize("folder", [".", "examples"])
+def test_a_name_finds_a_file_here_and_in_examples(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(folder).mkdir(exist_ok=True)
+    (Path(folder) / "mine.toml").write_text(STUDY)
+    assert load_study("mine").title == "Two activations"
