@@ -33,12 +33,12 @@ from pneuma.algorithms import (
 )
 from pneuma.bases import BASES as BASES
 from pneuma.env_fields import (
-    ENVIRONMENT_FIELDS,
     ENVIRONMENTS,
     MODULE,
     EnvConfig,
     read_fields,
     resolve_world,
+    with_environment,
 )
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
@@ -265,7 +265,7 @@ def make_run(given: Mapping[str, object]) -> Run:
     """
     given = {key: value for key, value in given.items() if (key, value) not in _GONE.items()}
     env = str(given.get("env", ENVIRONMENTS[0]))
-    read = read_fields(Run, {**ENVIRONMENT_FIELDS.get(env, {}), **given})
+    read = read_fields(Run, with_environment(env, given))
     values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
     values = _resolve_learner(values if is_gymnasium_id(env) else resolve_world(values))
     values["engine"] = _engine(values)

@@ -23,6 +23,7 @@ SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 DASH = "dash"
+KINDS_OF_MONSTERS = ("bamboo", "mixed")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
 """Most agent steps of an episode."""
@@ -55,6 +56,8 @@ class EnvConfig:
     """A shipped level, a folder of CSV layers, or random:train:N or random:test:N."""
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
     """Number of random levels, from number N on; each episode draws one of them."""
+    monsters: Annotated[str, OneOf(KINDS_OF_MONSTERS)] = "bamboo"
+    """On random levels: the thesis's kind, or mixed: eight of these and two of each other kind."""
     characters: str = ""
     """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
     players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
@@ -120,9 +123,16 @@ ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
         "end_on_clear": True,
     },
     "pneuma/PneumaArena-v0": {"reward": "kills", "observe_facing": True},
-}
+    "pneuma/PneumaEasy-v0": {
+        "reward": "kills", "observe_facing": True, "perceive": "nearest:5", "classes": "tank",
+    },
+    "pneuma/PneumaHard-v0": {
+        "reward": "kills", "observe_facing": True, "perceive": "rays:32", "level": "random:train:0",
+        "random_levels": 200, "monsters": "mixed", "slow": (1,), "episode_steps": 300,
+    },
+}  # fmt: skip
 """What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
-a reward for kills, and the facing observed."""
+a reward for kills, and the facing observed; an easier and a harder task than the arena's."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_FIELDS)
 
@@ -152,7 +162,14 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
     """
     if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
-    return EnvConfig(**resolve_world(read_fields(EnvConfig, {**ENVIRONMENT_FIELDS[env], **given})))
+    return EnvConfig(**resolve_world(read_fields(EnvConfig, with_environment(env, given))))
+
+
+def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
+    """Return an environment's fields with given ones over them; a level of one's own comes alone."""
+    fields = ENVIRONMENT_FIELDS.get(env, {})
+    left = ("random_levels", "monsters", "slow") if "level" in given else ()
+    return {**{key: value for key, value in fields.items() if key not in left}, **given}
 
 
 def usual_episode_steps(env: str) -> int:
@@ -197,6 +214,10 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
     if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):
         raise UserError(
             f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"
+        )
+    if values.get("monsters", "bamboo") != "bamboo" and not is_random_level(values.get("level", "")):
+        raise UserError(
+            f"monsters = {values['monsters']} is not allowed: levels that are not random have their own"
         )
     return values
 

@@ -121,7 +121,7 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
     if config.random_levels > 1:
         split, first = parse_name(config.level)
         names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
-    levels = [load_level(name, monster_codes) for name in names]
+    levels = [load_level(name, monster_codes, config.monsters) for name in names]
     there = {int(code) for level in levels for code in np.unique(level.ground)}
     if (lacking := {*config.slow} - there) and not config.level.startswith(RANDOM):
         raise UserError(f"slow: {config.level} has no ground {sorted(lacking)}; it has {sorted(there)}")
@@ -130,12 +130,13 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
     return levels
 
 
-def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
+def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
     """Load a level by its name.
 
     Args:
         name: as above.
         monster_codes: the kind of monster of each code.
+        monsters: who lives on a random level.
 
     Raises:
         UserError: naming the file and what is wrong.
@@ -143,7 +144,7 @@ def load_level(name: str, monster_codes: Mapping[int, str]) -> Level:
     if name.startswith(RANDOM):
         from pneuma.env.random_level import parse_name, random_level  # builds on this module
 
-        return random_level(*parse_name(name))
+        return random_level(*parse_name(name), monsters)
     folder = _level_path(name)
     path = folder / "level.toml"
     file = read_toml(path) if path.is_file() else TomlFile(path, "", {})

@@ -26,7 +26,12 @@ ROWS, COLUMNS = 50, 57
 TILE = 64
 ORIGIN = (28, 25)
 STARTS = 6
-KINDS = ("bamboo",) * 14
+KINDS = {
+    "bamboo": ("bamboo",) * 14,
+    "mixed": ("bamboo",) * 8 + ("squid", "raccoon", "spirit") * 2,
+}
+"""The kinds of monsters, by the field `monsters`."""
+COUNT = 14
 
 MARGIN = 3
 """Water on every side, in tiles."""
@@ -58,24 +63,26 @@ def parse_name(name: str) -> tuple[str, int]:
     raise UserError(f"level {name!r} is not allowed{hint}: the form is {right}")
 
 
-def random_level(split: str, number: int) -> Level:
+def random_level(split: str, number: int, monsters: str = "bamboo") -> Level:
     """Generate the island of a number; equal arguments give equal levels, in any order.
+
+    What is called `monsters` in `EnvConfig` says who lives on it, at places that do not depend on that.
 
     Every monster can be walked to from every start place by a body as wide as a tile.
     """
     generator = np.random.Generator(np.random.Philox(key=2 * number + SPLITS.index(split)))
     for _ in range(_ATTEMPTS):
-        level = _attempt(generator.random, split, number)
-        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, len(KINDS)) is None:
+        level = _attempt(generator.random, split, number, KINDS[monsters])
+        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, COUNT) is None:
             return level
-    raise UserError(f"level {RANDOM}{split}:{number}: no room for {len(KINDS)} monsters")
+    raise UserError(f"level {RANDOM}{split}:{number}: no room for {COUNT} monsters")
 
 
-def _attempt(draw: Draw, split: str, number: int) -> Level | None:
+def _attempt(draw: Draw, split: str, number: int, kinds: tuple[str, ...]) -> Level | None:
     """Generate an island with everything on it; None if it is not valid."""
     ground = _draw_ground(draw)
     terrain = _draw_terrain(draw, ground)
-    tiles = _choose_places(draw, terrain, STARTS + len(KINDS))
+    tiles = _choose_places(draw, terrain, STARTS + COUNT)
     shares = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
     if (
         tiles is None
@@ -93,7 +100,7 @@ def _attempt(draw: Draw, split: str, number: int) -> Level | None:
         ground=ground,
         terrain=terrain,
         starts=np.stack([x, y], axis=1)[:STARTS],
-        monsters=tuple(zip(KINDS, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
+        monsters=tuple(zip(kinds, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
     )
 
 

@@ -16,7 +16,7 @@ from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
-from pneuma.env_fields import ENVIRONMENT_FIELDS, ENVIRONMENTS, read_field, read_fields
+from pneuma.env_fields import ENVIRONMENTS, read_field, read_fields, with_environment
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
 from pneuma.study.identity import describe_user_code
@@ -288,5 +288,5 @@ class Space:
     def _usual_fields(self, base: str) -> dict[str, Any]:
         """Return all fields that the base and the fixed fields set, not yet checked as a run."""
         fields = join_fields(base, self.fixed)
-        brought = ENVIRONMENT_FIELDS.get(fields.get("env", ENVIRONMENTS[0]), {})
+        brought = with_environment(fields.get("env", ENVIRONMENTS[0]), fields)
         return {**as_fields(Run()), **brought, **read_fields(Run, fields)}

@@ -24,8 +24,8 @@ from pneuma.worlds import TEXT, WORLDS
 
 CONTROL = "control"
 FIXED = (
-    "env", "engine", "algorithm", "level", "random_levels", "players", "classes", "characters", "weapons",
-    "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
+    "env", "engine", "algorithm", "level", "random_levels", "monsters", "players", "classes", "characters",
+    "weapons", "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
     "critic", "buffer_size", "learning_starts", "seed", "steps", *OF_GYMNASIUM,
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""

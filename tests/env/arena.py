@@ -29,7 +29,7 @@ TILES = 20
 HEADER = 'title = "Arena"\ntile = 64\norigin = [10, 10]\ncoast = [0]\n'
 START, BAMBOO, SPIRIT, RACCOON, SQUID = 400, 390, 391, 392, 393
 
-THESIS, GODOT, ARENA = ENVIRONMENTS
+THESIS, GODOT, ARENA = ENVIRONMENTS[:3]
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
 FLAME, HEAL = rules.FLAME, rules.HEAL
 STAND = ATTACK  # whoever swings stands still

