@@ -158,7 +158,7 @@ def _type(usual: Any) -> str:
 
 def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
     given = {key: value for key, value in arguments.items() if value is not None}
-    with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+    with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental, or go with Optuna 6
         return kind.make(**given, **kind.fixed, **more)
 
 

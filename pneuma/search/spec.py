@@ -248,8 +248,9 @@ def read_search(path: Path) -> Search:
         space.check_when()  # `--set` may leave out a part of the space, a file may not
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    if len(said.objectives) > 1 and said.pruner.name:
-        raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
+    for table, name in (("pruner", said.pruner.name), ("sampler", said.sampler.name)):
+        if len(said.objectives) > 1 and (name == "cmaes" or table == "pruner" and name):
+            raise file.mistake((table,), f"{name} goes with one objective alone", "name")
     for sought in said.objectives.values():
         if sought.over_seeds == "deviation" and said.pruner.name:
             raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
