@@ -132,7 +132,6 @@ class Search:
         space: the searched parameters and the fixed fields.
         world: of `pneuma.worlds.WORLDS`.
         file: its path; empty for a shipped search.
-        fixed_env: whether its file sets the environment.
     """
 
     name: str
@@ -140,7 +139,6 @@ class Search:
     space: Space
     world: str = TEXT
     file: str = ""
-    fixed_env: bool = False
 
     @property
     def label(self) -> str:
@@ -149,7 +147,7 @@ class Search:
     @property
     def has_worlds(self) -> bool:
         """Return whether it can be run in several worlds, as its file sets no environment."""
-        return not self.fixed_env
+        return self.spec.run.get("env", ENVIRONMENTS[0]) == ENVIRONMENTS[0]
 
     @property
     def title(self) -> str:
@@ -196,7 +194,7 @@ class Search:
         """
         if world == self.world:
             return self
-        if self.fixed_env:
+        if not self.has_worlds:
             raise UserError(
                 f"--world {world}: search {self.name} is in one environment alone; leave --world out"
             )
@@ -264,5 +262,4 @@ def read_search(path: Path) -> Search:
             f"a grid needs choices without `when` for every parameter, not {(*ranges, dependent)[0]}",
             "name",
         )
-    fixed_env = said.run.get("env", ENVIRONMENTS[0]) != ENVIRONMENTS[0]
-    return Search(path.stem, said, space, fixed_env=fixed_env)
+    return Search(path.stem, said, space)
