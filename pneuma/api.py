@@ -93,7 +93,7 @@ def run_study(
         keep_checkpoints=planned.study.keep_checkpoints,
     )
     todo, _ = execute.prepare(planned, store)
-    with ProgressDisplay(planned, todo, store, quiet or on_progress is not None) as display:
+    with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:
         outcomes = execute.execute(planned, todo, store, how, on_progress or display.update)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status

@@ -261,14 +261,15 @@ def train(
     for note in notes:
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)
-    if todo:
-        with ProgressDisplay(planned, todo, store, quiet) as display:
-            execute.execute(planned, todo, store, replace(how, until=until), display.update)
-    for cell in planned.cells:
-        status = store.status(cell.run_id)
+    with ProgressDisplay(todo, store, quiet, until) as display:
+        results = execute.execute(planned, todo, store, replace(how, until=until), display.update)
+    for each in results:
+        cell, status = each.cell, each.status
         if cell.run_id in until and not (status.finished or 0 < until[cell.run_id] <= status.step):
+            what = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
+            why = f": {each.reason}" if each.reason else ""
             again = "; --retry-failed tries again" if status.failed else ""
-            raise Unfinished(f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id}){again}")
+            raise Unfinished(f"{what}{why}{again}")
 
 
 def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:

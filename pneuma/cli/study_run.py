@@ -136,7 +136,7 @@ def train(
         say(f"Training {runs}; compiling for the first time takes up to a minute.", aside=True, quiet=quiet)
     results, code = [], STOPPED
     try:
-        with ProgressDisplay(planned, todo, store, quiet) as display:
+        with ProgressDisplay(todo, store, quiet) as display:
             results = execute.execute(planned, todo, store, how, display.update)
         code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
         _tell_results(planned, results, store, json, quiet)

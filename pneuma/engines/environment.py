@@ -31,9 +31,13 @@ def check_environment(run: Run) -> None:
 
 def able_engine(run: Run) -> str:
     """Return the first engine that can train in a run's environment, which is made to find out."""
-    from pneuma.engines.gymnasium_env import has_choices
+    from gymnasium.spaces import Discrete
 
-    return ENGINES[0] if has_choices(run) else "sb3"
+    from pneuma.engines.gymnasium_env import make_env
+
+    env = make_env(run)
+    env.close()
+    return ENGINES[0] if isinstance(env.action_space, Discrete) else "sb3"
 
 
 def make_vec_env(run: Run) -> Any:

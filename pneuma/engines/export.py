@@ -116,7 +116,7 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
-    features = policy.actor[0][0].shape[0]
+    features = policy.features
     if is_gymnasium_id(run.env):
         if (run.env_module or run.wrappers or run.env == GODOT) and not trust:
             raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
@@ -155,7 +155,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
         from onnx import TensorProto, checker, helper
     except ImportError:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
-    features, actions = policy.actor[0][0].shape[0], len(policy.actor[-1][1])
+    features, actions = policy.features, policy.actions
     output = "logits" if policy.exploration is None else "action_values"
     nodes, arrays = _onnx_scaling(policy.scaling) if policy.scaling else ([], [])
     seen = "seen" if policy.scaling else "observation"

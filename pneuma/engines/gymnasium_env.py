@@ -53,13 +53,6 @@ def check_spaces(run: Run) -> None:
         slots.step(np.array([slots.any_action()]))
 
 
-def has_choices(run: Run) -> bool:
-    """Return whether the actions of a run's environment are choices among some."""
-    env = make_env(run)
-    env.close()
-    return isinstance(env.action_space, spaces.Discrete)
-
-
 # --- Slots -----------------------------------------------------------------------------------------
 
 

@@ -21,7 +21,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Checkpoint, Records, Row
+from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -32,6 +32,8 @@ TRAINERS = {
 
 EVALUATIONS = 20
 """Evaluations per run."""
+UNFIT = (KeyError, ValueError, TypeError, RuntimeError)
+"""What restoring a checkpoint raises that another engine, run or version wrote."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,7 @@ class Trainer(ABC):
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
 
-        Raises:
-            CheckpointError: for a checkpoint that does not fit.
+        Any of `UNFIT` says that it does not fit.
         """
 
     @abstractmethod
@@ -114,10 +115,15 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
     Raises:
         CheckpointError: for a checkpoint from which the engine cannot resume.
     """
-    trainer, records, step = _make_trainer(run), Records(), 0
+    module, name = TRAINERS[run.engine].split(":")
+    trainer: Trainer = getattr(import_module(module), name)(run)
+    records, step = Records(), 0
     if checkpoint:
-        trainer.restore(checkpoint)
         step = checkpoint.step
+        try:
+            trainer.restore(checkpoint)
+        except UNFIT as error:
+            raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         if not begins_fork(run, checkpoint):
             records = checkpoint.records.copy()
     judged = evaluation_updates(run)
@@ -131,12 +137,6 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())
     return Result("done", step, records, trainer.policy())
-
-
-def _make_trainer(run: Run) -> Trainer:
-    module, name = TRAINERS[run.engine].split(":")
-    trainer: Trainer = getattr(import_module(module), name)(run)
-    return trainer
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:

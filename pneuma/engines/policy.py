@@ -57,6 +57,10 @@ class Policy:
     scaling: Scaling | None = None
 
     @property
+    def features(self) -> int:
+        return len(self.actor[0][0])
+
+    @property
     def actions(self) -> int:
         """How many actions there are to choose from, or numbers in one."""
         return len(self.actor[-1][1])
@@ -218,8 +222,8 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
     for what, trained, asked in (
-        ("features", len(policy.actor[0][0]), worlds.observations.shape[2]),
-        ("actions", len(policy.actor[-1][1]), int(worlds.action_space.n)),
+        ("features", policy.features, worlds.observations.shape[2]),
+        ("actions", policy.actions, int(worlds.action_space.n)),
     ):
         if trained != asked:
             raise UserError(f"was trained on {trained} {what}; these settings make {asked}")

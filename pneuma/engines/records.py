@@ -60,7 +60,7 @@ def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]
     """
     columns = len(ACTION_NAMES)
     if actions.dtype.kind not in "iu":
-        return {f"action_{i}": float("nan") for i in range(columns)}
+        return {}
     shares = np.bincount(actions.ravel(), minlength=max(count, columns)) / actions.size
     if is_gymnasium_id(run.env) and len(shares) > columns:
         shares = np.sort(shares)[::-1][:columns]

@@ -25,7 +25,7 @@ from pneuma.engines.environment import make_vec_env, slot_seeds
 from pneuma.engines.gymnasium_env import choices_of
 from pneuma.engines.loop import Trainer, begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows
-from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records, action_shares
+from pneuma.engines.records import EPISODE_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, action_shares
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
@@ -34,7 +34,6 @@ from pneuma.engines.sb3_learners import (
     seed_streams,
     take_checkpoint,
 )
-from pneuma.env_fields import ACTION_NAMES
 
 NAN = float("nan")
 
@@ -49,11 +48,6 @@ LOGGED: dict[str, dict[str, tuple[int, str]]] = {
     "double-dqn": {"value_loss": (1, "loss")},
 }
 """Metrics that each learner logs, with their sign and name in its log."""
-
-LOSSES = tuple(LOGGED["ppo"])
-NORMS = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
-VISITED_METRICS = ("dead_units", *(f"action_{i}" for i in range(len(ACTION_NAMES))))
-"""Metrics of what a policy visited and did."""
 
 
 class Sb3Trainer(Trainer):
@@ -88,7 +82,9 @@ class Sb3Trainer(Trainer):
                 metrics = learn_by_values(model, run, self._visited)
             else:
                 metrics = learn(model, run, self._policy, self._callback)
-        records.metrics.append({"step": after, **metrics, **norms.means()})
+        records.metrics.append(
+            {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, **metrics, **norms.means()}
+        )
         records.episodes.extend({name: row[name] for name in EPISODE_COLUMNS} for row in model.env.finished)
         model.env.finished.clear()
         if not is_finite(records.metrics[-1], model):
@@ -107,14 +103,14 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
     """Let a learner collect a rollout and train on it; return the metrics of both.
 
     If weights are huge, logits overflow, and torch refuses to draw actions. Such a run has diverged, not
-    crashed.
+    crashed, and has no metrics.
     """
     try:
         model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
     except (ValueError, RuntimeError):
         if not overflows(policy, model._last_obs):
             raise
-        return dict.fromkeys((*LOSSES, *VISITED_METRICS), NAN)
+        return {}
     rollout = rollout_metrics(model, run, policy)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
     return {**learn_from_rollout(model, run), **rollout}
@@ -123,8 +119,8 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
     """Let the learner train on its rollout; return what it logged.
 
-    If a weight or logit is not a number, torch refuses the next minibatch. Such a run has diverged, and its
-    losses are NaN.
+    If a weight or logit is not a number, torch refuses the next minibatch. Such a run has diverged, and has
+    no losses.
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
@@ -134,7 +130,7 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
         sound = all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters())
         if sound and not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
             raise
-        return dict.fromkeys(LOSSES, NAN)
+        return {}
     return logged_losses(model, run)
 
 
@@ -154,7 +150,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
             losses.append(logged_losses(model, run)["value_loss"])
     mean = sum(losses) / len(losses) if losses else NAN
-    return {**dict.fromkeys(LOSSES, NAN), "value_loss": mean, **visited_metrics(run, policy, *visited.take())}
+    return {"value_loss": mean, **visited_metrics(run, policy, *visited.take())}
 
 
 # --- Gradients -------------------------------------------------------------------------------------
@@ -214,12 +210,12 @@ class GradientNorms:
         A network of action values has no actor and critic. Before the first gradient there is no norm.
         """
         if not self._norms:
-            return dict.fromkeys(NORMS, NAN)
+            return {}
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
         actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
         parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
         norms = {name: float(square.sqrt().mean()) for name, square in parts.items()}
-        return norms if self._in_parts else {**dict.fromkeys(NORMS, NAN), "grad_norm": norms["grad_norm"]}
+        return norms if self._in_parts else {"grad_norm": norms["grad_norm"]}
 
 
 # --- Rollouts --------------------------------------------------------------------------------------
@@ -244,13 +240,8 @@ class Visited(BaseCallback):
 
 
 def logged_losses(model: Learner, run: Run) -> dict[str, float]:
-    """Return what a learner logged in its last training; NaN for what it does not log."""
-    log = model.logger.name_to_value
-    logged = LOGGED[run.algorithm].items()
-    return {
-        **dict.fromkeys(LOSSES, NAN),
-        **{name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in logged},
-    }
+    log, logged = model.logger.name_to_value, LOGGED[run.algorithm].items()
+    return {name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in logged}
 
 
 def visited_metrics(

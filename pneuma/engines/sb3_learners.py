@@ -9,7 +9,8 @@ leaves out environment, random generators and last observation, and their `load`
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,11 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from pneuma.algorithms import OPTIMIZER_FIELDS
+from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_FIELDS
 from pneuma.config import ANNEALED, Run, stream_seed
-from pneuma.engines.records import Checkpoint, CheckpointError, Records
+from pneuma.engines.records import Checkpoint, Records
 from pneuma.engines.upgd import UPGD
+from pneuma.sb3_names import NAMES
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
 """Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
@@ -47,8 +49,8 @@ def make_model(run: Run, env: VecEnv) -> Any:
     the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
-    kind, fields = LEARNERS[run.algorithm]
-    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in fields.items()}
+    kind = LEARNERS[run.algorithm]
+    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in arguments_of(run)}
     layers: Any = list(run.actor)
     if issubclass(kind, DQN):
         assert run.target_every
@@ -58,13 +60,11 @@ def make_model(run: Run, env: VecEnv) -> Any:
     else:
         layers = {"pi": layers, "vf": list(run.critic)}
         arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
-    if kind is not TRPO:
+    if "max_grad_norm" in arguments:
         arguments["max_grad_norm"] = joint_limit(run)
     model = kind(
         policy="MlpPolicy",
         env=env,
-        learning_rate=scheduled(run, "learning_rate"),
-        gamma=run.gamma,
         policy_kwargs={
             "net_arch": layers,
             "activation_fn": ACTIVATIONS[run.activation],
@@ -153,42 +153,19 @@ class WithoutBaseline(RolloutBuffer):
         self.advantages = self.returns.copy()
 
 
-_ROLLOUT = {"n_steps": "horizon", "gae_lambda": "gae_lambda"}
-_LOSS = {**_ROLLOUT, "ent_coef": "entropy_coefficient", "vf_coef": "value_coefficient"}
-_PPO = {
-    **_LOSS,
-    "batch_size": "minibatch",
-    "n_epochs": "epochs",
-    "clip_range": "clip_range",
-    "normalize_advantage": "normalize_advantage",
-}
-_DQN = {
-    "batch_size": "minibatch",
-    "buffer_size": "buffer_size",
-    "learning_starts": "learning_starts",
-    "train_freq": "train_every",
-    "gradient_steps": "gradient_steps",
-    "exploration_fraction": "exploration_fraction",
-    "exploration_final_eps": "exploration",
-}
-_TRPO = {
-    **_ROLLOUT,
-    "batch_size": "minibatch",
-    "n_critic_updates": "epochs",
-    "target_kl": "target_kl",
-    "cg_max_steps": "conjugate_steps",
-    "line_search_max_iter": "line_search_steps",
-}
+LEARNERS: dict[str, type[Learner]] = {
+    "ppo": PPO, "a2c": A2C, "trpo": TRPO, "dqn": DQN, "double-dqn": DoubleDQN,
+}  # fmt: skip
 
-LEARNERS: dict[str, tuple[type[Learner], Mapping[str, str]]] = {
-    "ppo": (PPO, _PPO),
-    "a2c": (A2C, _LOSS),
-    "trpo": (TRPO, _TRPO),
-    "dqn": (DQN, _DQN),
-    "double-dqn": (DoubleDQN, _DQN),
-}
-"""The learner class of each algorithm, and the run's fields that are its own arguments, by their names
-there."""
+
+def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
+    kind, read = LEARNERS[run.algorithm], {"learning_rate", "gamma", *ALGORITHM_FIELDS[run.algorithm]}
+    if not issubclass(kind, DQN):  # whose `n_steps` are those of its returns
+        read.add("horizon")
+    for argument in signature(kind).parameters:
+        if (name := NAMES.get(argument, argument)) in read:
+            yield argument, name
 
 
 # --- Checkpoints ----------------------------------------------------------------------------------
@@ -226,24 +203,20 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
     env: Any = model.env
     numbers = checkpoint.numbers
     arrays = {k: v for k, v in checkpoint.arrays.items() if not k.startswith(tuple(left_out))}
-    try:
-        has_optimizer = any(name.startswith("optimizer/") for name in arrays)
-        if has_optimizer and numbers["optimizer"] != type(model.policy.optimizer).__name__:
-            raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-        model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
-        _restore_optimizer(model.policy.optimizer, arrays)
-        worlds = {name: arrays[f"worlds/{name}"] for name in env.saved_state()}
-        env.restore_state(worlds)
-        torch.set_rng_state(torch.tensor(arrays["random/torch"]))
-        kind, position, has_gauss, gauss = numbers["numpy"]
-        np.random.set_state((kind, arrays["random/numpy"].copy(), position, has_gauss, gauss))
-        model._last_obs = arrays["last/observations"].copy()
-        model._last_episode_starts = arrays["last/episode_starts"].copy()
-        model._n_updates, model.num_timesteps = numbers["updates"], numbers["timesteps"]
-        if isinstance(model, DQN):
-            _restore_replay(model, arrays, numbers)
-    except (KeyError, ValueError, TypeError, RuntimeError) as error:
-        raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+    has_optimizer = any(name.startswith("optimizer/") for name in arrays)
+    if has_optimizer and numbers["optimizer"] != type(model.policy.optimizer).__name__:
+        raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
+    model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
+    _restore_optimizer(model.policy.optimizer, arrays)
+    env.restore_state({name: arrays[f"worlds/{name}"] for name in env.saved_state()})
+    torch.set_rng_state(torch.tensor(arrays["random/torch"]))
+    kind, position, has_gauss, gauss = numbers["numpy"]
+    np.random.set_state((kind, arrays["random/numpy"].copy(), position, has_gauss, gauss))
+    model._last_obs = arrays["last/observations"].copy()
+    model._last_episode_starts = arrays["last/episode_starts"].copy()
+    model._n_updates, model.num_timesteps = numbers["updates"], numbers["timesteps"]
+    if isinstance(model, DQN):
+        _restore_replay(model, arrays, numbers)
 
 
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

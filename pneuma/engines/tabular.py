@@ -20,7 +20,6 @@ from pneuma.engines.records import (
     EVALUATION_COLUMNS,
     METRIC_COLUMNS,
     Checkpoint,
-    CheckpointError,
     Records,
     Row,
     action_shares,
@@ -118,16 +117,13 @@ class TableTrainer(Trainer):
         return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        try:
-            if checkpoint.arrays["tables"].shape != self.tables.shape:
-                raise ValueError("it is of another number of tables")
-            self.tables = checkpoint.arrays["tables"].copy()
-            self._generator.bit_generator.state = checkpoint.numbers["actions"]
-            self.env.np_random.bit_generator.state = checkpoint.numbers["world"]
-            self._place, self._return, self._length, self._episode = checkpoint.numbers["day"]
-            self.env.place = self._place
-        except (KeyError, ValueError, TypeError) as error:
-            raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+        if checkpoint.arrays["tables"].shape != self.tables.shape:
+            raise ValueError("it is of another number of tables")
+        self.tables = checkpoint.arrays["tables"].copy()
+        self._generator.bit_generator.state = checkpoint.numbers["actions"]
+        self.env.np_random.bit_generator.state = checkpoint.numbers["world"]
+        self._place, self._return, self._length, self._episode = checkpoint.numbers["day"]
+        self.env.place = self._place
 
 
 def _make_env(run: Run) -> MailmanEnv:

@@ -311,9 +311,16 @@ def cached(**options: Any) -> Callable[[Any], Any]:
 
     def compiled(function: Any) -> Any:
         try:
-            return njit(cache=True, **options)(function)
+            made = njit(cache=True, **options)(function)
         except RuntimeError:
             return njit(**options)(function)
+        try:
+            made._cache._cache_file._load_index()
+        except (
+            Exception
+        ):  # it names a class that is gone, and is read whole before it is found to be out of date
+            made._cache.flush()
+        return made
 
     return compiled
 

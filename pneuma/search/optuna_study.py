@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -45,17 +45,12 @@ class Kind:
     Attributes:
         make: its class.
         arguments: those that a file may set, by Optuna's names, with the defaults here; None is Optuna's own.
-        fixed: other arguments.
         package: that Optuna needs for it.
     """
 
     make: Callable[..., Any]
     arguments: Mapping[str, Any]
-    fixed: Mapping[str, Any] = field(default_factory=dict)
     package: str = ""
-
-
-QUIET = {"warn_independent_sampling": False}
 
 
 class Grid(samplers.GridSampler):
@@ -73,14 +68,13 @@ SAMPLERS = {
             "constant_liar": True,
         },
     ),
-    "gp": Kind(samplers.GPSampler, {"n_startup_trials": 10, "deterministic_objective": False}, QUIET),
+    "gp": Kind(samplers.GPSampler, {"n_startup_trials": 10, "deterministic_objective": False}),
     "cmaes": Kind(
         samplers.CmaEsSampler,
         {
             "sigma0": None, "n_startup_trials": 1, "popsize": None, "consider_pruned_trials": False,
             "use_separable_cma": False, "with_margin": False, "lr_adapt": False,
         },
-        QUIET,
         package="cmaes",
     ),
     "nsga-ii": Kind(
@@ -135,7 +129,7 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
     arguments = {**kind.arguments, **given}
     if arguments.get("max_resource", math.inf) < arguments.get("min_resource", 0):
         raise wrong("max_resource is less than min_resource", "name")
-    if kind.package and not _is_installed(kind.package):
+    if kind.package and find_spec(kind.package) is None:
         raise wrong(f"{name} needs a package that is missing: pip install {kind.package}", "name")
     if name != "grid":
         try:
@@ -145,21 +139,14 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
     return {"name": name, "arguments": arguments}
 
 
-def _is_installed(package: str) -> bool:
-    try:
-        return find_spec(package) is not None
-    except ValueError:
-        return False
-
-
 def _type(usual: Any) -> str:
     return "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
 
 
 def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
     given = {key: value for key, value in arguments.items() if value is not None}
-    with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-        return kind.make(**given, **kind.fixed, **more)
+    with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental, or go with Optuna 6
+        return kind.make(**given, **more)
 
 
 def make_sampler(search: Search, number: int) -> samplers.BaseSampler:
@@ -193,17 +180,16 @@ def create_study(search: Search, objectives: int | None = None, storage: Any = N
     return study
 
 
-def ask(
-    study: optuna.Study, search: Search, first_trials: Sequence[Mapping[str, Any]]
-) -> tuple[optuna.Trial, dict[str, Any]]:
-    """Ask a study for the next trial; return it and its parameters."""
+def ask(study: optuna.Study, search: Search, first_trials: Sequence[Mapping[str, Any]]) -> optuna.Trial:
+    """Ask a study for the next trial and all of its parameters."""
     number = len(study.get_trials(deepcopy=False))
     if number < len(first_trials):
         study.enqueue_trial(dict(first_trials[number]))
     with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
         study.sampler = make_sampler(search, number)
         trial = study.ask()
-        return trial, search.space.ask(lambda parameter: _suggest(trial, parameter))
+        search.space.ask(lambda parameter: _suggest(trial, parameter))
+    return trial
 
 
 def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:

@@ -132,7 +132,6 @@ class Search:
         space: the searched parameters and the fixed fields.
         world: of `pneuma.worlds.WORLDS`.
         file: its path; empty for a shipped search.
-        fixed_env: whether its file sets the environment.
     """
 
     name: str
@@ -140,7 +139,6 @@ class Search:
     space: Space
     world: str = TEXT
     file: str = ""
-    fixed_env: bool = False
 
     @property
     def label(self) -> str:
@@ -149,7 +147,7 @@ class Search:
     @property
     def has_worlds(self) -> bool:
         """Return whether it can be run in several worlds, as its file sets no environment."""
-        return not self.fixed_env
+        return self.spec.run.get("env", ENVIRONMENTS[0]) == ENVIRONMENTS[0]
 
     @property
     def title(self) -> str:
@@ -196,7 +194,7 @@ class Search:
         """
         if world == self.world:
             return self
-        if self.fixed_env:
+        if not self.has_worlds:
             raise UserError(
                 f"--world {world}: search {self.name} is in one environment alone; leave --world out"
             )
@@ -248,8 +246,9 @@ def read_search(path: Path) -> Search:
         space.check_when()  # `--set` may leave out a part of the space, a file may not
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    if len(said.objectives) > 1 and said.pruner.name:
-        raise file.mistake(("pruner",), f"{said.pruner.name} goes with one objective alone", "name")
+    for table, name in (("pruner", said.pruner.name), ("sampler", said.sampler.name)):
+        if len(said.objectives) > 1 and (name == "cmaes" or table == "pruner" and name):
+            raise file.mistake((table,), f"{name} goes with one objective alone", "name")
     for sought in said.objectives.values():
         if sought.over_seeds == "deviation" and said.pruner.name:
             raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
@@ -263,5 +262,4 @@ def read_search(path: Path) -> Search:
             f"a grid needs choices without `when` for every parameter, not {(*ranges, dependent)[0]}",
             "name",
         )
-    fixed_env = said.run.get("env", ENVIRONMENTS[0]) != ENVIRONMENTS[0]
-    return Search(path.stem, said, space, fixed_env=fixed_env)
+    return Search(path.stem, said, space)

@@ -18,7 +18,7 @@ from typing import Any
 
 import optuna
 from optuna.distributions import check_distribution_compatibility
-from optuna.storages import JournalStorage
+from optuna.storages import BaseStorage, JournalStorage
 from optuna.storages.journal import BaseJournalBackend, JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
@@ -28,7 +28,7 @@ from pneuma.errors import UserError
 from pneuma.files import parse_json, read_whole, to_json
 from pneuma.search.optuna_study import STATES, create_study, distributions, ended_study
 from pneuma.search.spec import Budget, Search, check_budget, load_search
-from pneuma.search.trials import EndedTrial, Log, Outcomes, PendingTrial, Task, Train, best_number, conduct
+from pneuma.search.trials import EndedTrial, Outcomes, PendingTrial, Task, Train, best_number, conduct
 from pneuma.study.execute import check_environments
 from pneuma.study.identity import config_id
 from pneuma.study.locks import run_lock
@@ -42,6 +42,8 @@ ABOUT = "pneuma"
 """The user attribute of a study that says which search it is."""
 LARGEST_LOG = 2**28
 """Most bytes of a log that is read."""
+MAKES_NO_SENSE = (KeyError, TypeError, ValueError, AttributeError, OverflowError)
+"""What reading an untrusted log raises."""
 
 
 @dataclass(frozen=True)
@@ -92,24 +94,31 @@ def log_path(store: Store, label: str) -> Path:
     return store.root / "searches" / f"{label}.log"
 
 
-class JournalLog(Log):
-    """The log of a search that is being run. Only the process that holds the search's lock may use it."""
+class JournalLog:
+    """The log of a search that is being run. Only the process that holds the search's lock may use it.
 
-    def __init__(self, path: Path, task: Task) -> None:
-        self._task, about = task, _about(task)
-        Path(f"{path}.lock").unlink(missing_ok=True)  # left by a kill: Optuna would wait for it for ever
-        self._storage = JournalStorage(JournalFileBackend(str(path.resolve())))
-        if not self._storage.get_all_studies():
-            create_study(task.search, storage=self._storage)
-        self._study = optuna.load_study(study_name=task.search.name, storage=self._storage)
+    Attributes:
+        ended: trials that ended before, by number.
+    """
+
+    def __init__(self, storage: BaseStorage, task: Task) -> None:
+        self._task, self._storage = task, storage
+        if not storage.get_all_studies():
+            create_study(task.search, storage=storage)
+        self._study = optuna.load_study(study_name=task.search.name, storage=storage)
         known = self._study.user_attrs.get(ABOUT)
         if not isinstance(known, dict) or known["trials_asked"] < task.budget.trials:
-            self._study.set_user_attr(ABOUT, about)
+            self._study.set_user_attr(ABOUT, _about(task))
         self._noted = {trial.number: trial for trial in self._study.get_trials()}
         self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
 
-    def begin(self, trial: PendingTrial) -> None:
-        number, params = trial.trial.number, dict(trial.params)
+    def begin(self, pending: PendingTrial) -> None:
+        """Note a trial that was asked for.
+
+        Raises:
+            UserError: if another was noted by this number.
+        """
+        number, params = pending.trial.number, pending.trial.params
         if noted := self._noted.get(number):
             if noted.params != params:
                 raise UserError(
@@ -118,13 +127,13 @@ class JournalLog(Log):
                 )
             return
         attributes: dict[str, Any] = {"seeds": [*self._task.budget.seeds], "run_ids": []}
-        if trial.cells:
-            ids = [cell.run_id for cell in trial.cells]
-            attributes |= {"run_ids": ids, "config_id": config_id(trial.cells[0].run)}
+        if pending.cells:
+            ids = [cell.run_id for cell in pending.cells]
+            attributes |= {"run_ids": ids, "config_id": config_id(pending.cells[0].run)}
         template = create_trial(
             state=TrialState.RUNNING,
             params=params,
-            distributions=distributions(self._task.search.space, params),
+            distributions=pending.trial.distributions,
             user_attrs=attributes,
         )
         made = self._storage.create_new_trial(self._study._study_id, template_trial=template)
@@ -135,6 +144,7 @@ class JournalLog(Log):
             )
 
     def report(self, number: int, step: int, value: float) -> None:
+        """Note a value by which a trial is compared."""
         self._storage.set_trial_intermediate_value(self._id(number), step, value)
 
     def end(self, trial: EndedTrial) -> None:
@@ -179,9 +189,10 @@ def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLo
             say(f"{path}: its last line was cut off, and is left out")
         if isinstance(about, dict) and about.get("digest") != task.digest:
             _set_aside(path, about, task, say)
+    Path(f"{path}.lock").unlink(missing_ok=True)  # left by a kill: Optuna would wait for it for ever
     try:
-        return JournalLog(path, task)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return JournalLog(JournalStorage(JournalFileBackend(str(path.resolve()))), task)
+    except MAKES_NO_SENSE:
         raise _damaged(path) from None
 
 
@@ -295,7 +306,7 @@ def _read(path: Path, search: Search) -> RecordedSearch:
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
         return RecordedSearch(task, tuple(_ended(study.get_trials(deepcopy=False), search)))
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+    except MAKES_NO_SENSE:
         raise _damaged(path) from None
 
 

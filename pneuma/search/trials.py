@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import optuna
@@ -29,6 +29,9 @@ from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell, Plan, Selection
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.search.storage import JournalLog
 
 Train = Callable[[Plan, Mapping[str, int]], None]
 """Trains runs of a plan, by id, up to a step each, or to the end if that is 0; raises `Unfinished`."""
@@ -104,35 +107,11 @@ class EndedTrial:
     note: str = ""
 
 
-class Log:
-    """Where a search notes its trials while it goes; this one notes nothing.
-
-    Attributes:
-        ended: trials that ended before, by number.
-    """
-
-    ended: Mapping[int, EndedTrial] = {}
-
-    def begin(self, trial: PendingTrial) -> None:
-        """Note a trial that was asked for.
-
-        Raises:
-            UserError: if another was noted by this number.
-        """
-
-    def report(self, number: int, step: int, value: float) -> None:
-        """Note a value by which a trial is compared."""
-
-    def end(self, trial: EndedTrial) -> None:
-        """Note that a trial has ended."""
-
-
 @dataclass
 class PendingTrial:
     """A trial that has not ended, with its runs."""
 
     trial: optuna.Trial
-    params: Mapping[str, Any]
     cells: Sequence[Cell] = ()
     note: str = ""
     pruned: bool = False
@@ -223,9 +202,7 @@ def pauses(search: Search) -> list[int]:
     return []
 
 
-def conduct(
-    task: Task, train: Train, outcomes: Outcomes, log: Log | None = None
-) -> Iterator[list[EndedTrial]]:
+def conduct(task: Task, train: Train, outcomes: Outcomes, log: JournalLog) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
     Args:
@@ -238,13 +215,13 @@ def conduct(
         Unfinished: when a run crashed.
         UserError: when the log has other trials than the search suggests.
     """
-    search, budget, log = task.search, task.budget, log or Log()
+    search, budget = task.search, task.budget
     study, first_trials = create_study(search), search.first_trials
     trained: list[Cell] = []
     parts = rounds(task)
 
     for first in range(0, budget.trials, search.spec.generation):
-        asked = [PendingTrial(*ask(study, search, first_trials)) for _ in range(search.spec.generation)]
+        asked = [PendingTrial(ask(study, search, first_trials)) for _ in range(search.spec.generation)]
         asked = asked[: budget.trials - first]
         for each in asked:
             try:
@@ -264,7 +241,7 @@ def conduct(
 
 
 def _cells(task: Task, asked: PendingTrial) -> list[Cell]:
-    run = task.search.space.make_run(asked.params, steps=task.budget.steps)
+    run = task.search.space.make_run(asked.trial.params, steps=task.budget.steps)
     name = f"trial-{asked.trial.number:03}"
     runs = [replace(run, seed=seed) for seed in task.budget.seeds]
     return [Cell(name, one.seed, one, run_id(one)) for one in runs]
@@ -298,7 +275,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
 
 
-def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: Log) -> None:
+def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: JournalLog) -> None:
     """Report a trial's values in the first objective, if it is the only one and they are finite."""
     sought, known = task.search.objectives[0], log.ended.get(asked.trial.number)
     if len(task.search.objectives) > 1:
@@ -326,7 +303,11 @@ def _values(
 
 
 def _tell(
-    study: optuna.Study, objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcomes, log: Log
+    study: optuna.Study,
+    objectives: Sequence[Objective],
+    asked: PendingTrial,
+    outcomes: Outcomes,
+    log: JournalLog,
 ) -> EndedTrial:
     number = asked.trial.number
     ended = log.ended.get(number) or _end(objectives, asked, outcomes)
@@ -340,9 +321,10 @@ def _tell(
 
 def _end(objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcomes) -> EndedTrial:
     run_ids = tuple(cell.run_id for cell in asked.cells)
+    number, params = asked.trial.number, asked.trial.params
     if asked.pruned:
         last = asked.reports[max(asked.reports)]
-        return EndedTrial(asked.trial.number, asked.params, "pruned", (last,), run_ids, asked.reports)
+        return EndedTrial(number, params, "pruned", (last,), run_ids, asked.reports)
     values = tuple(objective_value(each, asked.cells, outcomes) for each in objectives if run_ids)
     lacking = [
         each.outcome for each, value in zip(objectives, values, strict=False) if not np.isfinite(value)
@@ -353,7 +335,7 @@ def _end(objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcome
         notes.append(f"{count} of {len(asked.cells)} runs diverged")
     note = "; ".join(filter(None, notes))
     finite = values if state == "complete" else ()
-    return EndedTrial(asked.trial.number, asked.params, state, finite, run_ids, asked.reports, note)
+    return EndedTrial(number, params, state, finite, run_ids, asked.reports, note)
 
 
 def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int] | None:

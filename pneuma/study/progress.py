@@ -19,7 +19,7 @@ from pneuma.config import Run, as_fields, is_gymnasium_id
 from pneuma.errors import print_aside
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
-from pneuma.study.plan import Cell, Plan
+from pneuma.study.plan import Cell
 from pneuma.study.provenance import machine, processors
 from pneuma.study.store import FINISHED, Store
 from pneuma.study.stored_runs import stored_settings
@@ -113,19 +113,22 @@ def _usual(settings: Mapping[str, Any]) -> float:
 
 
 class ProgressDisplay:
-    """Shows on standard error how far a plan's runs are. A context manager.
+    """Shows on standard error how far runs are. A context manager.
 
     Args:
-        plan: the plan.
         to_train: the runs that are missing, by id.
         store: the store, in which some of them may have begun.
         quiet: whether to show nothing but notes.
+        until: steps at which runs pause, by run; 0 is the end.
     """
 
-    def __init__(self, plan: Plan, to_train: Mapping[str, Run], store: Store, quiet: bool) -> None:
+    def __init__(
+        self, to_train: Mapping[str, Run], store: Store, quiet: bool, until: Mapping[str, int] = {}
+    ) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+        self._targets = {name: until.get(name) or run.steps for name, run in to_train.items()}
         self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
         self._ended: set[str] = set()
         self._bar = Progress(
@@ -138,8 +141,8 @@ class ProgressDisplay:
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
         )
-        steps = sum(run.steps for run in to_train.values())
-        self._task = self._bar.add_task(self._runs(), total=steps, completed=sum(self._steps.values()))
+        steps, so_far = sum(self._targets.values()), sum(self._steps.values())
+        self._task = self._bar.add_task(self._runs(), total=steps, completed=so_far)
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
@@ -160,9 +163,12 @@ class ProgressDisplay:
             if self._show or event["event"] == "note":
                 print_aside(f"{label}: {event['text']}")
             return
-        if status and status != "stopped":
+        target = self._targets[name]
+        self._steps[name] = target if status in FINISHED else max(self._steps[name], event["step"])
+        if status in ("stopped", "partial") and self._steps[name] >= target:
+            status = "paused"
+        if status not in ("", "stopped"):
             self._ended.add(name)
-        self._steps[name] = cell.run.steps if status in FINISHED else max(self._steps[name], event["step"])
         self._bar.update(self._task, completed=sum(self._steps.values()), description=self._runs())
         now = time.monotonic()
         if self._show and not self._live and (status or now >= self._next_line):

@@ -22,16 +22,15 @@ from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]
 weights = np.array([0.0] * features + [1, 9, -9, 0, 0], np.float32)  # one unit, tanh(1), then logits
-room = [np.zeros((1, 1), kind) for kind in (np.int64, np.float32, np.float32)]
-buffers = rollout.RolloutBuffers(
-    np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_),
-    np.zeros((1, 1, features), np.float32), *room, np.zeros(1, rollout.ENDED),
-    np.zeros((1, features), np.float32),
+episodes = rollout.Episodes(
+    np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_)
 )
+filled = rollout.empty_rollout(1, 1, features)
 draws, scratch = np.full(1, 0.5, np.float32), np.zeros((2, 1, features), np.float32)
 chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, weights, np.array([features, 1, 2]), 0, draws, buffers, 0, chosen, scratch)
-print(buffers.actions[0, 0], *rollout._choose.stats.cache_hits.values())
+widths = np.array([features, 1, 2])
+rollout._choose(worlds.handle, weights, widths, 0, draws, episodes, filled, 0, chosen, scratch)
+print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 
 
@@ -64,6 +63,14 @@ def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) 
     assert said(CHOOSE, copy) == "0 1"  # from the cache
     change(copy / "pneuma/engines/mlp.py", "math.tanh(x[j])", "-math.tanh(x[j])")
     assert said(CHOOSE, copy) == "1"
+
+
+@pytest.mark.slow
+def test_programs_kept_from_before_a_class_was_renamed_stop_nobody(copy: Path) -> None:
+    """Their index names the class `Episodes`, and numba reads it before it sees that it is out of date."""
+    assert said(CHOOSE, copy) == "0"
+    change(copy / "pneuma/engines/batched/rollout.py", "Episodes", "Unended_")  # as long: no line moves
+    assert said(CHOOSE.replace("Episodes", "Unended_"), copy) == "0"
 
 
 @pytest.mark.slow

@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import pytest
+from optuna.storages import InMemoryStorage
 
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.trials import EndedTrial, Log, Outcomes, Task, conduct
+from pneuma.search.storage import JournalLog
+from pneuma.search.trials import EndedTrial, Outcomes, Task, conduct
 from pneuma.study.plan import Cell, Plan
 
 SPACE = """
@@ -74,7 +76,6 @@ def solve(
     task: Task,
     plans: list[Plan] | None = None,
     outcomes: Formula | None = None,
-    log: Log | None = None,
     asked: list[Mapping[str, int]] | None = None,
 ) -> list[EndedTrial]:
     """Conduct a task on the formula and return its trials; lists get what would be trained, and how far."""
@@ -85,6 +86,7 @@ def solve(
         if asked is not None:
             asked.append(until)
 
+    log = JournalLog(InMemoryStorage(), task)
     return [ended for group in conduct(task, train, outcomes or Formula(), log) for ended in group]
 
 

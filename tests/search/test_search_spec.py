@@ -115,6 +115,11 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
             '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',
             "median goes with one objective alone",
         ),
+        (
+            "[run]",
+            '[sampler]\nname = "cmaes"\n[objectives.more]\noutcome = "final-return"\n[run]',
+            "cmaes goes with one objective alone",
+        ),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),
     ],
 )  # fmt: skip

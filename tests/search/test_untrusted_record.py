@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
@@ -51,7 +53,7 @@ def save_record(store: Store, task: Task) -> None:
     store.check_writable()
     path.parent.mkdir(exist_ok=True)
     path.unlink(missing_ok=True)
-    JournalLog(path, task)
+    JournalLog(JournalStorage(JournalFileBackend(str(path))), task)
 
 
 SAFE: dict[str, Any] = {"env": "CartPole-v1"}

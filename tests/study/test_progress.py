@@ -18,6 +18,18 @@ def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tm
     plan = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",)))
     cell = replace(plan.cells[0], condition="\x1b]0;a\x07")
     plan = replace(plan, cells=(cell,))
-    with ProgressDisplay(plan, {cell.run_id: cell.run}, Store(tmp_path), quiet=False) as display:
+    with ProgressDisplay({cell.run_id: cell.run}, Store(tmp_path), quiet=False) as display:
         display.update(cell, {"event": "note", "text": "begins"})
     assert capsys.readouterr().err == "\\u001b]0;a\\u0007 seed 0: begins\n"
+
+
+def test_runs_that_pause_are_counted_to_the_pause(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """As in the rounds of a search; by hand: of 640 and 1,280 steps, 960 are half."""
+    plan = make_plan(load_study("activation"), Selection(seeds=(0, 1), steps=2560, conditions=("tanh",)))
+    first, second = plan.cells
+    until = {first.run_id: 640, second.run_id: 1280}
+    todo = {cell.run_id: cell.run for cell in plan.cells}
+    with ProgressDisplay(todo, Store(tmp_path), quiet=False, until=until) as display:
+        display.update(second, {"event": "step", "step": 320})
+        display.update(first, {"event": "end", "status": "stopped", "step": 640})
+    assert "tanh seed 0: paused; 1/2 runs ended, 50% of all steps" in capsys.readouterr().err

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from stable_baselines3 import PPO
 
+from pneuma.algorithms import ALGORITHM_FIELDS, VALUE_BASED
 from pneuma.config import BASES, Run, make_run
-from pneuma.engines.sb3_learners import LEARNERS
+from pneuma.engines.sb3_learners import LEARNERS, arguments_of
 from pneuma.errors import UserError
 from pneuma.sb3_names import NAMES, own_fields
 from pneuma.study.plan import Selection, make_plan
@@ -88,10 +89,23 @@ def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, li
     assert "\n" not in str(refused.value)
 
 
+ELSEWHERE = {
+    "actor", "critic", "activation", "optimizer", "weight_decay", "slots", "clip", "value_baseline",
+    "first_layer_scale", "learning_rate_schedule", "clip_range_schedule",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("algorithm", LEARNERS)
+def test_every_field_that_an_algorithm_reads_reaches_its_learner(algorithm: str) -> None:
+    """As an argument, unless it stands `ELSEWHERE`: in networks, the optimizer or Pneuma's own classes."""
+    run = make_run({"algorithm": algorithm, "engine": "sb3"})
+    reached = {name for _, name in arguments_of(run)}
+    assert {*ALGORITHM_FIELDS[algorithm]} <= reached | ELSEWHERE
+    assert ("horizon" in reached) == (algorithm not in VALUE_BASED)
+
+
 def test_every_argument_that_is_a_field_by_another_name_is_known() -> None:
-    for _, arguments in LEARNERS.values():
-        for theirs, own in arguments.items():
-            assert own_fields({theirs: 1}) == {own: 1}
+    assert all(own_fields({theirs: 1}) == {own: 1} for theirs, own in NAMES.items())
     assert {*NAMES.values()} <= {*Run.__dataclass_fields__}
 
 

@@ -123,6 +123,29 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     assert len(queue.submitted) == 2
 
 
+def test_a_run_that_another_command_s_job_paused_is_told_so(
+    queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its job was not lost: it was asked for no more than 250 steps, by a search's first round."""
+    runs = group(7)
+    (run,) = runs
+    with pytest.raises(Detached):
+        train([runs], store, replace(DETACHED, until={run: 250}))
+    monkeypatch.setattr(Store, "status", lambda *_: Status("partial", 250))
+    looks = iter((False, True))
+    ask = queue.ask
+
+    def ask_once(*command: str) -> list[str]:
+        queue.gone = next(looks, True)
+        return ask(*command)
+
+    monkeypatch.setattr(slurm, "_ask", ask_once)
+    events: list[Event] = []
+    slurm._watch({run}, store, events.append, LOCAL_CONFIG)
+    assert ends(events) == {run: "partial"}
+    assert events[-1]["reason"].startswith("another command's job paused it at step 250; the same command")
+
+
 def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
     queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.batched.rollout import ENDED, Rollout
+from pneuma.engines.batched.rollout import Rollout, empty_rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import Slots
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
@@ -40,29 +40,25 @@ class GymnasiumCollector:
 
     def collect(self, actor: Layers) -> Rollout:
         slots, count, steps = self.slots, self._run.slots, self._run.horizon
-        observations = np.zeros((count, steps, self.features), np.float32)
-        actions = np.zeros((count, steps), np.int64)
-        rewards, starts = np.zeros((2, count, steps), np.float32)
-        ended: list[tuple[Any, ...]] = []
-        terminal: list[np.ndarray] = []
-        weights, widths = flat(actor), sizes(actor)
+        rollout = empty_rollout(count, steps, self.features)
+        weights, widths, endings = flat(actor), sizes(actor), 0
         activation = ACTIVATION_CODES[self._run.activation]
         draws, plays = self.generator.random((steps, count), np.float32), np.ones(count, np.bool_)
         for step in range(steps):
-            observations[:, step] = slots.seen
-            starts[:, step] = self._begins
-            chosen = actions[:, step]
+            rollout.observations[:, step] = slots.seen
+            rollout.starts[:, step] = self._begins
+            chosen = rollout.actions[:, step]
             choose(weights, widths, activation, slots.seen, draws[step], plays, chosen)
-            rewards[:, step], terminated, truncated = slots.step(chosen)
+            rollout.rewards[:, step], terminated, truncated = slots.step(chosen)
             self._begins[:] = over = terminated | truncated
             for slot in np.flatnonzero(over):
                 ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
-                ended.append((slot, 0, step + 1, 0.0, 0, 0, 0.0, ending))
-                terminal.append(slots.terminal[slot].copy())
-        return Rollout(
-            observations, actions, rewards, starts, slots.seen.copy(), self._begins.copy(),
-            np.array(ended, ENDED), np.array(terminal, np.float32).reshape(-1, self.features),
-        )  # fmt: skip
+                rollout.ended[endings] = (slot, 0, step + 1, 0.0, 0, 0, 0.0, ending)
+                rollout.terminal_observations[endings] = slots.terminal[slot]
+                endings += 1
+        rollout.last_observations[:] = slots.seen
+        rollout.last_ends[:] = self._begins
+        return rollout.cut(endings)
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
         rows = self.slots.finished.copy()

@@ -10,7 +10,6 @@ Stable-Baselines3 (`pneuma.env.worlds.Slots`, `pneuma.env.sb3`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,12 +33,27 @@ ENDED = np.dtype(
 """A finished episode; `step` counts steps of the rollout from 1."""
 
 _WORLDS = ("worlds", "players", "monsters")
-_EPISODES = ("returns", "lengths", "episodes", "begins")
 kernel: Any = cached(error_model="numpy")
 
 
-@dataclass(frozen=True)
-class Rollout:
+class Episodes(NamedTuple):
+    """The episodes in progress, of S slots.
+
+    Attributes:
+        returns, lengths: (S,) so far.
+        episodes: (S,) how many ended before.
+        begins: (S,) float32, 1 if the last step ended an episode, or there was none.
+        idle: (S,) whether the slot's player died earlier in an episode that still runs.
+    """
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    episodes: np.ndarray
+    begins: np.ndarray
+    idle: np.ndarray
+
+
+class Rollout(NamedTuple):
     """One horizon of T steps in S slots.
 
     Attributes:
@@ -62,21 +76,20 @@ class Rollout:
     ended: np.ndarray
     terminal_observations: np.ndarray
 
+    def cut(self, count: int) -> Rollout:
+        """Return the rollout without room for more endings."""
+        ended, terminal = self.ended[:count], self.terminal_observations[:count]
+        return self._replace(ended=ended, terminal_observations=terminal)
 
-class RolloutBuffers(NamedTuple):
-    """The arrays that a rollout reads and writes, beside the worlds."""
 
-    returns: Any
-    lengths: Any
-    episodes: Any
-    begins: Any
-    idle: Any
-    observations: Any
-    actions: Any
-    rewards: Any
-    starts: Any
-    ended: Any
-    terminal: Any
+def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
+    """Return a rollout to be filled in, with room for an ending in every step."""
+    rewards, starts = np.zeros((2, slots, steps), np.float32)
+    return Rollout(
+        np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64), rewards, starts,
+        np.zeros((slots, features), np.float32), np.zeros(slots, np.float32),
+        np.zeros(slots * steps, ENDED), np.zeros((slots * steps, features), np.float32),
+    )  # fmt: skip
 
 
 class Collector:
@@ -84,9 +97,7 @@ class Collector:
 
     Attributes:
         worlds: as many as the run's `slots`; each of their players is one slot.
-        returns, lengths, episodes: (S,) of the episodes so far.
-        begins: (S,) float32, 1 if the last step ended an episode, or there was none.
-        idle: (S,) whether the slot's player died earlier in an episode that still runs.
+        episodes: those in progress.
         generator: draws the actions.
         features, actions: the length of an observation, and the number of actions.
         layout: identifies the layout of the arrays of `saved_state`.
@@ -103,28 +114,21 @@ class Collector:
         self.worlds.reset()
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         slots = run.slots * run.players
-        self.returns = np.zeros(slots)
-        self.lengths = np.zeros(slots, np.int64)
-        self.episodes = np.zeros(slots, np.int64)
-        self.begins = np.ones(slots, np.float32)
-        self.idle = np.zeros(slots, np.bool_)
+        self.episodes = Episodes(
+            np.zeros(slots), np.zeros(slots, np.int64), np.zeros(slots, np.int64),
+            np.ones(slots, np.float32), np.zeros(slots, np.bool_),
+        )  # fmt: skip
         self.features = self.worlds.observations.shape[2]
         self.actions = int(self.worlds.action_space.n)
 
     @property
     def observations(self) -> np.ndarray:
         """What each slot's player observes now, (S, features)."""
-        return self.worlds.observations.reshape(len(self.idle), self.features)
+        return self.worlds.observations.reshape(-1, self.features)
 
     def collect(self, actor: Layers) -> Rollout:
-        steps, slots, features = self._run.horizon, len(self.idle), self.features
-        rewards, starts = np.zeros((2, slots, steps), np.float32)
-        buffers = RolloutBuffers(
-            self.returns, self.lengths, self.episodes, self.begins, self.idle,
-            np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64),
-            rewards, starts,
-            np.zeros(slots * steps, ENDED), np.zeros((slots * steps, features), np.float32),
-        )  # fmt: skip
+        steps, slots = self._run.horizon, len(self.episodes.idle)
+        rollout = empty_rollout(slots, steps, self.features)
         draws = self.generator.random((steps, slots), np.float32)
         play = self._play_asking if self._asks else _play
         activation = ACTIVATION_CODES[self._run.activation]
@@ -135,27 +139,28 @@ class Collector:
             activation,
             draws,
             self.worlds.usual_starts,
-            buffers,
+            self.episodes,
+            rollout,
         )
-        last = self.observations.copy()
-        last[self.idle] = 0.0
-        return Rollout(
-            buffers.observations, buffers.actions, buffers.rewards, buffers.starts, last, self.begins.copy(),
-            buffers.ended[:count], buffers.terminal[:count],
-        )  # fmt: skip
+        rollout.last_observations[:] = self.observations
+        rollout.last_observations[self.episodes.idle] = 0.0
+        rollout.last_ends[:] = self.episodes.begins
+        return rollout.cut(count)
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
         rows = [dict(zip(ENDED.names or (), row, strict=True)) for row in rollout.ended.tolist()]
         for row in rows:
-            row |= {"step": first_step + row["step"] * len(self.idle), "ending": ENDINGS[row["ending"]]}
+            row |= {"step": first_step + row["step"] * len(rollout.actions), "ending": ENDINGS[row["ending"]]}
         return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
-        idle = ("idle",) if self.worlds.players.shape[1] > 1 else ()
+        episodes = self.episodes._asdict()
+        if self.worlds.players.shape[1] == 1:
+            del episodes["idle"]  # nobody ever is
         return {
             **{f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS},
-            **{f"episodes/{name}": getattr(self, name) for name in (*_EPISODES, *idle)},
+            **{f"episodes/{name}": array for name, array in episodes.items()},
         }
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
@@ -173,18 +178,16 @@ class Collector:
 
     def _play_asking(
         self, handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
-        buffers: RolloutBuffers,
+        episodes: Episodes, rollout: Rollout,
     ) -> int:  # fmt: skip
         """Do the same as `_play` step by step, because a user's reward is plain Python."""
-        worlds = self.worlds
-        chosen = np.zeros(worlds.players.shape, np.int64)
-        over = np.zeros(len(worlds), np.bool_)
-        scratch = np.zeros((2, len(self.idle), int(widths.max())), np.float32)
+        chosen = np.zeros(self.worlds.players.shape, np.int64)
+        scratch = np.zeros((2, len(episodes.idle), int(widths.max())), np.float32)
         count = 0
         for step, draw in enumerate(draws):
-            _choose(handle, weights, widths, activation, draw, buffers, step, chosen, scratch)
-            worlds.advance(chosen)
-            count = _note(handle, usual_starts, buffers, step, count, over, chosen)
+            _choose(handle, weights, widths, activation, draw, episodes, rollout, step, chosen, scratch)
+            self.worlds.advance(chosen)
+            count = _note(handle, usual_starts, episodes, rollout, step, count, chosen)
         return count
 
 
@@ -204,79 +207,77 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 @kernel
 def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, buffers: Any
-) -> int:
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, episodes: Any,
+    rollout: Any,
+) -> int:  # fmt: skip
     """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
-    over = np.zeros(s.players.shape[0], np.bool_)
-    scratch = np.zeros((2, len(buffers.idle), widths.max()), np.float32)
+    scratch = np.zeros((2, len(episodes.idle), widths.max()), np.float32)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, weights, widths, activation, draws[step], buffers, step, chosen, scratch)
+        _choose(handle, weights, widths, activation, draws[step], episodes, rollout, step, chosen, scratch)
         run_worlds(handle, chosen, True)
-        count = _note(handle, usual_starts, buffers, step, count, over, chosen)
+        count = _note(handle, usual_starts, episodes, rollout, step, count, chosen)
     return count
 
 
 @kernel
 def _choose(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, buffers: Any, step: int, chosen: Any,
-    scratch: Any,
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, episodes: Any, rollout: Any,
+    step: int, chosen: Any, scratch: Any,
 ) -> None:  # fmt: skip
     """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = open_state(handle)
     players = s.players.shape[1]
     for i in range(len(draws)):
-        w, p = i // players, i % players
-        if buffers.idle[i]:
-            buffers.observations[i, step] = 0.0
-        else:
-            buffers.observations[i, step] = s.observations[w, p]
-        buffers.starts[i, step] = buffers.begins[i]
-        scratch[0, i, : widths[0]] = buffers.observations[i, step]
+        if not episodes.idle[i]:
+            rollout.observations[i, step] = s.observations[i // players, i % players]
+        rollout.starts[i, step] = episodes.begins[i]
+        scratch[0, i, : widths[0]] = rollout.observations[i, step]
     logits = forward(weights, widths, activation, len(draws), scratch)
     for i in range(len(draws)):
-        chosen[i // players, i % players] = buffers.actions[i, step] = sample(logits[i], draws[i])
+        chosen[i // players, i % players] = rollout.actions[i, step] = sample(logits[i], draws[i])
 
 
 @kernel
-def _note(handle: Any, usual_starts: Any, buffers: Any, step: int, count: int, over: Any, chosen: Any) -> int:
+def _note(
+    handle: Any, usual_starts: Any, episodes: Any, rollout: Any, step: int, count: int, chosen: Any
+) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
     s = open_state(handle)
     players = s.players.shape[1]
     any_over = False
-    for i in range(len(buffers.idle)):
+    for i in range(len(episodes.idle)):
         w, p = i // players, i % players
         player, event = s.players[w, p], s.events[w, p]
-        over[w] = s.worlds[w].ending != rules.RUNNING
-        any_over |= over[w]
+        over = s.worlds[w].ending != rules.RUNNING
+        any_over |= over
+        s.begins[w] = usual_starts[w] if over else GO_ON
         present = event.present > 0 or event.died > 0
-        buffers.rewards[i, step] = event.reward
-        buffers.returns[i] += event.reward
-        buffers.lengths[i] += 1
-        ended = present and (over[w] or player.hp <= 0)
-        buffers.begins[i] = ended
+        rollout.rewards[i, step] = event.reward
+        episodes.returns[i] += event.reward
+        episodes.lengths[i] += 1
+        ended = present and (over or player.hp <= 0)
+        episodes.begins[i] = ended
         if ended:
-            row = buffers.ended[count]
+            row = rollout.ended[count]
             row.slot = i
-            row.episode = buffers.episodes[i]
+            row.episode = episodes.episodes[i]
             row.step = step + 1
-            row["return"] = buffers.returns[i]
-            row.length = buffers.lengths[i]
+            row["return"] = episodes.returns[i]
+            row.length = episodes.lengths[i]
             row.kills = player.kills
             row.hp = player.hp
             row.ending = s.worlds[w].ending if player.hp > 0 else rules.KILLED
-            buffers.terminal[count] = s.observations[w, p]
+            rollout.terminal_observations[count] = s.observations[w, p]
             count += 1
-            buffers.episodes[i] += 1
-            buffers.returns[i] = 0.0
-        if ended or over[w]:  # idle slots start again too
-            buffers.lengths[i] = 0
-        buffers.idle[i] = not present and not over[w]
+            episodes.episodes[i] += 1
+            episodes.returns[i] = 0.0
+        if ended or over:  # idle slots start again too
+            episodes.lengths[i] = 0
+        episodes.idle[i] = not present and not over
     if any_over:
-        for w in range(len(over)):
-            s.begins[w] = usual_starts[w] if over[w] else GO_ON
         run_worlds(handle, chosen, False)
     return count
 

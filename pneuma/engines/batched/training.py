@@ -16,7 +16,7 @@ from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector
 from pneuma.engines.loop import Trainer, begins_fork
 from pneuma.engines.policy import Policy, overflows
-from pneuma.engines.records import Checkpoint, CheckpointError, Records
+from pneuma.engines.records import Checkpoint, Records
 
 
 class BatchedTrainer(Trainer):
@@ -68,16 +68,13 @@ class BatchedTrainer(Trainer):
         run, numbers = self.run, checkpoint.numbers
         begins = begins_fork(run, checkpoint)
         reset = run.fork_reset if begins else ""
-        try:
-            if numbers["layout"] != self.collector.layout:
-                raise ValueError("the state of the worlds was laid out otherwise")
-            if numbers["optimizer"] != run.optimizer and reset != "optimizer":
-                raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-            self.collector.restore_state(checkpoint.arrays)
-            self.collector.generator.bit_generator.state = numbers["actions"]
-            _restore_learner(self.learner, checkpoint, reset)
-        except (KeyError, ValueError, TypeError) as error:
-            raise CheckpointError(f"cannot go on from step {checkpoint.step:,}: {error}") from None
+        if numbers["layout"] != self.collector.layout:
+            raise ValueError("the state of the worlds was laid out otherwise")
+        if numbers["optimizer"] != run.optimizer and reset != "optimizer":
+            raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
+        self.collector.restore_state(checkpoint.arrays)
+        self.collector.generator.bit_generator.state = numbers["actions"]
+        _restore_learner(self.learner, checkpoint, reset)
         if begins:
             self.collector.fork()
             self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))

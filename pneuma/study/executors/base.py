@@ -65,6 +65,8 @@ class ExecutorConfig:
 
 
 LOCAL_CONFIG = ExecutorConfig()
+AGAIN = "the same command submits it again"
+"""What is to be done for a run whose job has gone."""
 
 
 class Detached(KeyboardInterrupt):
@@ -108,11 +110,18 @@ class Executor(Protocol):
 
 
 class Job(NamedTuple):
-    """A job that trains runs on another machine: its id, its state, and its node or why it has none."""
+    """A job that trains runs on another machine.
+
+    Attributes:
+        state, id: of the job.
+        where: its node, or why it has none.
+        until: the step at which it pauses a run; 0 is the end.
+    """
 
     state: str
     id: str = ""
     where: str = ""
+    until: int = 0
 
     def __str__(self) -> str:
         return " ".join(filter(None, ("job", self.id, "is", self.state.lower(), self.where)))
@@ -139,16 +148,22 @@ def watch(
         until: steps at which runs pause, by run.
     """
     jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
+    last = {**jobs}
     while left:
         before, jobs = jobs, live()
+        last |= jobs
         for name in sorted(left):
             status, job = store.status(name), jobs.get(name, before.get(name))
             if status.finished or job is None:
                 left.discard(name)
-                paused = 0 < until.get(name, 0) <= status.step
-                gone = not (status.finished or status.failed or status.name == "killed" or paused)
-                end = end_event(name, Status("killed", status.step) if gone else status)
-                on_event({**end, "reason": lost} if gone else end)
+                ended = status.finished or status.failed or status.name == "killed"
+                reason = ""
+                if not ended and not 0 < until.get(name, 0) <= status.step:
+                    if 0 < last[name].until <= status.step:
+                        reason = f"another command's job paused it at step {status.step:,}; {AGAIN}"
+                    else:
+                        status, reason = Status("killed", status.step), lost
+                on_event({**end_event(name, status), "reason": reason})
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):

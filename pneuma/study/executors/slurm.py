@@ -6,7 +6,7 @@
 The command only submits and watches. It can be left at any moment, and jobs go on. The same command watches
 them again, and submits none twice, because a folder beside the results records what was submitted:
 
-    RESULTS-slurm/NAME/groups.json   the runs of each of the jobs of that name
+    RESULTS-slurm/NAME/groups.json   the runs of each of the jobs of that name, and where each pauses
                        jobs/         submitit's files: pickled jobs, and what they printed
 """
 
@@ -31,7 +31,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import replace_files, to_json
-from pneuma.study.executors.base import Detached, ExecutorConfig, Job, OnEvent, watch
+from pneuma.study.executors.base import AGAIN, Detached, ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
 from pneuma.study.locks import is_held, run_lock
 from pneuma.study.store import Store
@@ -141,9 +141,10 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConf
         name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
         folder, shared = _folder(store) / name, Store(store.root.resolve())
         executor = _executor(folder / "jobs", name, how)
+        note = [{run: how.until.get(run, 0) for run in group} for group in array]
         try:
             with run_lock(folder):
-                replace_files(folder, {NOTE: to_json([list(group) for group in array])})  # none is forgotten
+                replace_files(folder, {NOTE: to_json(note)})  # before, so that none is forgotten
                 executor.submit_array([Training(group, shared, how) for group in array])
         except Exception as error:  # submitit raises many kinds; it has printed sbatch's message
             shutil.rmtree(folder, ignore_errors=True)
@@ -159,7 +160,7 @@ def _watch(left: set[str], store: Store, on_event: OnEvent, how: ExecutorConfig)
             jobs = queued(store)
         return jobs
 
-    printed = f"what it printed lies in {_folder(store)}, the same command submits it again"
+    printed = f"what it printed lies in {_folder(store)}, {AGAIN}"
     watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}", how.until)
     with suppress(UserError):  # remaining files are removed next time
         _put_away(store)
@@ -173,8 +174,11 @@ def _folder(store: Store) -> Path:
     return root.parent / f"{root.name}-slurm"
 
 
-def _noted(store: Store) -> dict[str, list[list[str]]]:
-    """Return the runs of all submitted jobs that were not cleared away yet, by the name of their array."""
+def _noted(store: Store) -> dict[str, list[dict[str, int]]]:
+    """Return the runs of all submitted jobs that were not cleared away yet, by the name of their array.
+
+    Each run has the step at which its job pauses it; 0 is the end.
+    """
     noted = {}
     for note in sorted(_folder(store).glob(f"*/{NOTE}")):
         with suppress(FileNotFoundError):  # another command has cleared it away
@@ -211,9 +215,9 @@ def queued(store: Store) -> dict[str, Job]:
     jobs: dict[str, Job] = {}
     names = f"--name={','.join(noted)}"
     for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
-        name, place, *state = line.split("|", 4)
+        name, place, state, job, where = line.split("|", 4)
         group = noted[name][int(place) if place.isdecimal() else 0]  # a single job is no array
-        jobs |= dict.fromkeys(group, Job(*state))
+        jobs |= {run: Job(state, job, where, until) for run, until in group.items()}
     return jobs
 
 
