@@ -17,6 +17,7 @@ from stable_baselines3 import A2C, PPO
 
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
+from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.errors import UserError
 
@@ -48,8 +49,28 @@ def own_space(features: int) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, (features,), np.float32)
 
 
-def random_observations(count: int, features: int) -> np.ndarray:
-    return np.random.default_rng(1).standard_normal((count, features)).astype(np.float32)
+SEEN = np.random.default_rng(1).standard_normal((200, 11)).astype(np.float32)
+OTHERS_ENV = {"env": "Mine-v0", "engine": "sb3"}
+CASES: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
+    # name: (fields of the run, outputs of the actor, what else the policy has)
+    **{activation: ({"activation": activation}, 7, {}) for activation in ACTIVATIONS},
+    "a2c": ({"algorithm": "a2c", "value_baseline": False}, 7, {}),
+    "dqn": ({"algorithm": "dqn"}, 7, {"critic": (), "exploration": 0.05}),
+    "several choices": (OTHERS_ENV, 7, {"choices": np.array([[2, 3, 2]])}),
+    "numbers": (
+        OTHERS_ENV, 4, {
+            "bounds": np.array([[[0, 10], [-1, -1]], [[1, 12], [1, 0]]], np.float32),
+            "deviation": np.array([1, 2, 3, 4], np.float32),
+        },
+    ),
+    "normalised": ({}, 7, {"scaling": Scaling(np.linspace(-1, 1, 11), np.linspace(0.5, 2, 11))}),
+}  # fmt: skip
+
+
+def policy_of(case: str) -> tuple[Run, Policy]:
+    fields, outputs, parts = CASES[case]
+    run = make_run({"actor": [7, 5], "critic": [6], **fields})
+    return run, replace(random_policy(run, 11, outputs), **parts)
 
 
 # --- Stable-Baselines3 -----------------------------------------------------------------------------
@@ -66,28 +87,20 @@ def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
     assert (model.max_grad_norm, model.gamma, model.clip_range(1.0)) == (0.7, 0.9, 0.3)  # type: ignore[operator]
 
 
-def policy_of(algorithm: str, activation: str) -> tuple[Run, Policy]:
-    own = {"value_baseline": False} if algorithm == "a2c" else {}
-    run = make_run({"algorithm": algorithm, "activation": activation, "actor": [7, 5], "critic": [6], **own})
-    policy = random_policy(run, 11, actions=7)
-    return run, replace(policy, critic=(), exploration=0.05) if algorithm == "dqn" else policy
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "activation"),
-    [*(("ppo", activation) for activation in ACTIVATIONS), ("a2c", "tanh")],
-)
-def test_the_zip_acts_as_the_policy_does(algorithm: str, activation: str) -> None:
-    run, policy = policy_of(algorithm, activation)
-    data = to_sb3(policy, run, own_space(11))
-    learner: Any = {"ppo": PPO, "a2c": A2C}[algorithm]
-    model = learner.load(io.BytesIO(data), device="cpu")
-    observations = random_observations(200, 11)
-    chosen, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_array_equal(chosen, policy.best(observations))
-    assert len(set(chosen.tolist())) > 1
-    values = model.policy.predict_values(torch.from_numpy(observations)).detach().numpy()[:, 0]
-    np.testing.assert_allclose(values, policy.values(observations), rtol=1e-5, atol=1e-5)
+@pytest.mark.parametrize("case", [case for case in CASES if case != "dqn"])
+def test_the_zip_acts_as_the_policy_does(case: str) -> None:
+    run, policy = policy_of(case)
+    learner: Any = A2C if run.algorithm == "a2c" else PPO
+    model = learner.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    chosen, _ = model.predict(SEEN, deterministic=True)
+    best = policy.best(SEEN)
+    np.testing.assert_allclose(chosen.reshape(best.shape), best, rtol=1e-5, atol=1e-5)
+    assert len(np.unique(chosen, axis=0)) > 1
+    values = model.policy.predict_values(torch.from_numpy(SEEN)).detach().numpy()[:, 0]
+    np.testing.assert_allclose(values, policy.values(SEEN), rtol=1e-5, atol=1e-5)
+    if policy.deviation is not None:
+        deviation = model.policy.log_std.exp().detach().numpy()
+        np.testing.assert_allclose(deviation, policy.deviation, rtol=1e-6)
 
 
 def test_the_zip_needs_nothing_of_pneuma(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,7 +108,7 @@ def test_the_zip_needs_nothing_of_pneuma(monkeypatch: pytest.MonkeyPatch) -> Non
     run = make_run({"activation": "leaky-relu"})
     policy = random_policy(run, FEATURES)
     data = to_sb3(policy, run, observation_space(policy, run))
-    observations = random_observations(20, FEATURES)
+    observations = np.random.default_rng(1).standard_normal((20, FEATURES)).astype(np.float32)
     expected = policy.best(observations).tolist()
     for name in [name for name in sys.modules if name.partition(".")[0] == "pneuma"]:
         monkeypatch.delitem(sys.modules, name)
@@ -123,57 +136,20 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
 # --- ONNX ------------------------------------------------------------------------------------------
 
 
-def test_both_files_choose_several_as_the_policy_does() -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_onnx_computes_what_the_policy_computes(case: str) -> None:
     runtime = pytest.importorskip("onnxruntime")
-    run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
-    policy = replace(random_policy(run, 11, 7), choices=np.array([[2, 3, 2]]))
-    observations = random_observations(50, 11)
+    _, policy = policy_of(case)
     session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
-    logits = session.run(["logits"], {"observation": observations})[0]
-    np.testing.assert_allclose(logits, policy.logits(observations), rtol=1e-5, atol=1e-5)
-    assert session.get_modelmeta().custom_metadata_map["choices"] == "[[2, 3, 2]]"
-    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
-    chosen, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_array_equal(chosen, policy.best(observations)[:, 0])
-
-
-def test_both_files_clip_numbers_as_the_policy_does() -> None:
-    runtime = pytest.importorskip("onnxruntime")
-    run = make_run({"env": "Mine-v0", "engine": "sb3", "actor": [4], "critic": [4]})
-    bounds = np.array([[[0, 10], [-1, -1]], [[1, 12], [1, 0]]], np.float32)
-    policy = replace(random_policy(run, 11, 4), bounds=bounds, deviation=np.array([1, 2, 3, 4], np.float32))
-    observations = random_observations(50, 11)
-    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
-    told = dict(
-        zip(
-            [each.name for each in session.get_outputs()],
-            session.run(None, {"observation": observations}),
-            strict=True,
-        )
-    )
-    assert [*told] == ["mean_action", "value"]
-    np.testing.assert_allclose(told["mean_action"], policy.best(observations), rtol=1e-5, atol=1e-5)
-    model = PPO.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
-    chosen, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_allclose(chosen, policy.best(observations), rtol=1e-5, atol=1e-5)
-    deviation = model.policy.log_std.exp().detach().numpy()
-    np.testing.assert_allclose(deviation, [1, 2, 3, 4], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "activation"), [*(("ppo", activation) for activation in ACTIVATIONS), ("dqn", "tanh")]
-)
-def test_onnx_computes_what_the_policy_computes(algorithm: str, activation: str) -> None:
-    runtime = pytest.importorskip("onnxruntime")
-    _, policy = policy_of(algorithm, activation)
-    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
-    observations = random_observations(7, 11)
-    first, *values = session.run(None, {"observation": observations})
-    names = ["logits", "value"] if policy.critic else ["action_values"]
+    seen = np.concatenate([SEEN, 1000 * SEEN]) if policy.scaling else SEEN  # which is clipped
+    first, *values = session.run(None, {"observation": seen})
+    names = {"dqn": ["action_values"], "numbers": ["mean_action", "value"]}.get(case, ["logits", "value"])
     assert [output.name for output in session.get_outputs()] == names
-    np.testing.assert_allclose(first, policy.logits(observations), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(
+        first, policy.best(seen) if case == "numbers" else policy.logits(seen), rtol=1e-5, atol=1e-5
+    )
     for told in values:
-        np.testing.assert_allclose(told, policy.values(observations), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(told, policy.values(seen), rtol=1e-5, atol=1e-5)
 
 
 def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
@@ -186,6 +162,8 @@ def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     assert about["run_id"] == "0123456789abcdef"
     assert json.loads(about["actions"]) == ["down", "left", "up", "right", "attack", "flame", "heal"]
     assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
+    several = onnx.load_from_string(to_onnx(policy_of("several choices")[1], {}))
+    assert ("choices", "[[2, 3, 2]]") in [(each.key, each.value) for each in several.metadata_props]
 
 
 # --- What is refused -------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pneuma.env.rules import COAST, SLOW
 
@@ -17,8 +18,7 @@ CONTACT_EPS = 2**-10
 """Bodies that overlap by less only touch: what rounding leaves of a contact stops nobody from turning off."""
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """A body, or what strikes one: its centre and half its sides, x first."""
 
     centre: Pair

@@ -40,7 +40,7 @@ from .oracle_parts import Player
 from .oracle_stage import FAR, HERE, QUIET, act, put, set_up, told
 
 FEW = settings(
-    max_examples=120,
+    max_examples=60,
     derandomize=True,
     database=None,
     deadline=None,
