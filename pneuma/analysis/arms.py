@@ -6,21 +6,21 @@ An arm has one value per run, or says why its runs cannot be compared.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
+from pneuma.analysis.asked import Asked, Stored, ask, read_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
-from pneuma.config import as_fields
-from pneuma.study.plan import Cell, Selection, make_plan
+from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
-from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study, load_study
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study
+from pneuma.values import shown_seeds
 from pneuma.worlds import world_option
 
 TRAIN_WITH = "train with:"
@@ -53,30 +53,33 @@ class ClaimRuns:
     """The runs that a claim fixed in one world.
 
     Attributes:
-        cells: the fixed runs, by condition.
-        data: the finished ones; None if there are none.
+        asked: its conditions, as its study has them in the world.
+        data: the finished runs; None if there are none.
         fix: the end of a reason if runs are missing, with the command that trains them.
         damaged: published tables that could not be read, and may contain them.
     """
 
     claim: Claim
     world: str
-    cells: Mapping[str, tuple[Cell, ...]]
+    asked: Asked
     data: StudyData | None
     fix: str
     damaged: Sequence[str]
+
+    def budget(self, condition: str) -> int:
+        return round_up(self.asked.runs[condition], self.claim.steps[condition])
 
     def found(self, condition: str) -> list[FinishedRun]:
         return self.data.of_condition(condition) if self.data else []
 
     def why_incomparable(self, outcome: str, names: Sequence[str]) -> str:
         """Return why arms cannot be compared, before any value is read; empty if they can."""
-        runs = [self.cells[name][0].run for name in names]
-        if len({replace(run, steps=1, seed=0) for run in runs}) < len(runs):
+        if any(len({*names} & {*group}) > 1 for group in self.asked.same):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
-        if len({run.engine for run in runs}) > 1:
-            engines = ", ".join(f"{name} by {run.engine}" for name, run in zip(names, runs, strict=True))
-            return f"engines are mixed: {engines}"
+        engines = [self.asked.runs[name].engine for name in names]
+        if len({*engines}) > 1:
+            mixed = ", ".join(map("{} by {}".format, names, engines))
+            return f"engines are mixed: {mixed}"
         if missing := [*filter(None, map(self._missing, names))]:
             return "; ".join([*missing, self.fix])
         parts = outcome.split(MINUS)
@@ -86,13 +89,13 @@ class ClaimRuns:
         return self._machines(names) if timed else ""
 
     def _missing(self, condition: str) -> str:
-        cells, found = self.cells[condition], len(self.found(condition))
-        if found == len(cells):
+        fixed, found = len(self.claim.seeds_in(self.world)[condition]), len(self.found(condition))
+        if found == fixed:
             return ""
-        steps = f"{cells[0].run.steps:,} steps" + "".join(f" ({problem})" for problem in self.damaged)
+        steps = f"{self.budget(condition):,} steps" + "".join(f" ({problem})" for problem in self.damaged)
         if found:
-            return f"runs missing: {condition} has {found} of the {len(cells)} fixed ones with {steps}"
-        return f"no runs: {condition}, {len(cells)} seeds of {steps}"
+            return f"runs missing: {condition} has {found} of the {fixed} fixed ones with {steps}"
+        return f"no runs: {condition}, {fixed} seeds of {steps}"
 
     def _machines(self, names: Sequence[str]) -> str:
         """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
@@ -108,7 +111,7 @@ class ClaimRuns:
         claim, data, runs = self.claim, self.data, self.found(condition)
         assert data is not None
         # budgets are rounded up to whole horizons; claims are judged at the steps that they state
-        budgets = [cells[0].run.steps for cells in self.cells.values()]
+        budgets = [self.budget(name) for name in claim.compared]
         unlike = max(budgets) > min(budgets) * (1 + SLACK)
         at_step = float(min(claim.steps.values())) if unlike else None
         learned, reasons = _learned(data, runs, at_step), []
@@ -151,64 +154,50 @@ def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None
 
 def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
     """Yield the runs of each claim of a list in each of its worlds, in the list's order."""
-    read_study = cache(load_study)
-
-    @cache
-    def plan(name: str, world: str, condition: str, seeds: tuple[int, ...], steps: int) -> tuple[Cell, ...]:
-        study = read_study(name, world)
-        selection = Selection(next(iter(study.presets)), seeds, steps, conditions=(condition,))
-        return make_plan(study, selection, index.engine_of).cells
-
     rest = " --unpublished" if index.store.published(shipped=False) else ""
     for claim in claims.claims.values():
         is_path = claim.study.endswith(".toml")
         path = str(claims.path.parent / claim.study) if is_path else claim.study
         for world in claim.worlds:
-            study = read_study(path, world)
-            seeds = claim.seeds_in(world)
-            cells = {
-                condition: plan(path, world, condition, seeds[condition], claim.steps[condition])
-                for condition in claim.compared
-            }
-            commands = _preset_commands(claims, claim, study) or _commands(claim, path, world, study.worlds)
-            fix = f"{TRAIN_WITH} {' && '.join(command + rest for command in commands)}"
-            data = _read(index, study, cells)
-            yield ClaimRuns(claim.in_world(world), world, cells, data, fix, index.problems)
+            asked = ask(index, path, Selection(conditions=claim.compared), world)
+            assert asked.study is not None
+            commands = _commands(claims, claim, asked.study)
+            fix = f"{TRAIN_WITH} {' && '.join(shlex.join(words) + rest for words in commands)}"
+            runs = ClaimRuns(claim, world, asked, None, fix, index.problems)
+            yield replace(runs, data=read_runs(index, asked, _fixed(index, runs)))
 
 
-def _read(index: RunIndex, study: Study, cells: Mapping[str, Sequence[Cell]]) -> StudyData | None:
-    """Return the finished runs among some cells; None if there are none."""
-    every = [cell for each in cells.values() for cell in each]
-    rows = index.rows(index.entries[cell.run_id] for cell in every if cell.run_id in index.entries)
-    found = [
-        FinishedRun(cell.condition, cell.seed, rows[cell.run_id]) for cell in every if cell.run_id in rows
-    ]
-    fields = {condition: as_fields(each[0].run) for condition, each in cells.items()}
-    return StudyData(study.name, study.title, study.figure, "", fields, found) if found else None
+def _fixed(index: RunIndex, runs: ClaimRuns) -> list[Stored]:
+    """Return those of the runs that a claim fixed which are stored, condition by condition."""
+    found: list[Stored] = []
+    for name in runs.claim.compared:
+        stored = {
+            entry.seed: entry
+            for entry in index.of_run(runs.asked.runs[name])
+            if entry.steps == runs.budget(name)
+        }
+        seeds = runs.claim.seeds_in(runs.world)[name]
+        found += [(name, seed, stored[seed]) for seed in seeds if seed in stored]
+    return found
 
 
-def _preset_commands(claims: ClaimList, claim: Claim, study: Study) -> list[str]:
-    """Return the commands, one a budget, that train a study's claimed runs; none if the list is elsewhere."""
-    if study.path is None or claims.path.resolve() != (study.path.parent / CLAIMS_FILE).resolve():
-        return []
-    alike = [one for one in claims.claims.values() if one.study == claim.study and study.world in one.worlds]
-    several = len({steps for one in alike for steps in one.steps.values()}) > 1
-    name = study.own_path or study.name
-    words = ["pneuma", "study", "run", name, "--preset", CLAIMS, *world_option(study.world, study.worlds)]
-    budgets = sorted({*claim.steps.values()}) if several else [0]
-    return [shlex.join([*words, *(["--steps", str(steps)] if steps else [])]) for steps in budgets]
-
-
-def _commands(claim: Claim, study: str, world: str, worlds: Sequence[str]) -> list[str]:
-    """Return the commands that train the runs of a claim in a list that is not beside the study's file."""
-    alike: dict[tuple[tuple[int, ...], int], list[str]] = {}
+def _commands(claims: ClaimList, claim: Claim, study: Study) -> Iterator[list[str]]:
+    """Yield commands, as words, that train a claim's runs: by a preset if the list is beside the study."""
+    words = ["pneuma", "study", "run", study.own_path or study.name]
+    world = world_option(study.world, study.worlds)
+    if study.path and claims.path.resolve() == (study.path.parent / CLAIMS_FILE).resolve():
+        alike = [
+            one
+            for one in claims.claims.values()
+            if (one.study, study.world in one.worlds) == (claim.study, True)
+        ]
+        several = len({steps for one in alike for steps in one.steps.values()}) > 1
+        for steps in sorted({*claim.steps.values()}) if several else [0]:
+            yield [*words, "--preset", CLAIMS, *world, *(["--steps", str(steps)] if steps else [])]
+        return
+    amounts: dict[tuple[str, int], list[str]] = {}
     for name in claim.conditions:
-        alike.setdefault((tuple(sorted(claim.seeds[name])), claim.steps[name]), []).append(name)
-    commands = []
-    for (seeds, steps), names in alike.items():
-        every = seeds == tuple(range(seeds[0], seeds[-1] + 1))
-        listed = f"{seeds[0]}..{seeds[-1]}" if every else ",".join(map(str, seeds))
-        words = ["pneuma", "study", "run", study, *world_option(world, worlds)]
-        words += [word for name in names for word in ("--condition", name)]
-        commands.append(shlex.join([*words, "--seeds", listed, "--steps", str(steps)]))
-    return commands
+        amounts.setdefault((shown_seeds(claim.seeds[name]), claim.steps[name]), []).append(name)
+    for (seeds, steps), names in amounts.items():
+        conditions = [word for name in names for word in ("--condition", name)]
+        yield [*words, *world, *conditions, "--seeds", seeds, "--steps", str(steps)]

@@ -320,24 +320,31 @@ def open_study(
 
 
 def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None) -> StudyData:
-    from pneuma.analysis.frames import FinishedRun, StudyData
-
-    rows = index.rows(entry for *_, entry in shown.runs)
-    runs = [
-        FinishedRun(condition, seed, rows[entry.run_id])
-        for condition, seed, entry in shown.runs
-        if entry.run_id in rows
-    ]
+    data = read_runs(index, shown.asked, shown.runs)
     for problem in index.problems:
         tell(f"Note: {problem}.")
-    if left_out := len(shown.runs) - len(runs):
+    if left_out := len(shown.runs) - (len(data.runs) if data else 0):
         tell(f"Note: {left_out} of {len(shown.runs)} runs are not finished or damaged, and left out.")
-    if not runs:
+    if data is None:
         raise UserError(
             f"no finished run of study {shown.asked.where} is in {index.store.root}"
             + (f": run `{run_command(shown.asked.study)}` first" if shown.asked.study else "")
         )
-    asked, study = shown.asked, shown.asked.study
+    return data
+
+
+def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyData | None:
+    """Return the finished ones of some runs of a study; None if there are none."""
+    from pneuma.analysis.frames import FinishedRun, StudyData
+
+    rows, study = index.rows(entry for *_, entry in stored), asked.study
+    runs = [
+        FinishedRun(condition, seed, rows[entry.run_id])
+        for condition, seed, entry in stored
+        if entry.run_id in rows
+    ]
+    if not runs:
+        return None
     return StudyData(
         study=asked.name,
         title=asked.title,
@@ -345,9 +352,9 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
         baseline=asked.baseline,
         fields=asked.fields,
         runs=runs,
-        same=[list(names) for names in asked.same],
-        every=list(asked.every),
-        narrowed=list(asked.narrowed),
+        same=asked.same,
+        every=asked.every,
+        narrowed=asked.narrowed,
         world=study.world if study and len(study.worlds) > 1 else "",
-        changed=dict(study.settings) if study else {},
+        changed=study.settings if study else {},
     )

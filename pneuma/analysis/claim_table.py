@@ -11,9 +11,8 @@ differ, made by the code that makes the real intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 from scipy import special
@@ -31,13 +30,13 @@ class ClaimContrast:
     """One row: a contrast of a claim in a world.
 
     Attributes:
-        claim: as it is in the world.
         a, b: the conditions of either arm, several for a range; b is empty for a constant.
         planned: the number of seeds of each condition.
         alpha: the contrast's own part of the list's error rate in the world.
         spread: between runs, from the pilot; for an incidence the share of runs; None without a pilot.
         half_width: expected, of its simultaneous interval; None without a spread.
         why_undecidable: why so many seeds cannot decide it; empty if they can.
+        refused: why its claim is not admitted in the world; empty if it is, or the list has no pilot.
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
         run_ids: of the runs that were read.
         verdict: on this contrast alone; empty before it is judged.
@@ -54,6 +53,7 @@ class ClaimContrast:
     spread: float | None = None
     half_width: float | None = None
     why_undecidable: str = ""
+    refused: str = ""
     contrast: Contrast = undecided("")
     run_ids: tuple[str, ...] = ()
     verdict: str = ""
@@ -61,12 +61,12 @@ class ClaimContrast:
 
     @property
     def margin(self) -> float | None:
-        return self.claim.of("margin", self.outcome)
+        return self.claim.number("margin", self.world, self.outcome)
 
     @property
     def value(self) -> float:
         """The constant that arm a is compared with; 0 if there is none."""
-        return float(self.claim.of("value", self.outcome) or 0)
+        return float(self.claim.number("value", self.world, self.outcome) or 0)
 
     @property
     def names(self) -> tuple[str, str]:
@@ -85,57 +85,47 @@ class ClaimContrast:
 
 def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
     """Return all contrasts of a list, claim by claim and world by world, as they are planned."""
-    return [
-        _plan(claims, claim.in_world(world), world, outcome, a, b)
-        for claim in claims.claims.values()
-        for world in claim.worlds
-        for outcome in claim.outcome
-        for a, b in claim.pairs
-    ]
+    table: list[ClaimContrast] = []
+    for claim in claims.claims.values():
+        for world in claim.worlds:
+            alpha, seeds = claims.head.alpha / claims.contrasts(world), claim.seeds_in(world)
+            rows = [
+                ClaimContrast(
+                    claim, world, outcome, a, b, tuple(len(seeds[name]) for name in (*a, *b)), alpha
+                )
+                for outcome in claim.outcome
+                for a, b in claim.pairs
+            ]
+            rows = [row if row.seen else _with_half_width(row, _spread(claims, row)) for row in rows]
+            refused = _why_refused(rows) if claims.pilot else ""
+            table += [replace(row, refused=refused) for row in rows]
+    return table
 
 
-def rows_by_claim(table: list[ClaimContrast]) -> dict[tuple[str, str], tuple[ClaimContrast, ...]]:
-    """Return the rows of each claim in each world."""
-    return {key: tuple(rows) for key, rows in groupby(table, key=lambda row: (row.claim.name, row.world))}
-
-
-def not_admitted(claims: ClaimList, table: list[ClaimContrast]) -> dict[tuple[str, str], str]:
-    """Return why planned claims are not admitted, by claim and world; empty if the list has no pilot.
-
-    A claim is admitted if one of its outcomes can be decided in all contrasts.
-    """
-    if claims.pilot is None:
-        return {}
-    refused = {}
-    for key, rows in rows_by_claim(table).items():
-        undecidable = {row.outcome for row in rows if row.why_undecidable}
-        if undecidable == {row.outcome for row in rows}:
-            refused[key] = "; ".join(dict.fromkeys(filter(None, (row.why_undecidable for row in rows))))
-    return refused
-
-
-def _plan(claims: ClaimList, claim: Claim, world: str, outcome: str, a: Arms, b: Arms) -> ClaimContrast:
-    seeds = {name: len(claim.seeds_in(world)[name]) for name in (*a, *b)}
-    planned = tuple(seeds[name] for name in (*a, *b))
-    alpha = claims.head.alpha / claims.contrasts(world)
-    row = ClaimContrast(claim, world, outcome, a, b, planned, alpha)
-    return row if row.seen else _with_half_width(row, seeds, _spread(claims, row))
+def _why_refused(rows: Sequence[ClaimContrast]) -> str:
+    """Return why a claim is not admitted; empty if one of its outcomes can be decided in all contrasts."""
+    undecidable = {row.outcome for row in rows if row.why_undecidable}
+    if undecidable < {row.outcome for row in rows}:
+        return ""
+    return "; ".join(dict.fromkeys(row.why_undecidable for row in rows if row.why_undecidable))
 
 
 def _spread(claims: ClaimList, row: ClaimContrast) -> float | None:
     spreads = claims.pilot.spreads.get(row.world, {}) if claims.pilot else {}
     event = row.claim.event
-    known = row.claim.of("spread", row.outcome) or spreads.get(f"{row.outcome} {event}".strip())
+    known = row.claim.number("spread", row.world, row.outcome) or spreads.get(
+        f"{row.outcome} {event}".strip()
+    )
     return UNKNOWN_SHARE if event and known is None else known
 
 
-def _with_half_width(row: ClaimContrast, seeds: Mapping[str, int], spread: float | None) -> ClaimContrast:
+def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
     if spread is None:
         return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
     if min(row.planned) < 2 and not row.claim.event:
         return replace(row, spread=spread, why_undecidable="one run shows no spread")
-    interval = _expected(row, seeds, spread)
+    interval = _expected(row, spread)
     half = (interval.high - interval.low) / 2 if interval.exists else 0.0  # runs that are all alike
     reason = ""
     if row.margin is None:
@@ -146,10 +136,10 @@ def _with_half_width(row: ClaimContrast, seeds: Mapping[str, int], spread: float
     return replace(row, spread=spread, half_width=half, why_undecidable=reason)
 
 
-def _expected(row: ClaimContrast, seeds: Mapping[str, int], spread: float) -> Interval:
+def _expected(row: ClaimContrast, spread: float) -> Interval:
     """Return the interval of arms that spread as the pilot's, and do not differ."""
     sample, level = _share if row.claim.event else _normal, 1 - row.alpha
-    arms = {name: sample(count, spread) for name, count in seeds.items()}
+    arms = {name: sample(count, spread) for name, count in zip((*row.a, *row.b), row.planned, strict=True)}
     if row.claim.kind == "range":
         a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
         return compare_ranges([*arms.values()], a, b or 0.0, None, level).simultaneous

@@ -205,39 +205,18 @@ class Claim(Table):
         return values > self.above if self.above is not None else values < np.array(self.below)
 
     @property
-    def counts_itself(self) -> bool:
-        """Whether the constant is itself what counts as none, as no range is below 0."""
-        return self.kind == "range" and not self.b
-
-    @property
     def pairs(self) -> list[tuple[Arms, Arms]]:
         """The contrasts for each outcome: arms against other arms, or against none for a constant."""
         if self.kind == "range":
             return [(self.a, self.b)]
         return [((a,), (b,) if b else ()) for a, b in product(self.a, self.b or ("",))]
 
-    def of(self, key: Literal["margin", "value", "spread"], outcome: str) -> float | None:
-        """Return the margin, constant or spread of one outcome; the claim must be `in_world`."""
+    def number(self, key: Literal["margin", "value", "spread"], world: str, outcome: str) -> float | None:
+        """Return the margin, constant or spread of one outcome in one world; None if none is stated."""
         value: Any = getattr(self, key)
-        return value.get(outcome) if isinstance(value, dict) else value
-
-    def in_world(self, world: str) -> Claim:
-        """Return the claim with the margins, constants and spreads of one world."""
-
-        def here(value: Any) -> Any:
-            if not isinstance(value, dict):
-                return value
-            return {
-                name: number.get(world) if isinstance(number, dict) else number
-                for name, number in value.items()
-            }
-
-        return self.model_copy(
-            update={key: here(getattr(self, key)) for key in ("margin", "value", "spread")}
-        )
-
-    def contrasts_in(self, world: str) -> int:
-        return len(self.outcome) * len(self.pairs) if world in self.worlds else 0
+        for name in (outcome, world):
+            value = value.get(name) if isinstance(value, dict) else value
+        return value
 
 
 class Defaults(Table):
@@ -277,7 +256,8 @@ class ClaimList:
 
         Each p-value is multiplied by it (Bonferroni).
         """
-        return sum(claim.contrasts_in(world) for claim in self.claims.values())
+        about = [claim for claim in self.claims.values() if world in claim.worlds]
+        return sum(len(claim.outcome) * len(claim.pairs) for claim in about)
 
 
 def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
@@ -372,15 +352,15 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
             if name not in claim.outcome:
                 return key, f"{key}: {unknown_name('outcome of the claim', name, claim.outcome)}"
     for world, outcome in product(claim.worlds, claim.outcome):
-        if found := _mistaken_number(claim.in_world(world), outcome):
+        if found := _mistaken_number(claim, world, outcome):
             return found
     early = [seed for seeds in claim.seeds.values() for seed in seeds if seed < head.seeds_from]
     return ("seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}") if early else None
 
 
-def _mistaken_number(claim: Claim, outcome: str) -> tuple[str, str] | None:
-    """Return the key and the mistake of a claim's numbers in one world."""
-    margin, value = claim.of("margin", outcome), claim.of("value", outcome)
+def _mistaken_number(claim: Claim, world: str, outcome: str) -> tuple[str, str] | None:
+    """Return the key and the mistake of a claim's numbers of an outcome in a world."""
+    margin, value = claim.number("margin", world, outcome), claim.number("value", world, outcome)
     if value is None and not claim.b:
         return "value", f"the key 'value' has no number for {outcome}"
     if claim.event and not 0 <= (value or 0) <= 1:

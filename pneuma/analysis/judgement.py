@@ -21,7 +21,7 @@ from functools import cache
 import numpy as np
 
 from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, find_runs
-from pneuma.analysis.claim_table import ClaimContrast, not_admitted, plan_contrasts, rows_by_claim
+from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
 from pneuma.analysis.outcomes import find_outcome
@@ -93,22 +93,19 @@ def judge(
     With `stored = False` only published tables are used. No claim can be judged without the others of the
     list. `on_progress` is called with the number of verdicts so far, and of all.
     """
-    every = plan_contrasts(claims)
-    planned, refused = rows_by_claim(every), not_admitted(claims, every)
+    planned: dict[tuple[str, str], list[ClaimContrast]] = {}
+    for row in plan_contrasts(claims):
+        planned.setdefault((row.claim.name, row.world), []).append(row)
     verdicts: list[Verdict] = []
     for runs in find_runs(RunIndex(store, stored, shipped=False), claims):
-        key = runs.claim.name, runs.world
-        if key in refused:
-            reason = f"not admitted: {refused[key]}"
-            table = tuple(
-                replace(row, verdict=UNTESTABLE, contrast=undecided(reason)) for row in planned[key]
-            )
-            verdict = Verdict(runs.claim, runs.world, UNTESTABLE, reason, table)
+        rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
+        if rows[0].refused:
+            reason = f"not admitted: {rows[0].refused}"
+            table = tuple(replace(row, verdict=UNTESTABLE, contrast=undecided(reason)) for row in rows)
+            verdicts.append(Verdict(runs.claim, runs.world, UNTESTABLE, reason, table))
         else:
-            arm = cache(runs.arm)
-            table = tuple(_judge_contrast(row, runs, arm, claims) for row in planned[key])
-            verdict = _combine(runs.claim, runs.world, table)
-        verdicts.append(verdict)
+            table = tuple(_judge_contrast(row, runs, arm, claims) for row in rows)
+            verdicts.append(_combine(runs.claim, runs.world, table))
         on_progress(len(verdicts), len(planned))
     return verdicts
 
@@ -171,8 +168,9 @@ def _judge_contrast(
 
 
 def _compare(row: ClaimContrast, arms: Mapping[str, Arm]) -> Contrast:
-    margin, level = None if row.claim.counts_itself else row.margin, 1 - row.alpha
+    margin, level = row.margin, 1 - row.alpha
     if row.claim.kind == "range":
+        margin = margin if row.b else None  # the constant itself counts as none, as no range is below 0
         a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
         return compare_ranges([own.values for own in arms.values()], a, b or row.value, margin, level)
     against = arms[row.b[0]].values if row.b else row.value

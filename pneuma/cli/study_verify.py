@@ -196,17 +196,17 @@ def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, fo
     """Print how near the seeds of claims tell their effects, and which claims are not admitted."""
     import pandas as pd
 
-    from pneuma.analysis.claim_table import not_admitted, plan_contrasts
+    from pneuma.analysis.claim_table import plan_contrasts
 
     every, numbers = plan_contrasts(known), ("spread", "half_width", "margin")
-    refused = not_admitted(known, every)
+    refused = {(row.claim.name, row.world): row.refused for row in every if row.refused}
     plans = [
         {
             "claim": row.claim.name,
             **_planned(row),
             "seeds": list(row.planned),
             "reason": row.why_undecidable,
-            "admitted": (row.claim.name, row.world) not in refused,
+            "admitted": not row.refused,
         }
         for row in every
         if not row.seen and (not claims or row.claim.name in claims) and world in (None, row.world)
