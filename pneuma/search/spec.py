@@ -131,14 +131,12 @@ class Search:
         spec: what its file says.
         space: the searched parameters and the fixed fields.
         world: of `pneuma.worlds.WORLDS`.
-        file: its path; empty for a shipped search.
     """
 
     name: str
     spec: SearchFile
     space: Space
     world: str = TEXT
-    file: str = ""
 
     @property
     def label(self) -> str:
@@ -212,11 +210,8 @@ def load_search(name: str, world: str | None = None) -> Search:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    path = find_file("search", name, studies_folder() / "search")
-    search = read_search(path)
-    world = checked_world(world) or (ARENA if search.has_worlds else TEXT)
-    search = search.in_world(world)
-    return replace(search, file=str(path.resolve()) if name.endswith(".toml") else "")
+    search = read_search(find_file("search", name, studies_folder() / "search"))
+    return search.in_world(checked_world(world) or (ARENA if search.has_worlds else TEXT))
 
 
 def check_budget(search: Search, budget: Budget) -> None:

@@ -91,12 +91,12 @@ def solve(
 
 
 @pytest.fixture
-def make_task(tmp_path: Path) -> MakeTask:
-    """Return a function that makes a task of the formula search."""
+def make_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeTask:
+    """Return a function that makes a task of the formula search, whose file is in the current folder."""
+    monkeypatch.chdir(tmp_path)
 
     def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
-        path = tmp_path / "formula.toml"
-        path.write_text(SPACE.format(more=more, second=second, start=start))
-        return Task(load_search(str(path), "text"), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
+        Path("formula.toml").write_text(SPACE.format(more=more, second=second, start=start))
+        return Task(load_search("formula", "text"), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
 
     return make

@@ -77,12 +77,12 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
     over = {"betas": (0.9, 0.95)}
     task = replace(task, search=task.search.with_settings(over), over=over)
     search(task, store)
-    assert read_record(store, task.search.file, "text") == RecordedSearch(task, tuple(solve(task)))
-    file = make_task(8).search.file  # writes it anew
+    assert read_record(store, task.search.name, "text") == RecordedSearch(task, tuple(solve(task)))
+    make_task(8)  # writes its file anew
     with pytest.raises(UserError, match="the search had other .*space.* than its file has now"):
-        read_record(store, file, "text")
+        read_record(store, "formula", "text")
     with pytest.raises(UserError, match="search formula-arena was not run in"):
-        read_record(store, file)
+        read_record(store, "formula")
 
 
 @pytest.mark.parametrize("most", range(0, 12, 2))
@@ -94,10 +94,10 @@ def test_a_search_that_is_killed_ends_with_the_same_trials(
     search(task, store, most)
     path = log_path(store, task.search.label)
     path.write_bytes(path.read_bytes()[:-7])
-    assert read_record(store, task.search.file, "text").task == task
+    assert read_record(store, task.search.name, "text").task == task
     told, notes = search(task, store)
     assert told == solve(task) and ["cut off" in note for note in notes] == [True]
-    assert read_record(store, task.search.file, "text") == RecordedSearch(task, tuple(told))
+    assert read_record(store, task.search.name, "text") == RecordedSearch(task, tuple(told))
 
 
 def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
@@ -108,7 +108,7 @@ def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
     longer, notes = search(make_task(12), store, most=1)
     assert longer[:8] == told and len(longer) == 12 and not notes
     assert search(make_task(4), store, most=0)[0] == told[:4]
-    assert len(read_record(store, make_task().search.file, "text").trials) == 12
+    assert len(read_record(store, make_task().search.name, "text").trials) == 12
 
 
 def test_another_budget_sets_the_log_aside_and_finds_it_again(make_task: MakeTask, store: Store) -> None:
@@ -136,7 +136,7 @@ def test_a_log_that_makes_no_sense_is_refused_and_kept(
     path = log_path(store, task.search.label)
     path.write_text(path.read_text() + json.dumps(line) + "\n")
     before = path.read_bytes()
-    for use in (lambda: read_record(store, task.search.file, "text"), lambda: search(task, store)):
+    for use in (lambda: read_record(store, task.search.name, "text"), lambda: search(task, store)):
         with pytest.raises(UserError, match=told):
             use()
     assert path.read_bytes() == before
@@ -147,7 +147,7 @@ def test_trials_that_others_added_are_refused(make_task: MakeTask, store: Store)
     search(task, store)
     trial = load(log_path(store, task.search.label)).ask()  # a running trial without parameters
     assert trial.number == 4
-    assert len(read_record(store, task.search.file, "text").trials) == 4
+    assert len(read_record(store, task.search.name, "text").trials) == 4
     with pytest.raises(
         UserError, match="trial 4 of the log of search formula is not what the search suggests"
     ):
@@ -166,7 +166,7 @@ def test_trials_outside_the_space_are_refused(make_task: MakeTask, store: Store)
             user_attrs={"run_ids": []},
         )
     )
-    for use in (lambda: read_record(store, task.search.file, "text"), lambda: search(task, store)):
+    for use in (lambda: read_record(store, task.search.name, "text"), lambda: search(task, store)):
         with pytest.raises(UserError, match="trial 4 is outside the search's space"):
             use()
 
@@ -195,7 +195,7 @@ def test_trials_that_another_program_ended_are_refused(make_task: MakeTask, stor
     study = load(log_path(store, task.search.label))
     study.tell(5, 0.5)
     with pytest.raises(UserError, match="another program ended trial 5"):
-        read_record(store, task.search.file, "text")
+        read_record(store, task.search.name, "text")
 
 
 def test_attributes_that_make_no_sense_are_refused(make_task: MakeTask, store: Store) -> None:
@@ -203,4 +203,4 @@ def test_attributes_that_make_no_sense_are_refused(make_task: MakeTask, store: S
     search(task, store)
     load(log_path(store, task.search.label)).set_user_attr("pneuma", "mine")
     with pytest.raises(UserError, match="damaged"):
-        read_record(store, task.search.file, "text")
+        read_record(store, task.search.name, "text")

@@ -67,10 +67,10 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
 
 def test_a_grid_is_walked_through_once(make_task: MakeTask) -> None:
     made = make_task(6)
-    path = Path(made.search.file)
+    path = Path("formula.toml")
     text = path.read_text().replace("low = 1e-5\nhigh = 1e-2\nlog = true", "choices = [1e-4, 1e-3, 1e-2]")
     path.write_text(text + '[sampler]\nname = "grid"\n')
-    told = solve(replace(made, search=load_search(made.search.file, "text")))
+    told = solve(replace(made, search=load_search("formula", "text")))
     rates, activations = ("0.0001", "0.001", "0.01"), ("tanh", "relu")
     found = {(trial.params["learning_rate"], trial.params["activation"]) for trial in told}
     assert found == {(rate, name) for rate in rates for name in activations}

@@ -79,23 +79,14 @@ def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_
 ) -> None:
     task = make_task(more="[run]\n" + "".join(f"{key} = '{value}'\n" for key, value in of_file.items()))
     save_record(store, task)
-    assert read_record(store, task.search.file, "text").task == task
+    assert read_record(store, task.search.name, "text").task == task
     save_record(store, replace(task, over=of_record))
     with pytest.raises(UserError, match=f"search formula would {deed}.*only its file may say so"):
-        read_record(store, task.search.file, "text")
+        read_record(store, task.search.name, "text")
 
 
-def test_untrusted_a_record_names_no_file_and_the_name_of_a_search_is_no_record_s(
-    make_task: MakeTask, store: Store, mark: Path
-) -> None:
-    """The file beside, which the record names too, is another with code in it: it is not read."""
+def test_untrusted_the_name_of_a_search_is_no_record_s(make_task: MakeTask, store: Store, mark: Path) -> None:
     task = make_task()
-    (mark.parent / "here").mkdir()
-    other = mark.parent / "here" / "other.toml"
-    other.write_text(Path(task.search.file).read_text() + '\n[run]\nreward = "marking.deep:own"\n')
-    save_record(store, replace(task, search=replace(task.search, file=str(other), name="unknown")))
+    save_record(store, replace(task, search=replace(task.search, name="unknown")))
     with pytest.raises(UserError, match="unknown search 'unknown'"):
         read_record(store, "unknown", "text")
-    save_record(store, replace(task, search=replace(task.search, file=str(other))))
-    assert read_record(store, task.search.file, "text").task == task
-    assert read_record(store, "formula", "text").task.search.space == task.search.space  # of this folder
