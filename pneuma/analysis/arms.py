@@ -6,7 +6,7 @@ An arm has one value per run, or says why its runs cannot be compared.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -149,8 +149,14 @@ def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None
 # --- Finding runs ----------------------------------------------------------------------------------
 
 
-def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
-    """Yield the runs of each claim of a list in each of its worlds, in the list's order."""
+Asked = Callable[[Claim, str], bool]
+"""Whether a claim is to be judged in a world."""
+
+
+def find_runs(
+    index: RunIndex, claims: ClaimList, asked: Asked = lambda claim, world: True
+) -> Iterator[ClaimRuns]:
+    """Yield the runs of each claim that is asked for, in each of its worlds, in the list's order."""
     read_study = cache(load_study)
 
     @cache
@@ -163,7 +169,7 @@ def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
     for claim in claims.claims.values():
         is_path = claim.study.endswith(".toml")
         path = str(claims.path.parent / claim.study) if is_path else claim.study
-        for world in claim.worlds:
+        for world in (world for world in claim.worlds if asked(claim, world)):
             study = read_study(path, world)
             seeds = claim.seeds_in(world)
             cells = {

@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 
-from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, find_runs
+from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, Asked, ClaimRuns, find_runs
 from pneuma.analysis.claim_table import ClaimContrast, not_admitted, plan_contrasts, rows_by_claim
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
@@ -86,17 +86,20 @@ def judge(
     claims: ClaimList,
     store: Store,
     stored: bool = True,
+    asked: Asked = lambda claim, world: True,
     on_progress: Callable[[int, int], object] = lambda done, of: None,
 ) -> list[Verdict]:
-    """Return the verdict on each claim of a list in each of its worlds.
+    """Return the verdict on each claim of a list in each of its worlds, or on those that are asked for.
 
-    With `stored = False` only published tables are used. No claim can be judged without the others of the
-    list. `on_progress` is called with the number of verdicts so far, and of all.
+    The correction is for the planned contrasts of the whole list, whichever are asked for: no data of the
+    others are needed. With `stored = False` only published tables are used. `on_progress` is called with the
+    number of verdicts so far, and of all.
     """
     every = plan_contrasts(claims)
     planned, refused = rows_by_claim(every), not_admitted(claims, every)
+    wanted = sum(asked(claim, world) for claim in claims.claims.values() for world in claim.worlds)
     verdicts: list[Verdict] = []
-    for runs in find_runs(RunIndex(store, stored, shipped=False), claims):
+    for runs in find_runs(RunIndex(store, stored, shipped=False), claims, asked):
         key = runs.claim.name, runs.world
         if key in refused:
             reason = f"not admitted: {refused[key]}"
@@ -109,7 +112,7 @@ def judge(
             table = tuple(_judge_contrast(row, runs, arm, claims) for row in planned[key])
             verdict = _combine(runs.claim, runs.world, table)
         verdicts.append(verdict)
-        on_progress(len(verdicts), len(planned))
+        on_progress(len(verdicts), wanted)
     return verdicts
 
 
