@@ -6,8 +6,9 @@ An arm has one value per run, or says why its runs cannot be compared.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -152,13 +153,19 @@ def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None
 # --- Finding runs ----------------------------------------------------------------------------------
 
 
-def find_runs(index: RunIndex, claims: ClaimList) -> Iterator[ClaimRuns]:
-    """Yield the runs of each claim of a list in each of its worlds, in the list's order."""
+Wanted = Callable[[Claim, str], bool]
+"""Whether a claim is to be judged in a world."""
+
+
+def find_runs(
+    index: RunIndex, claims: ClaimList, wanted: Wanted = lambda claim, world: True
+) -> Iterator[ClaimRuns]:
+    """Yield the runs of each claim that is asked for, in each of its worlds, in the list's order."""
     rest = " --unpublished" if index.store.published(shipped=False) else ""
     for claim in claims.claims.values():
         is_path = claim.study.endswith(".toml")
         path = str(claims.path.parent / claim.study) if is_path else claim.study
-        for world in claim.worlds:
+        for world in filter(partial(wanted, claim), claim.worlds):
             asked = ask(index, path, Selection(conditions=claim.compared), world)
             assert asked.study is not None
             commands = _commands(claims, claim, asked.study)

@@ -47,7 +47,7 @@ class Asked:
         every: the names of all conditions, also of those that are not shown.
         study: the study in its world and with changed fields; None if it has no file.
         runs: the configurations, by condition; empty if the study lists its runs.
-        narrowed: conditions and seeds that were asked for, which figures' names contain.
+        narrowed: conditions, seeds and steps that were asked for, which figures' names contain.
     """
 
     name: str
@@ -206,8 +206,9 @@ def _narrowed(shown: Shown, picked: Selection) -> Shown:
         few = ", ".join(map(str, sorted(seeds)[:10])) + (", …" if len(seeds) > 10 else "")
         raise UserError(f"--seeds: {shown.asked.where} has none of these; it has {few or 'no runs'}")
     asked, order = shown.asked, list(shown.asked.fields)
-    if kept < seeds:
-        asked = replace(asked, narrowed=[*asked.narrowed, "seeds", *map(str, sorted(kept))])
+    narrowed = ["seeds", *map(str, sorted(kept))] if kept < seeds else []
+    narrowed += ["steps", str(picked.steps)] if picked.steps else []
+    asked = replace(asked, narrowed=[*asked.narrowed, *narrowed])
     runs = [run for run in shown.runs if run[1] in kept]
     return replace(shown, asked=asked, runs=sorted(runs, key=lambda run: (run[1], order.index(run[0]))))
 
@@ -330,7 +331,7 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
             f"no finished run of study {shown.asked.where} is in {index.store.root}"
             + (f": run `{run_command(shown.asked.study)}` first" if shown.asked.study else "")
         )
-    return data
+    return replace(data, steps=shown.budget)
 
 
 def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyData | None:

@@ -88,7 +88,8 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     if form == "latex":
         columns = "".join(map(_latex_column, numeric, shown.to_numpy().T))
         lines = shown.map(lambda cell: cell.replace("\n", _NEW_LINE))
-        text = lines.to_latex(index=False, escape=True, column_format=columns)
+        long = len(frame) > LINES_OF_A_PAGE
+        text = lines.to_latex(index=False, escape=True, column_format=columns, longtable=long)
         return text.replace(_NEW_LINE, r" \newline ").encode()
     rows = [
         [str(name).translate(_MARKDOWN) for name in shown.columns],
@@ -131,6 +132,8 @@ def _latex_column(right: bool, cells: np.ndarray) -> str:
     return "r" if right else PARAGRAPH if max(map(len, cells), default=0) > LONGEST_IN_A_LINE else "l"
 
 
+LINES_OF_A_PAGE = 40
+"""Most rows of a LaTeX table that is not broken over pages."""
 LONGEST_IN_A_LINE = 40
 PARAGRAPH = r"p{0.2\linewidth}"
 """A LaTeX column whose cells may have several lines."""

@@ -89,9 +89,11 @@ class StudyData:
         runs: the finished runs, seed by seed.
         same: groups of conditions that are one configuration.
         every: all conditions of the study, also those that were not asked for.
-        narrowed: conditions and seeds that were asked for, if not all.
+        narrowed: conditions and seeds that were asked for, if not all; and steps, if any were.
         world: its world; empty if it has a single one.
         changed: fields that `--set` changed.
+        steps: agent steps of each run, as `--steps` takes them; None for a study that lists its runs.
+        budget: at which curves end: the largest of the runs.
     """
 
     study: str
@@ -105,6 +107,7 @@ class StudyData:
     narrowed: Sequence[str] = ()
     world: str = ""
     changed: Mapping[str, Any] = field(default_factory=dict)
+    steps: int | None = None
     budget: int = 0
 
     def __post_init__(self) -> None:
@@ -255,8 +258,8 @@ class StudyData:
 def figure_basename(data: StudyData, *parts: str) -> str:
     """Return the name of a figure's files, or of a table, without its ending.
 
-    It contains the world, changed fields, and the conditions and seeds that were asked for, so that neither a
-    variant nor a part of a study replaces the study's own figure.
+    It contains the world, changed fields, and the conditions, seeds and steps that were asked for, so that
+    neither a variant nor a part of a study replaces the study's own figure.
     """
     slug = settings_name(data.changed, *filter(None, [*data.narrowed, *parts]))
     return "-".join(filter(None, [data.figure, data.world, slug]))
@@ -282,7 +285,10 @@ def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str,
     fields = {renamed[name]: data.fields[name] for data, renamed in parts for name in renamed}
     runs = [replace(run, condition=renamed[run.condition]) for data, renamed in parts for run in data.runs]
     title = f"{one.title}, and {other.title}"
-    joined = StudyData(one.study, title, one.figure, "", fields, runs, every=[*fields], world=one.world)
+    joined = StudyData(
+        one.study, title, one.figure, "", fields, runs, every=[*fields], narrowed=one.narrowed,
+        world=one.world, steps=one.steps if one.steps == other.steps else None,
+    )  # fmt: skip
     shared = [name for name in names[0] if one.of_condition(name) and other.of_condition(name)]
     return joined, {name: (names[0][name], names[1][name]) for name in shared}
 

@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 
-from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, find_runs
+from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, Wanted, find_runs
 from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
@@ -86,18 +86,21 @@ def judge(
     claims: ClaimList,
     store: Store,
     stored: bool = True,
+    asked: Wanted = lambda claim, world: True,
     on_progress: Callable[[int, int], object] = lambda done, of: None,
 ) -> list[Verdict]:
-    """Return the verdict on each claim of a list in each of its worlds.
+    """Return the verdict on each claim of a list in each of its worlds, or on those that are asked for.
 
-    With `stored = False` only published tables are used. No claim can be judged without the others of the
-    list. `on_progress` is called with the number of verdicts so far, and of all.
+    The correction is for the planned contrasts of the whole list, whichever are asked for: no data of the
+    others are needed. With `stored = False` only published tables are used. `on_progress` is called with the
+    number of verdicts so far, and of all.
     """
     planned: dict[tuple[str, str], list[ClaimContrast]] = {}
     for row in plan_contrasts(claims):
         planned.setdefault((row.claim.name, row.world), []).append(row)
+    wanted = sum(asked(claim, world) for claim in claims.claims.values() for world in claim.worlds)
     verdicts: list[Verdict] = []
-    for runs in find_runs(RunIndex(store, stored, shipped=False), claims):
+    for runs in find_runs(RunIndex(store, stored, shipped=False), claims, asked):
         rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
         if rows[0].refused:
             reason = f"not admitted: {rows[0].refused}"
@@ -106,7 +109,7 @@ def judge(
         else:
             table = tuple(_judge_contrast(row, runs, arm, claims) for row in rows)
             verdicts.append(_combine(runs.claim, runs.world, table))
-        on_progress(len(verdicts), len(planned))
+        on_progress(len(verdicts), wanted)
     return verdicts
 
 

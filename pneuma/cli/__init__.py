@@ -19,6 +19,7 @@ from typer.core import TyperGroup
 
 from pneuma import __version__
 from pneuma.cli import env, misc, runs, search, study
+from pneuma.cli.options import Commands
 from pneuma.cli.study_run import STOPPED
 from pneuma.errors import UserError, plain
 
@@ -31,14 +32,11 @@ class _Ordered(TyperGroup):
         return [*COMMANDS]
 
 
-app = typer.Typer(
+app = Commands(
+    "Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
     name="pneuma",
     cls=_Ordered,
-    help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
-    no_args_is_help=True,
-    add_completion=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 app.add_typer(study.app, name="study")

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, print_rows
+from pneuma.cli.output import Result, check_file, rows_result
 from pneuma.errors import UserError, counted, unknown_name
 
-app = typer.Typer(help="Look at and play environments.", no_args_is_help=True, rich_markup_mode=None)
+app = opt.Commands("Look at and play environments.")
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
@@ -28,14 +26,12 @@ ABOUT = {
 
 CAMERAS = ("map", "follow")
 
-EnvName = Annotated[
-    str, opt.argument("ID", "An environment's id, as in `pneuma env list`.", complete.environments)
-]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the world.")]
+ENVIRONMENT = "ID", "An environment's id, as in `pneuma env list`.", complete.environments
+SEED = opt.number("--seed", "Seed of the world.", 0, min=0)
 
 
 @app.command("list")
-def list_(json: opt.Json = False) -> None:
+def list_() -> Result:
     """List the environments and what they are."""
     import gymnasium
 
@@ -49,26 +45,22 @@ def list_(json: opt.Json = False) -> None:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
         rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
-    return print_rows("environments", rows, json)
+    return rows_result("environments", rows)
 
 
 @app.command()
 def render(
-    name: EnvName,
-    out: Annotated[Path, opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
-    player: Annotated[
-        str, opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.")
-    ] = "random",
-    camera: Annotated[
-        opt.Text, opt.choice("--camera", CAMERAS, "The whole map (as a picture), or a player (as a video).")
-    ] = None,
-    seed: Seed = 0,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="Draw what the rules measure: bodies, circles, sword box, rays.")
-    ] = False,
-    set_: opt.Settings = None,
-    trust: opt.Trust = False,
-    results: opt.Results = opt.RESULTS,
+    name: str = opt.argument(*ENVIRONMENT),
+    out: Path = opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.", default=opt.REQUIRED),
+    player: str = opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.", default="random"),
+    camera: opt.Text = opt.choice(
+        "--camera", CAMERAS, "The whole map (as a picture), or a player (as a video)."
+    ),
+    seed: int = SEED,
+    overlay: bool = opt.flag("--overlay", "Draw what the rules measure: bodies, circles, sword box, rays."),
+    set_: opt.SeveralRead = opt.SETTINGS,
+    trust: bool = opt.TRUST,
+    results: Path = opt.RESULTS,
 ) -> None:
     """Draw the world as a picture, or an episode as a video.
 
@@ -103,10 +95,10 @@ def render(
 
 @app.command()
 def play(
-    name: EnvName = "pneuma/Pneuma-v0",
-    camera: Annotated[str, opt.choice("--camera", CAMERAS, "What to see.")] = "follow",
-    seed: Seed = 0,
-    set_: opt.Settings = None,
+    name: str = opt.argument(*ENVIRONMENT, "pneuma/Pneuma-v0"),
+    camera: str = opt.choice("--camera", CAMERAS, "What to see.", default="follow"),
+    seed: int = SEED,
+    set_: opt.SeveralRead = opt.SETTINGS,
 ) -> None:
     """Play with the keyboard. The world waits while you hold no key.
 
@@ -123,18 +115,11 @@ def play(
 
 @app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
 def serve(
-    name: EnvName,
-    port: Annotated[
-        int, typer.Option("--port", metavar="N", min=1, max=65535, help="Where the trainer listens.")
-    ] = 11008,
-    agents: Annotated[
-        int,
-        typer.Option(
-            "--agents", metavar="N", min=1, max=1024, help="How many copies are played side by side."
-        ),
-    ] = 1,
-    seed: Seed = 0,
-    set_: opt.Settings = None,
+    name: str = opt.argument(*ENVIRONMENT),
+    port: int = opt.number("--port", "Where the trainer listens.", 11008, min=1, max=65535),
+    agents: int = opt.number("--agents", "How many copies are played side by side.", 1, min=1, max=1024),
+    seed: int = SEED,
+    set_: opt.SeveralRead = opt.SETTINGS,
 ) -> None:
     """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
 

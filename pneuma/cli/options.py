@@ -1,19 +1,23 @@
-"""Options that several commands share, and how their text is converted."""
+"""Options: how they are declared, those that several commands share, and those that come together.
+
+A command's options are its parameters, whose defaults declare them, or the fields of a dataclass that is a
+parameter of it: `Picked`, `Chosen` or `Place`. It returns a `Result`, which `--json` prints for programs.
+"""
 
 from __future__ import annotations
 
 import functools
 import inspect
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
 from pneuma.cli import complete
-from pneuma.cli.output import OUTPUT_FORMATS
+from pneuma.cli.output import OUTPUT_FORMATS, Result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import (
@@ -31,6 +35,9 @@ from pneuma.study.store import Store
 from pneuma.values import read_value, setting_words, shown_seeds
 from pneuma.worlds import WORLDS
 
+if TYPE_CHECKING:
+    from pneuma.analysis.frames import StudyData
+
 # --- How options are declared ----------------------------------------------------------------------
 
 
@@ -40,21 +47,31 @@ def option(
     help_text: str,
     read: Callable[[str], Any] | None = None,
     offer: complete.Complete | None = None,
+    default: Any = None,
 ) -> Any:
     """Return an option; `read` converts its text, and `offer` completes it."""
-    return typer.Option(name, metavar=metavar, help=help_text, parser=read, autocompletion=offer)
+    return typer.Option(default, name, metavar=metavar, help=help_text, parser=read, autocompletion=offer)
 
 
-def argument(metavar: str, help_text: str, offer: complete.Complete | None = None) -> Any:
+REQUIRED = ...
+"""The default of an option that may not be left out."""
+
+
+def argument(metavar: str, help_text: str, offer: complete.Complete | None = None, default: Any = ...) -> Any:
     """Return an argument; `offer` completes it."""
-    return typer.Argument(metavar=metavar, help=help_text, autocompletion=offer, show_default=False)
+    return typer.Argument(default, metavar=metavar, help=help_text, autocompletion=offer, show_default=False)
 
 
 def flag(name: str, help_text: str) -> Any:
-    return typer.Option(name, help=help_text)
+    return typer.Option(False, name, help=help_text)
 
 
-def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "") -> Any:
+def number(name: str, help_text: str, default: Any = None, **limits: Any) -> Any:
+    """Return an option for a number within limits; `metavar` is N."""
+    return typer.Option(default, name, help=help_text, **{"metavar": "N", **limits})
+
+
+def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "", default: Any = None) -> Any:
     """Return an option with a fixed set of values."""
     names = tuple(allowed)
 
@@ -63,10 +80,11 @@ def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "")
             raise UserError(f"{name} {text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
         return text
 
-    return option(name, metavar or "|".join(names), help_text, read, complete.offering(lambda typed: names))
+    offer = complete.offering(lambda typed: names)
+    return option(name, metavar or "|".join(names), help_text, read, offer, default)
 
 
-def count(name: str, help_text: str) -> Any:
+def count(name: str, help_text: str, default: Any = None) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
     def read(text: str) -> int:
@@ -78,10 +96,10 @@ def count(name: str, help_text: str) -> Any:
             raise UserError(f"{name} {text}: must be a whole number of at least 1")
         return int(number)
 
-    return option(name, "N", help_text, read)
+    return option(name, "N", help_text, read, default=default)
 
 
-def seeds(name: str, help_text: str, first: int = 0) -> Any:
+def seeds(name: str, help_text: str, first: int = 0, default: Any = None) -> Any:
     """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
 
     def read(text: str) -> tuple[int, ...]:
@@ -93,7 +111,7 @@ def seeds(name: str, help_text: str, first: int = 0) -> Any:
         except (ValueError, IndexError):
             raise UserError(f"{name} {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
 
-    return option(name, "N|LIST", help_text, read)
+    return option(name, "N|LIST", help_text, read, default=default)
 
 
 def _span(text: str) -> range:
@@ -131,191 +149,151 @@ def _read_contrast(text: str) -> tuple[str, Any, Any]:
 
 # --- The options -----------------------------------------------------------------------------------
 
-RESULTS = Path("results")
-"""The default results folder."""
-
 Text = str | None
 """An option that may be left out."""
 Several = list[str] | None
 """An option that may be repeated."""
+SeveralRead = list[Any] | None
+"""One whose texts are converted."""
 
-StudyName = Annotated[
-    str, argument("NAME", "A study's name, or the path of a study file (….toml).", complete.studies)
-]
-RunName = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.", complete.runs)]
-Results = Annotated[
-    Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
-]
-Json = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
-OutputFormat = Annotated[
-    str, choice("--format", OUTPUT_FORMATS, "How to print it; --json is short for json.")
-]
-Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
-Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
-Trust = Annotated[bool, flag("--trust", "Use the reward, level and characters files that the run names.")]
-RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
-Preset = Annotated[
-    Text,
-    option(
-        "--preset",
-        "|".join((*PRESETS, CLAIMS)),
-        "How much to run (default: quick, or the first).",
-        offer=complete.presets,
-    ),
-]
-Seeds = Annotated[
-    Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
-]
-Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole updates.")]
-Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
-Conditions = Annotated[
-    Several,
-    option("--condition", "NAME", "Only this condition (may be repeated).", offer=complete.conditions),
-]
-Settings = Annotated[
-    list[Any] | None,
-    option(
-        "--set",
-        "KEY=VALUE",
-        "Set a field of the run, or of the world (may be repeated).",
-        _read_setting,
-        complete.fields,
-    ),
-]
+STUDY = argument("NAME", "A study's name, or the path of a study file (….toml).", complete.studies)
+RUN = argument("RUN_ID", "A stored run's id, or its first digits.", complete.runs)
+RESULTS = typer.Option(
+    Path("results"), "--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept."
+)
+JSON = flag("--json", "Print one JSON document on standard output.")
+OUTPUT_FORMAT = choice(
+    "--format", OUTPUT_FORMATS, "How to print it; --json is short for json.", default="table"
+)
+QUIET = flag("--quiet", "Print nothing but results and mistakes.")
+FORCE = flag("--force", "Replace the file even if Pneuma has not made it.")
+TRUST = flag("--trust", "Use the reward, level and characters files that the run names.")
+RETRY_FAILED = flag("--retry-failed", "Try runs again that crashed before.")
+STEPS = count("--steps", "Steps of each run, rounded up to whole updates.")
+WORKERS = count("--workers", "Runs trained at once (default: one a core).")
+SETTINGS = option(
+    "--set",
+    "KEY=VALUE",
+    "Set a field of the run, or of the world (may be repeated).",
+    _read_setting,
+    complete.fields,
+)
 """Pairs of a field and its value; use `dict(set_ or ())`."""
-Contrast = Annotated[
-    Any,
-    option(
-        "--contrast",
-        "KEY=A:B",
-        "A field, its value said to be better, another: activation=tanh:relu.",
-        _read_contrast,
-    ),
-]
-WorldName = Annotated[
-    Text,
-    choice(
-        "--world",
-        WORLDS,
-        "Whose rules: the arena (default), the thesis's text, or its published code.",
-    ),
-]
-Formats = Annotated[
-    list[Any] | None,
-    choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg)."),
-]
-FigureFolder = Annotated[Path | None, option("--out", "DIR", "Draw a figure into this folder.")]
-PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
-Outcome = Annotated[
-    str | None,
-    option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return)."),
-]
-Outcomes = Annotated[
-    Several,
-    option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable)."),
-]
+CONTRAST = option(
+    "--contrast",
+    "KEY=A:B",
+    "A field, its value said to be better, another: activation=tanh:relu.",
+    _read_contrast,
+    default=REQUIRED,
+)
+WORLD = choice(
+    "--world", WORLDS, "Whose rules: the arena (default), the thesis's text, or its published code."
+)
+FORMATS = choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
+FIGURE_FOLDER = option("--out", "DIR", "Draw a figure into this folder.")
+PLOT_FOLDER = option("--out", "DIR", "Where to write (default: RESULTS/figures).")
+OUTCOME = option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return).")
+OUTCOMES = option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
+
+
+def seeds_of_runs(default: str | None = None) -> Any:
+    help_text = "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
+    return seeds("--seeds", help_text, default=default)
+
 
 # --- Options that come together --------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Chosen:
-    selection: Selection
-    world: str | None
-    store: Store
+class Picked:
+    """Which stored runs of a study a command reads."""
+
+    seeds: Any = seeds_of_runs()
+    steps: Any = count("--steps", "Runs of so many steps (default: those last trained here).")
+    condition: Several = option(
+        "--condition", "NAME", "Only this condition (may be repeated).", offer=complete.conditions
+    )
+    set_: SeveralRead = SETTINGS
+    world: Text = WORLD
+    results: Path = RESULTS
+
+    @property
+    def selection(self) -> Selection:
+        return Selection(None, self.seeds, self.steps, tuple(self.condition or ()), dict(self.set_ or ()))
+
+    @property
+    def store(self) -> Store:
+        return Store(self.results)
+
+    def open(self, name: str) -> StudyData:
+        """Open the finished runs of a study, and say what is shown and what else is stored."""
+        from pneuma.analysis.asked import open_study
+        from pneuma.analysis.run_index import RunIndex
+
+        tell = functools.partial(say, aside=True)
+        return open_study(RunIndex(self.store), name, self.selection, self.world, tell)
+
+    def again(self, data: StudyData, *words: str, **look: Iterable[str]) -> str:
+        """Return the command that draws a figure of some data again, whatever budget is trained meanwhile.
+
+        Args:
+            data: what these options select.
+            words: the command, and the study.
+            look: its other options, each with all its values.
+        """
+        chosen = selecting_words(replace(self.selection, steps=data.steps or self.steps))
+        chosen += ["--world", self.world] if self.world else []
+        options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
+        where = ["--results", str(self.results)]
+        return shlex.join(["pneuma", "study", *words, *chosen, *options, *where])
 
 
-def _chosen(
-    preset: Preset = None,
-    seeds: Seeds = None,
-    steps: Steps = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-) -> Chosen:
-    """Read the options that select runs to train."""
-    selection = Selection(preset, seeds, steps, tuple(condition or ()), dict(set_ or ()))
-    return Chosen(selection, world, Store(results))
+@dataclass(frozen=True)
+class Chosen(Picked):
+    """Which runs of a study a command trains."""
+
+    steps: Any = STEPS
+    preset: Text = option(
+        "--preset",
+        "|".join((*PRESETS, CLAIMS)),
+        "How much to run (default: quick, or the first).",
+        offer=complete.presets,
+    )
+
+    @property
+    def selection(self) -> Selection:
+        return replace(super().selection, preset=self.preset)
 
 
-def _picked(
-    seeds: Seeds = None,
-    steps: Annotated[
-        Any, count("--steps", "Runs of so many steps (default: those last trained here).")
-    ] = None,
-    condition: Conditions = None,
-    set_: Settings = None,
-    world: WorldName = None,
-    results: Results = RESULTS,
-) -> Chosen:
-    """Read the options that select stored runs."""
-    selection = Selection(None, seeds, steps, tuple(condition or ()), dict(set_ or ()))
-    return Chosen(selection, world, Store(results))
+@dataclass(frozen=True)
+class Place:
+    """Where runs train, and how many at once."""
 
+    workers: Any = WORKERS
+    executor: str = choice(
+        "--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says.", default=LOCAL
+    )
+    address: Text = option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
+    slurm: SeveralRead = option(
+        "--slurm",
+        "KEY=VALUE",
+        "What jobs of --executor slurm ask for: partition, time, mem, …",
+        _key_and_value("--slurm", "partition=short"),
+    )
+    detach: bool = flag("--detach", "Leave once jobs of --executor slurm are submitted (no search).")
 
-def _place(
-    executor: Annotated[
-        str, choice("--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says.")
-    ] = LOCAL,
-    address: Annotated[
-        Text, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
-    ] = None,
-    slurm: Annotated[
-        list[Any] | None,
-        option(
-            "--slurm",
-            "KEY=VALUE",
-            "What jobs of --executor slurm ask for: partition, time, mem, …",
-            _key_and_value("--slurm", "partition=short"),
-        ),
-    ] = None,
-    detach: Annotated[
-        bool, flag("--detach", "Leave once jobs of --executor slurm are submitted (no search).")
-    ] = False,
-) -> ExecutorConfig:
-    """Read the options that say where runs train."""
-    for name, given, executor_of_option in (
-        ("address", address, RAY),
-        ("slurm", slurm, SLURM),
-        ("detach", detach, SLURM),
-    ):
-        if given and executor != executor_of_option:
-            raise UserError(f"--{name}: goes with --executor {executor_of_option}")
-    asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
-    return ExecutorConfig(executor=executor, address=address, slurm=asked, detach=detach)
+    def config(self) -> ExecutorConfig:
+        """Return where and how runs train.
 
-
-Answer = TypeVar("Answer")
-_GROUPS: dict[str, Callable[..., Any]] = {"chosen": _chosen, "picked": _picked, "place": _place}
-
-
-def grouped(command: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Add to a command the options behind its parameters `chosen`, `picked` and `place`.
-
-    Typer makes a command's options from its signature, so they are added to it.
-    """
-    signature = inspect.signature(command, eval_str=True)
-    added = {
-        name: list(inspect.signature(_GROUPS[name], eval_str=True).parameters.values())
-        for name in signature.parameters
-        if name in _GROUPS
-    }
-
-    @functools.wraps(command)
-    def run(**given: Any) -> Answer:
-        for name, options in added.items():
-            given[name] = _GROUPS[name](
-                **{parameter.name: given.pop(parameter.name) for parameter in options}
-            )
-        return command(**given)
-
-    parameters = [
-        parameter for one in signature.parameters.values() for parameter in added.get(one.name, [one])
-    ]
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return run
+        Raises:
+            UserError: for options that do not go together, or a place that cannot be reached.
+        """
+        for name, executor in (("address", RAY), ("slurm", SLURM), ("detach", SLURM)):
+            if getattr(self, name) and self.executor != executor:
+                raise UserError(f"--{name}: goes with --executor {executor}")
+        slurm = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
+        place = ExecutorConfig(executor=self.executor, address=self.address, slurm=slurm, detach=self.detach)
+        return replace(place, workers=most_workers(self.workers, place))
 
 
 def most_workers(asked: int | None, place: ExecutorConfig = LOCAL_CONFIG) -> int:
@@ -340,7 +318,57 @@ def selecting_words(selection: Selection) -> list[str]:
     return words + setting_words(selection.settings or {})
 
 
-def drawing_command(words: Sequence[str], picked: Chosen, look: Mapping[str, Iterable[str]]) -> str:
-    chosen = [*selecting_words(picked.selection), *(["--world", picked.world] if picked.world else [])]
-    options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
-    return shlex.join(["pneuma", "study", *words, *chosen, *options])
+# --- Commands --------------------------------------------------------------------------------------
+
+
+class Commands(typer.Typer):
+    """A group of commands whose options may come in dataclasses, and whose results are printed."""
+
+    def __init__(self, help_text: str, **more: Any) -> None:
+        """Make a group without commands."""
+        super().__init__(help=help_text, no_args_is_help=True, rich_markup_mode=None, **more)
+
+    def command(self, name: str | None = None, **more: Any) -> Callable[[Function], Function]:
+        register = super().command(name, **more)
+
+        def add(function: Function) -> Function:
+            register(_as_command(function))
+            return function
+
+        return add
+
+
+Function = TypeVar("Function", bound=Callable[..., Result | None])
+
+
+def _as_command(function: Callable[..., Result | None]) -> Callable[..., int]:
+    """Return a command that takes the fields of dataclasses as options, and prints the result.
+
+    Typer makes a command's options from its signature. If it returns a result, `--json` is one of them.
+    """
+    signature = inspect.signature(function, eval_str=True)
+    parameters, groups = [], {}
+    for name, one in signature.parameters.items():
+        if is_dataclass(group := one.annotation) and isinstance(group, type):
+            groups[name] = [*inspect.signature(group, eval_str=True).parameters.values()]
+        parameters += groups.get(name, [one])
+    takes_json = "json" in signature.parameters
+    if signature.return_annotation is not None and not takes_json:
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters.append(inspect.Parameter("json", kind, default=JSON, annotation=bool))
+
+    @functools.wraps(function)
+    def run(**given: Any) -> int:
+        json = given.get("json", False) if takes_json else given.pop("json", False)
+        for name, options in groups.items():
+            fields = {option.name: given.pop(option.name) for option in options}
+            given[name] = signature.parameters[name].annotation(**fields)
+        result = function(**given)
+        if result is None:
+            return 0
+        print_result(result, "json" if json else result.form)
+        return result.code
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run

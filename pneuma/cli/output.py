@@ -1,4 +1,4 @@
-"""Output of commands: lines, tables and JSON on standard output, and files."""
+"""What commands print, for people and programs, and the files that they write."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
@@ -24,8 +24,11 @@ from pneuma.study.store import Store
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pneuma.figures.grid import Page
+
 WIDEST = 10_000
 """Characters per line if the output is no terminal, so that tables are not folded."""
+PROGRESS_SECONDS = 2.0
 
 
 # --- For people -----------------------------------------------------------------------------------
@@ -42,23 +45,17 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
         print(plain(text))
 
 
-class Progress:
-    """Says on standard error how far a long computation is, every few seconds.
+def progress_of(what: str) -> Callable[[int, int], None]:
+    """Return a function that says on standard error how far a long computation is, every few seconds."""
+    told = time.monotonic()
 
-    Args:
-        what: is counted.
-    """
+    def tell(done: int, of: int) -> None:
+        nonlocal told
+        if time.monotonic() >= told + PROGRESS_SECONDS and done < of:
+            told = time.monotonic()
+            print_aside(f"{done} of {of} {what}")
 
-    EVERY_SECONDS = 2.0
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self._next = time.monotonic() + self.EVERY_SECONDS
-
-    def __call__(self, done: int, of: int) -> None:
-        if time.monotonic() >= self._next and done < of:
-            self._next = time.monotonic() + self.EVERY_SECONDS
-            print_aside(f"{done} of {of} {self._what}")
+    return tell
 
 
 def command(*words: object) -> str:
@@ -70,68 +67,104 @@ def tallied(words: Iterable[str]) -> str:
     return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
-def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table of text, which may be untrusted, folded to the terminal's width."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="", show_header=any(heads))
-    for head in heads:
-        table.add_column(plain(head), overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(plain(str(cell))) for cell in row))
-    drawn = io.StringIO()
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
-    Console(file=drawn, width=width, color_system=None, highlight=False).print(table)
-    print("\n".join(line.rstrip() for line in drawn.getvalue().splitlines()))
-
-
 # --- Results in any form --------------------------------------------------------------------------
 
 OUTPUT_FORMATS = ("table", "markdown", "latex", "csv", "json")
 
 
+class Table(NamedTuple):
+    """A table for people; without heads if these are empty."""
+
+    heads: Sequence[str]
+    rows: Iterable[Sequence[object]]
+
+
 @dataclass(frozen=True)
 class Result:
-    """What a command found, for `print_result`.
+    """What a command found, which `print_result` prints.
 
     Attributes:
-        table: for people, with cells as text.
         document: for programs.
+        shown: for people, lines and tables; computed only for them if it is a generator.
+        title: the line above all that, for people.
+        notes: what must be known to read the rest: for people below the title, else on standard error.
+        table: for pages and papers, with cells as text.
         numbers: the table as CSV, with whole numbers; `table` if None.
-        title: the line above the table on a terminal.
-        notes: what must be known to read the table; on standard error where the output is a table alone.
-        legend: what the columns mean, below the table on a terminal.
+        form: one of `OUTPUT_FORMATS`, unless `--json` asks for JSON.
+        code: the exit code.
     """
 
-    table: pd.DataFrame
     document: Mapping[str, Any]
-    numbers: pd.DataFrame | None = None
+    shown: Iterable[str | Table] = ()
     title: str = ""
     notes: Sequence[str] = ()
-    legend: str = ""
+    table: pd.DataFrame | None = None
+    numbers: pd.DataFrame | None = None
+    form: str = "table"
+    code: int = 0
 
 
 def print_result(result: Result, form: str) -> None:
     """Print a result in one of `OUTPUT_FORMATS`."""
-    if form == "json":
-        return print_json(result.document)
     people = form == "table"
-    above = [*filter(None, [result.title] * people), *filter(None, result.notes)]
-    for line in above:
-        say(line, aside=not people)
+    for line in filter(None, [result.title] * people):
+        say(line)
+    for note in filter(None, result.notes):
+        say(note, aside=not people)
     if people:
-        print("\n" * bool(above), end="")
-        print_table([*result.table], result.table.to_numpy())
-        return print(f"\n{result.legend}") if result.legend else None
-    from pneuma.analysis.export import encode_frame
+        for each in result.shown:
+            if isinstance(each, Table):
+                _print_table(each)
+            else:
+                say(each)
+    elif form == "json":
+        print_json(result.document)
+    else:
+        from pneuma.analysis.export import encode_frame
 
-    frame = result.table if form != "csv" or result.numbers is None else result.numbers
-    return print("\n".join(map(plain, encode_frame(frame, form).decode().split("\n"))), end="")
+        frame = result.table if form != "csv" or result.numbers is None else result.numbers
+        assert frame is not None, "a command without a table has no --format"
+        print("\n".join(map(plain, encode_frame(frame, form).decode().split("\n"))), end="")
 
 
-# --- For programs ---------------------------------------------------------------------------------
+def _print_table(table: Table) -> None:
+    """Print a table of text, which may be untrusted, folded to the terminal's width."""
+    from rich import table as rich
+    from rich.console import Console
+    from rich.text import Text
+
+    laid_out = rich.Table(box=None, pad_edge=False, header_style="", show_header=any(table.heads))
+    for head in table.heads:
+        laid_out.add_column(plain(head), overflow="fold")
+    for row in table.rows:
+        laid_out.add_row(*(Text(plain(str(cell))) for cell in row))
+    drawn = io.StringIO()
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
+    Console(file=drawn, width=width, color_system=None, highlight=False).print(laid_out)
+    print("\n".join(line.rstrip() for line in drawn.getvalue().splitlines()))
+
+
+def frame_table(frame: pd.DataFrame) -> Table:
+    return Table([*frame], frame.to_numpy())
+
+
+def rows_result(many: str, rows: Sequence[Mapping[str, Any]]) -> Result:
+    """Return rows with equal keys, which the document calls `many`."""
+    shown = [[_shown(value) for value in row.values()] for row in rows]
+    return Result({many: rows}, [Table([*rows[0]], shown)])
+
+
+def _shown(value: object) -> str:
+    return f"{value:,.4g}" if isinstance(value, float) else str(value)
+
+
+def listed_result(kind: str, many: str, folder: Path) -> Result:
+    """Return the files of a folder of studies or searches."""
+    rows = []
+    for name in shipped_names(folder):
+        head = read_head(name, folder)
+        rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
+    return rows_result(many, rows)
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -149,24 +182,6 @@ def _as_plain(value: Any) -> Any:
 def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
     """Return a table's rows, with None for missing values."""
     return table.astype(object).where(table.notna(), None).to_dict("records")
-
-
-def print_rows(many: str, rows: Sequence[Mapping[str, Any]], json: bool) -> None:
-    if json:
-        return print_json({many: rows})
-    return print_table([*rows[0]], [[_shown(value) for value in row.values()] for row in rows])
-
-
-def _shown(value: object) -> str:
-    return f"{value:,.4g}" if isinstance(value, float) else str(value)
-
-
-def print_listed(kind: str, many: str, folder: Path, json: bool) -> None:
-    rows = []
-    for name in shipped_names(folder):
-        head = read_head(name, folder)
-        rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
-    return print_rows(many, rows, json)
 
 
 # --- Files ----------------------------------------------------------------------------------------
@@ -217,27 +232,29 @@ def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "
     return tuple(asked or ("png", "svg"))
 
 
-def draw_files(store: Store, out: Path | None, draw: Callable[[Path], list[Path]]) -> list[Path]:
-    """Write figures into a folder given by the user, or into `figures` of the results.
+def draw_files(
+    store: Store, out: Path | None, formats: Sequence[str], pages: Iterable[tuple[Page, str]]
+) -> list[Path]:
+    """Write figures into a folder given by the user, or into `figures` of the results; return the files.
 
     In a results folder, which may be untrusted, no link is followed. If drawing fails, nothing is written.
 
     Args:
         store: the results folder.
         out: where; None for the results.
-        draw: draws into a folder that is removed afterwards, and returns its files.
+        formats: of each figure.
+        pages: the figures, each with the command that draws it.
     """
+    from pneuma.figures.grid import save_page
+
     target, write = (store.root / "figures", store.write) if out is None else (out, write_file)
     with TemporaryDirectory() as folder:
-        files = {path.name: path.read_bytes() for path in draw(Path(folder))}
+        drawn = [path for page, again in pages for path in save_page(page, Path(folder), formats, again)]
+        files = {path.name: path.read_bytes() for path in drawn}
     for name, content in files.items():
         write(target / name, content)
     return [target / name for name in files]
 
 
-def tell_written(files: Iterable[Path], json: bool = False) -> None:
-    if json:
-        return print_json({"figures": list(files)})
-    for path in files:
-        say(f"wrote {path}")
-    return None
+def wrote(files: Iterable[Path]) -> list[str]:
+    return [f"wrote {path}" for path in files]

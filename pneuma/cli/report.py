@@ -122,7 +122,8 @@ def _add_data(index: RunIndex, part: Part, shown: Shown) -> None:
         part.numbers = numbers_table(part.label, summary_table(data))
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
-        part.pictures = study_pictures(data)
+        steps = f" --steps {shown.budget}" if shown.budget else ""
+        part.pictures = study_pictures(data, part.words + steps)
     except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         part.notes.append(_without_folder(index.store, error))
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import check_file, print_json, print_table, say, write_file
+from pneuma.cli.output import Result, Table, check_file, write_file
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS, make_run
 from pneuma.env_fields import ENVIRONMENTS
@@ -21,13 +20,11 @@ from pneuma.study.store import Store
 from pneuma.study.stored_runs import StoredRun
 from pneuma.values import shown_value
 
-app = typer.Typer(
-    help="Look at single runs and take them along.", no_args_is_help=True, rich_markup_mode=None
-)
+app = opt.Commands("Look at single runs and take them along.")
 
 
 @app.command("list", short_help="List the stored runs.")
-def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
+def list_(results: Path = opt.RESULTS) -> Result:
     """List the stored runs: status, steps, seed, and which studies hold them."""
     from pneuma.analysis.held import holders
     from pneuma.analysis.run_index import RunIndex
@@ -40,10 +37,6 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         for name, entry in index.entries.items()
         if entry.table is None
     ]  # fmt: skip
-    if json:
-        return print_json({"runs": runs})
-    if not runs:
-        return print(f"No run is stored in {results} yet.")
     rows = []
     for run in runs:
         studies = (
@@ -52,16 +45,16 @@ def list_(results: opt.Results = opt.RESULTS, json: opt.Json = False) -> None:
         rows.append(
             (run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies)
         )
-    return print_table([""] * 5, rows)
+    nothing = f"No run is stored in {results} yet."
+    return Result({"runs": runs}, [Table([""] * 5, rows) if rows else nothing])
 
 
 @app.command(short_help="Show what produced a stored run.")
 def show(
-    name: opt.RunName,
-    all_: Annotated[bool, opt.flag("--all", "Show every field, defaults too.")] = False,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-) -> None:
+    name: str = opt.RUN,
+    all_: bool = opt.flag("--all", "Show every field, defaults too."),
+    results: Path = opt.RESULTS,
+) -> Result:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
     run = stored_runs.stored_run(store, name)
@@ -72,48 +65,52 @@ def show(
     usual = stored_runs.default_settings(run.settings)
     differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
     provenance = store.read_document(run.run_id, "provenance.json")
-    if json:
-        defaults = {key: usual.get(key) for key in differing}
-        about = {"settings": run.settings, "defaults": defaults, "provenance": provenance}
-        head = {"run_id": run.run_id, "status": run.status.name, "step": run.status.step, "studies": held}
-        return print_json({**head, **about, "files": run.files()})
-    detail = f" ({run.status.detail})" if run.status.detail else ""
-    say(f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained")
-    for study in held:
-        say(f"study {study['study']}, condition {study['condition']}, seed {study['seed']}")
-    print("\nFields" if all_ else "\nFields that are not at their defaults (--all shows the others)")
-    for key, value in (run.settings if all_ else differing).items():
-        default = f"   (default {shown_value(usual.get(key))})" if key in differing else ""
-        say(f"  {key} = {shown_value(value)}{default}")
-    print(
-        "\nProvenance" if provenance else "\nProvenance: none, or damaged; it is written when a run has ended"
-    )
+    defaults, files = {key: usual.get(key) for key in differing}, run.files()
+
+    def shown() -> Iterator[str | Table]:
+        detail = f" ({run.status.detail})" if run.status.detail else ""
+        yield f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained"
+        for study in held:
+            yield f"study {study['study']}, condition {study['condition']}, seed {study['seed']}"
+        yield ""
+        yield "Fields" if all_ else "Fields that are not at their defaults (--all shows the others)"
+        for key, value in (run.settings if all_ else differing).items():
+            default = f"   (default {shown_value(defaults[key])})" if key in defaults else ""
+            yield f"  {key} = {shown_value(value)}{default}"
+        yield ""
+        yield "Provenance" + ("" if provenance else ": none, or damaged; it is written when a run has ended")
+        yield from _provenance_lines(provenance)
+        yield ""
+        yield "Files"
+        rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in files]
+        yield Table([""] * 3, rows)
+
+    head = {"run_id": run.run_id, "status": run.status.name, "step": run.status.step, "studies": held}
+    about = {"settings": run.settings, "defaults": defaults, "provenance": provenance}
+    return Result({**head, **about, "files": files}, shown())
+
+
+def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
     for key, value in provenance.items():
         if isinstance(value, dict):
             value = ", ".join(f"{name} {version}" for name, version in value.items())
         if key == "attempts" and isinstance(value, list):
             value = f"{len(value)} (--json tells the machine of each)"
-        say(f"  {key:<12} {shown_value(value)}")
-    print("\nFiles")
-    files = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in run.files()]
-    return print_table([""] * 3, files)
+        yield f"  {key:<12} {shown_value(value)}"
 
 
 @app.command(short_help="Go on from a checkpoint with something changed.")
 def fork(
-    name: opt.RunName,
-    at: Annotated[Any, opt.count("--at", "Go on from the checkpoint nearest before this step.")],
-    set_: opt.Settings = None,
-    reset: Annotated[
-        str, opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")
-    ] = "",
-    seeds: opt.Seeds = "3",
-    workers: opt.Workers = None,
-    trust: opt.Trust = False,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-    quiet: opt.Quiet = False,
-) -> int:
+    name: str = opt.RUN,
+    at: Any = opt.count("--at", "Go on from the checkpoint nearest before this step.", opt.REQUIRED),
+    set_: opt.SeveralRead = opt.SETTINGS,
+    reset: str = opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.", default=""),
+    seeds: Any = opt.seeds_of_runs("3"),
+    workers: Any = opt.WORKERS,
+    trust: bool = opt.TRUST,
+    results: Path = opt.RESULTS,
+    quiet: bool = opt.QUIET,
+) -> Result:
     """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
 
     The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
@@ -121,8 +118,7 @@ def fork(
     """
     store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
     plan = plan_fork(store, stored_runs.find_run(store, name), at, change, seeds, trust)
-    how = ExecutorConfig(workers=opt.most_workers(workers))
-    return train(plan, store, how, retry_failed=True, json=json, quiet=quiet)
+    return train(plan, store, ExecutorConfig(workers=opt.most_workers(workers)), True, quiet)
 
 
 # --- export ----------------------------------------------------------------------------------------
@@ -130,13 +126,14 @@ def fork(
 
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
-    name: opt.RunName,
-    out: Annotated[Path, opt.option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
-    trust: opt.Trust = False,
-    force: opt.Force = False,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-) -> None:
+    name: str = opt.RUN,
+    out: Path = opt.option(
+        "--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.", default=opt.REQUIRED
+    ),
+    trust: bool = opt.TRUST,
+    force: bool = opt.FORCE,
+    results: Path = opt.RESULTS,
+) -> Result:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"), force)
     store = Store(results)
@@ -146,11 +143,8 @@ def export(
     except UserError as error:
         raise UserError(f"run {run.run_id}: {error}") from None
     write_file(out, data)
-    if json:
-        return print_json({"run_id": run.run_id, "file": out, "bytes": len(data)})
-    return say(
-        f"wrote {out}: {len(data):,} bytes, the policy of run {run.run_id} after {run.status.step:,} steps"
-    )
+    told = f"wrote {out}: {len(data):,} bytes, the policy of run {run.run_id} after {run.status.step:,} steps"
+    return Result({"run_id": run.run_id, "file": out, "bytes": len(data)}, [told])
 
 
 def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:

@@ -2,87 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
+    Result,
+    Table,
     check_file,
     command,
     draw_files,
-    print_json,
-    print_listed,
-    print_table,
+    listed_result,
     read_formats,
     say,
-    tell_written,
     write_file,
+    wrote,
 )
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import LOCAL_CONFIG, Detached, ExecutorConfig
+from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.search.promote import Gain, Winner
     from pneuma.search.spec import Search
+    from pneuma.search.storage import RecordedSearch
     from pneuma.search.trials import EndedTrial, Task
 
-app = typer.Typer(
-    help="Find hyperparameters over several seeds, and confirm them on fresh ones.",
+app = opt.Commands(
+    "Find hyperparameters over several seeds, and confirm them on fresh ones.",
     short_help="Find hyperparameters, and confirm them on fresh seeds.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
 )
 
-SearchName = Annotated[
-    str, opt.argument("NAME", "A search's name, or the path of a search file (….toml).", complete.searches)
-]
+SEARCH = opt.argument("NAME", "A search's name, or the path of a search file (….toml).", complete.searches)
 
 
 # --- What there is --------------------------------------------------------------------------------
 
 
 @app.command("list")
-def list_(json: opt.Json = False) -> None:
+def list_() -> Result:
     """List the shipped searches."""
-    return print_listed("search", "searches", spec.studies_folder() / "search", json)
+    return listed_result("search", "searches", spec.studies_folder() / "search")
 
 
 @app.command()
-def show(name: SearchName, world: opt.WorldName = None, json: opt.Json = False) -> None:
+def show(name: str = SEARCH, world: opt.Text = opt.WORLD) -> Result:
     """Show what a search varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
     search = load_search(name, world)
-    if json:
-        return print_json(_written(search))
-    say(search.title + (f" (thesis section {search.spec.section})" if search.spec.section else ""))
-    for line in search.spec.about.splitlines():
-        say(line)
-    print("\nSpace:")
-    print_table(("", ""), [(f"  {parameter.name}", str(parameter)) for parameter in search.space.parameters])
-    print("\nObjectives:")
-    for objective in search.objectives:
-        say(f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
-    for preset, budget in search.spec.presets.items():
-        trials, seeds = counted(budget.trials, "trial"), counted(len(budget.seeds), "seed")
-        print(f"  {preset:<9} {trials}, {seeds} each, {budget.steps:,} steps a run")
-    return None
-
-
-def _written(search: Search) -> dict[str, Any]:
-    """Return a search as JSON, with the keys of its file."""
-    return {
+    document = {
         "search": search.name,
         "world": search.world,
         **search.spec.model_dump(),
@@ -91,24 +68,45 @@ def _written(search: Search) -> dict[str, Any]:
         "space": {parameter.name: parameter.written for parameter in search.space.parameters},
         "objectives": {each.name: each.model_dump(exclude={"name"}) for each in search.objectives},
     }
+    return Result(document, _show(search))
+
+
+def _show(search: Search) -> Iterator[str | Table]:
+    yield search.title + (f" (thesis section {search.spec.section})" if search.spec.section else "")
+    yield from search.spec.about.splitlines()
+    yield ""
+    yield "Space:"
+    yield Table(("", ""), [(f"  {parameter.name}", str(parameter)) for parameter in search.space.parameters])
+    yield ""
+    yield "Objectives:"
+    for objective in search.objectives:
+        yield f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
+    for preset, budget in search.spec.presets.items():
+        trials, seeds = counted(budget.trials, "trial"), counted(len(budget.seeds), "seed")
+        yield f"  {preset:<9} {trials}, {seeds} each, {budget.steps:,} steps a run"
 
 
 @app.command()
-def status(
-    name: SearchName, world: opt.WorldName = None, results: opt.Results = opt.RESULTS, json: opt.Json = False
-) -> None:
+def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
     """Show how far a search is, and its best trials."""
     from pneuma.search.storage import read_record
 
-    store = Store(results)
-    searched = read_record(store, name, world)
-    search, budget, best = searched.task.search, searched.task.budget, searched.best
-    if json:
-        amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
-        return print_json({**_document(searched.task, searched.trials), **amount})
-    print(f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each")
-    for objective in search.objectives:
-        say(f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}")
+    searched = read_record(Store(results), name, world)
+    budget = searched.task.budget
+    amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
+    document = {**_document(searched.task, searched.trials), **amount}
+    return Result(document, _status(searched, _asked_words(name, world, results)))
+
+
+def _asked_words(name: str, world: str | None, results: Path) -> list[object]:
+    return [name, *(["--world", world] if world else []), "--results", results]
+
+
+def _status(searched: RecordedSearch, asked: Sequence[object]) -> Iterator[str | Table]:
+    budget, best = searched.task.budget, searched.best
+    yield f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each"
+    for objective in searched.task.search.objectives:
+        yield f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
     among, rows = best if isinstance(best, list) else [best], []
     for trial in searched.trials:
         params = ", ".join(
@@ -117,62 +115,57 @@ def status(
         )
         mark = "*" if trial.number in among else ""
         rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
-    print_table(("", "trial", "", "value", "", ""), rows)
-    named = (name, *(["--world", world] if world else []), "--results", store.root)
+    yield Table(("", "trial", "", "value", "", ""), rows)
     if best is None:
-        print("No trial is complete yet.")
+        yield "No trial is complete yet."
     elif isinstance(best, int):
-        say(f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *named)}")
+        yield f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *asked)}"
     else:
-        print(f"Pareto front (*): trials {', '.join(map(str, best)) or 'none yet'}.")
-    return say(f"Look closer with: {command('search', 'plot', *named)}")
+        yield f"Pareto front (*): trials {', '.join(map(str, best)) or 'none yet'}."
+    yield f"Look closer with: {command('search', 'plot', *asked)}"
 
 
 @app.command(short_help="Draw a search.")
 def plot(
-    name: SearchName,
-    out: opt.PlotFolder = None,
-    world: opt.WorldName = None,
-    format: opt.Formats = None,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-) -> None:
+    name: str = SEARCH,
+    out: Path | None = opt.PLOT_FOLDER,
+    world: opt.Text = opt.WORLD,
+    format: opt.SeveralRead = opt.FORMATS,
+    results: Path = opt.RESULTS,
+) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     formats, store = read_formats(format, out), Store(results)
-    from pneuma.figures.search import draw_search
+    from pneuma.figures.search import search_page
     from pneuma.search.storage import read_record
 
-    searched = read_record(store, name, world)
+    page = search_page(read_record(store, name, world))
     formats_asked = (word for each in formats for word in ("--format", each))
-    again = command("search", "plot", name, *(["--world", world] if world else []), *formats_asked)
-    paths = draw_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
-    if not paths:
+    again = command("search", "plot", *_asked_words(name, world, results), *formats_asked)
+    files = draw_files(store, out, formats, [(page, again)] if page else [])
+    if page is None:
         say("Note: nothing is drawn before a trial is complete.", aside=True)
-    return tell_written(paths, json)
+    return Result({"figures": files}, wrote(files))
 
 
 # --- run ------------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Search for hyperparameters, or go on with a search.")
-@opt.grouped
 def run(
-    name: SearchName,
-    preset: Annotated[str, opt.option("--preset", "|".join(spec.PRESETS), "How much to search.")] = "quick",
-    trials: Annotated[Any, opt.count("--trials", "How many trials, those stored among them.")] = None,
-    seeds: Annotated[
-        Any, opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED)
-    ] = None,
-    steps: opt.Steps = None,
-    set_: opt.Settings = None,
-    world: opt.WorldName = None,
-    workers: opt.Workers = None,
-    place: ExecutorConfig = LOCAL_CONFIG,
-    retry_failed: opt.RetryFailed = False,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-    quiet: opt.Quiet = False,
-) -> int:
+    place: opt.Place,
+    name: str = SEARCH,
+    preset: str = opt.option("--preset", "|".join(spec.PRESETS), "How much to search.", default="quick"),
+    trials: Any = opt.count("--trials", "How many trials, those stored among them."),
+    seeds: Any = opt.seeds(
+        "--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED
+    ),
+    steps: Any = opt.STEPS,
+    set_: opt.SeveralRead = opt.SETTINGS,
+    world: opt.Text = opt.WORLD,
+    retry_failed: bool = opt.RETRY_FAILED,
+    results: Path = opt.RESULTS,
+    quiet: bool = opt.QUIET,
+) -> Result:
     """Search for hyperparameters, going on where the search was stopped."""
     from pneuma.search import storage
     from pneuma.search.trials import Unfinished, best_number
@@ -181,7 +174,7 @@ def run(
         raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     store = Store(results)
     task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
-    how = replace(place, workers=opt.most_workers(workers, place))
+    how = place.config()
     ended_trials: list[EndedTrial] = []
     tell = partial(say, aside=True, quiet=quiet)
     train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
@@ -204,13 +197,12 @@ def run(
         stopped = str(left) if isinstance(left, Detached) else "Stopped."
         say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
         code = 130
-    if json:
-        print_json(_document(task, ended_trials))
-    elif not code:
-        at = (name, *(["--world", world] if world else []), "--results", store.root)
-        say(f"See its trials with: {command('search', 'status', *at)}", quiet=quiet)
-        say(f"Draw it with: {command('search', 'plot', *at)}", quiet=quiet)
-    return code
+    asked = _asked_words(name, world, results)
+    shown = [
+        f"See its trials with: {command('search', 'status', *asked)}",
+        f"Draw it with: {command('search', 'plot', *asked)}",
+    ]
+    return Result(_document(task, ended_trials), [] if code or quiet else shown, code=code)
 
 
 def _task(
@@ -292,24 +284,18 @@ def _value(trial: EndedTrial) -> str:
 
 @app.command(short_help="Train winners of searches on fresh seeds.")
 def promote(
-    names: Annotated[
-        list[str],
-        opt.argument("NAME", "Searches, or their files; several must be tuned alike.", complete.searches),
-    ],
-    seeds: opt.Seeds = "10",
-    steps: opt.Steps = None,
-    trial: Annotated[
-        int | None, typer.Option("--trial", metavar="N", help="Which trial (default: the best).")
-    ] = None,
-    out: Annotated[
-        Path | None, opt.option("--out", "FILE", "Write the study to a .toml file; train nothing.")
-    ] = None,
-    world: opt.WorldName = None,
-    workers: opt.Workers = None,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-    quiet: opt.Quiet = False,
-) -> int:
+    names: list[str] = opt.argument(
+        "NAME", "Searches, or their files; several must be tuned alike.", complete.searches
+    ),
+    seeds: Any = opt.seeds_of_runs("10"),
+    steps: Any = opt.STEPS,
+    trial: int | None = opt.number("--trial", "Which trial (default: the best)."),
+    out: Path | None = opt.option("--out", "FILE", "Write the study to a .toml file; train nothing."),
+    world: opt.Text = opt.WORLD,
+    workers: Any = opt.WORKERS,
+    results: Path = opt.RESULTS,
+    quiet: bool = opt.QUIET,
+) -> Result:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search.promote import find_winners, gains, winners_study
     from pneuma.search.storage import read_record
@@ -331,11 +317,8 @@ def promote(
         if out.exists():
             raise UserError(f"--out {out}: is there already; name another, or remove it first")
         write_file(out, text)
-        say(f"wrote {out}", aside=json)
-        say(f"Train it with: {command('study', 'run', out, '--results', results)}", aside=json)
-        if json:
-            print_json({"study": out, "winners": chosen})
-        return 0
+        train_with = f"Train it with: {command('study', 'run', out, '--results', results)}"
+        return Result({"study": out, "winners": chosen}, notes=[f"wrote {out}", train_with])
     study = "-".join(["promoted", *(searched.task.search.label for searched in searches)])
     path = store.root / "searches" / f"{study}.toml"
     store.check_writable()
@@ -343,29 +326,28 @@ def promote(
     say(f"wrote {path}", aside=True, quiet=quiet)
     planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=seeds, steps=steps))
     how = ExecutorConfig(workers=opt.most_workers(workers))
-    code = train_study(planned, store, how, retry_failed=True, json=json, quiet=quiet, document=False)
+    trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
-    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged}
-    if code:
+    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged, "winners": chosen}
+    shown: list[str | Table] = []
+    if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
     else:
         for winner, row in zip(winners, chosen, strict=True):
             row["objectives"] = gains(winner, planned, store)
-    if json:
-        print_json({**document, "winners": chosen})
-    elif not code:
-        for winner, row in zip(winners, chosen, strict=True):
-            _print_gains(winner, row["objectives"], len(seeds))
-        for arm, count in diverged.items():
-            if count:
-                print(f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search")
-    return code
+            shown += _show_gains(winner, row["objectives"], len(seeds))
+        shown += [
+            f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
+            for arm, count in diverged.items()
+            if count
+        ]
+    return Result(document, shown, notes=trained.notes, code=trained.code)
 
 
-def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
+def _show_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> Iterator[str | Table]:
     search = winner.searched.task.search
-    print(f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:")
+    yield f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:"
     heads = ("", "in the search", "on fresh seeds", "base", "difference of means", "95 % interval", "luck")
     rows = []
     for objective in search.objectives:
@@ -375,5 +357,5 @@ def _print_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> None:
         gained = f"{gain.difference:+.4f}", interval, f"{gain.luck:+.4f}"
         shown = ("–" if "nan" in text else text for text in (*values, *gained))
         rows.append((f"{objective.over_seeds} of {objective.outcome}", *shown))
-    print_table(heads, rows)
-    print("Luck: by how much the search's seeds had flattered it.")
+    yield Table(heads, rows)
+    yield "Luck: by how much the search's seeds had flattered it."

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import complete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli.output import print_json, print_listed, print_table, say, tallied, write_file
+from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_file
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, spec
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
-app = typer.Typer(help="Compare conditions over many seeds.", no_args_is_help=True, rich_markup_mode=None)
+if TYPE_CHECKING:
+    from pneuma.analysis.asked import Asked
+    from pneuma.analysis.run_index import RunIndex
+
+app = opt.Commands("Compare conditions over many seeds.")
 
 app.command("plan", short_help="Say which runs are stored, and which would be trained.")(study_run.plan_)
 app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
@@ -33,17 +36,17 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 
 
 @app.command("list")
-def list_(json: opt.Json = False) -> None:
+def list_() -> Result:
     """List the shipped studies."""
-    return print_listed("study", "studies", spec.studies_folder(), json)
+    return listed_result("study", "studies", spec.studies_folder())
 
 
 @app.command(short_help="Write a study file to edit.")
 def new(
-    name: Annotated[str, opt.argument("NAME", "The new study's name.")],
-    source: Annotated[
-        str, opt.option("--from", "STUDY", "The shipped study to copy, without its words on the thesis.")
-    ] = "activation",
+    name: str = opt.argument("NAME", "The new study's name."),
+    source: str = opt.option(
+        "--from", "STUDY", "The shipped study to copy, without its words on the thesis.", default="activation"
+    ),
 ) -> None:
     """Write NAME.toml into this folder: a copy of a shipped study, to be edited."""
     if not re.fullmatch(r"[\w-]+", name):
@@ -68,49 +71,45 @@ def new(
 
 
 @app.command(short_help="Show what a study compares, and its presets.")
-def show(
-    name: opt.StudyName,
-    world: opt.WorldName = None,
-    results: opt.Results = opt.RESULTS,
-    json: opt.Json = False,
-) -> None:
+def show(name: str = opt.STUDY, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
     """Show what a study compares: its conditions as resolved, and its presets."""
     from pneuma.analysis.asked import ask
     from pneuma.analysis.run_index import RunIndex
 
     asked = ask(RunIndex(Store(results)), name, world=world)
+    study = asked.study
+    about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
+    presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
+    head = {"study": asked.name, "title": asked.title, "baseline": asked.baseline}
+    return Result({**head, **about, "conditions": asked.fields, "presets": presets}, _show(asked))
+
+
+def _show(asked: Asked) -> Iterator[str | Table]:
     study, fields = asked.study, asked.fields
-    if json:
-        about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
-        presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
-        head = {"study": asked.name, "title": asked.title, "baseline": asked.baseline}
-        return print_json({**head, **about, "conditions": fields, "presets": presets})
-    say(asked.title + (f" (thesis section {study.section})" if study and study.section else ""))
+    several, differing = len(fields) > 1, plan.differing_fields(fields)
+    yield asked.title + (f" (thesis section {study.section})" if study and study.section else "")
     if study:
-        say(study.about)
-    differing = plan.differing_fields(fields)
-    if len(fields) > 1:
-        print("\nThe conditions differ in:" if differing else "\nThe conditions do not differ: this is A/A.")
-    for key, values in differing.items():
-        having: dict[str, list[str]] = {}
-        for condition, value in values.items():
-            having.setdefault(shown_value(value), []).append(condition)
-        names = (
-            ", ".join(those) if len(those) <= 4 else f"{len(those)} conditions" for those in having.values()
-        )
-        each = map("{} ({})".format, having, names)
-        say(f"  {key}: {'; '.join(each)}")
-    if len(fields) > 1:
-        say(f"Compared with: {asked.baseline}")
-    print("\nAll conditions share:" if len(fields) > 1 else "\nThe one condition has:")
+        yield study.about
+    if several:
+        yield ""
+        yield "The conditions differ in:" if differing else "The conditions do not differ: this is A/A."
+    yield from (f"  {key}: {_who_has(values)}" for key, values in differing.items())
+    if several:
+        yield f"Compared with: {asked.baseline}"
+    yield ""
+    yield "All conditions share:" if several else "The one condition has:"
     for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
-            say(f"  {key} = {shown_value(value)}")
+            yield f"  {key} = {shown_value(value)}"
     if study is None:
-        return say(f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}")
+        yield f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}"
+        return
     from pneuma.analysis.claims_preset import fixed_amounts
 
-    print(f"\nRuns in: {', '.join(study.worlds)} (here {study.world})\n\nPresets:")
+    yield ""
+    yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
+    yield ""
+    yield "Presets:"
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
     amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
     rows = [
@@ -118,40 +117,35 @@ def show(
         for preset, of_conditions in amounts
         for condition, amount in of_conditions.items()
     ]
-    return print_table([""] * 3, rows)
+    yield Table([""] * 3, rows)
+
+
+def _who_has(values: Mapping[str, Any]) -> str:
+    """Return the values of a field, each with the conditions that have it, or their number."""
+    having: dict[str, list[str]] = {}
+    for condition, value in values.items():
+        having.setdefault(shown_value(value), []).append(condition)
+    names = (", ".join(each) if len(each) <= 4 else f"{len(each)} conditions" for each in having.values())
+    return "; ".join(map("{} ({})".format, having, names))
 
 
 # --- status ----------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Say how far the runs of a study are.")
-@opt.grouped
 def status(
-    picked: opt.Chosen,
-    name: Annotated[
-        str | None, opt.argument("NAME", "A study; left out: all that were run.", complete.studies)
-    ] = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    name: opt.Text = opt.argument(
+        "NAME", "A study; left out: all that were run.", complete.studies, default=None
+    ),
+) -> Result:
     """Say how far the runs of a study are."""
     from pneuma.analysis.asked import answer, ask
-    from pneuma.analysis.held import studies_here
     from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(picked.store)
     if name is None:
-        held = studies_here(index, picked.world)
-        if json:
-            keys = ("run_id", "status", "step")
-            return print_json({
-                "studies": [
-                    {"study": one.name, "world": one.world,
-                     "runs": [{key: getattr(entry, key) for key in keys} for entry in one.entries]}
-                    for one in held
-                ]
-            })  # fmt: skip
-        rows = [(one.name, one.world, tallied(entry.status for entry in one.entries)) for one in held]
-        return print_table([""] * 3, rows) if rows else print(f"No study was run in {picked.store.root} yet.")
+        return _every_status(index, picked.world)
     jobs = _queued(picked.store)
     shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
     say(shown.told(), aside=True)
@@ -159,19 +153,31 @@ def status(
     table = []
     for condition, seed, entry in shown.runs:
         about = {"run_id": entry.run_id, "condition": condition, "seed": seed}
-        runs.append(
-            {**about, "status": entry.status, "step": entry.step, "published": entry.table is not None}
-        )
-        label = f"{entry.status} as published" if entry.table else entry.status
+        published = entry.table is not None
+        runs.append({**about, "status": entry.status, "step": entry.step, "published": published})
+        label = f"{entry.status} as published" if published else entry.status
         label += f" at step {entry.step:,}" if entry.step and not entry.finished else ""
         if job := jobs.get(entry.run_id):
             label += f" job {job['job']} {job['state'].lower()}"
         table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
-    if json:
-        queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
-        return print_json({"study": shown.asked.name, "runs": runs, "jobs": queued})
-    print_table([""] * 4, table)
-    return print(tallied(entry.status for *_, entry in shown.runs))
+    queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
+    told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
+    return Result({"study": shown.asked.name, "runs": runs, "jobs": queued}, told)
+
+
+def _every_status(index: RunIndex, world: str | None) -> Result:
+    """Return how far each study is of which runs are here."""
+    from pneuma.analysis.held import studies_here
+
+    held, keys = studies_here(index, world), ("run_id", "status", "step")
+    studies = [
+        {"study": one.name, "world": one.world,
+         "runs": [{key: getattr(entry, key) for key in keys} for entry in one.entries]}
+        for one in held
+    ]  # fmt: skip
+    rows = [(one.name, one.world, tallied(entry.status for entry in one.entries)) for one in held]
+    nothing = f"No study was run in {index.store.root} yet."
+    return Result({"studies": studies}, [Table([""] * 3, rows) if rows else nothing])
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import (
-    check_file,
-    draw_files,
-    print_json,
-    read_formats,
-    say,
-    tell_written,
-    write_file,
-)
-from pneuma.cli.study_records import each_study, nothing_yet, open_data
+from pneuma.cli.output import Result, check_file, draw_files, read_formats, say, write_file, wrote
+from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
-from pneuma.study.plan import Selection
 from pneuma.study.quantities import (
     ACTION_QUANTITIES,
     CURVE_QUANTITIES,
@@ -35,9 +25,11 @@ from pneuma.study.quantities import (
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
+    from pneuma.figures.grid import Page
     from pneuma.study.store import Store
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
+_ENDINGS = ", ".join(EXPORT_SUFFIXES)
 PUBLISHED_CURVES = (
     "return", "length", "hp", "entropy", "grad_norm", "approx_kl", "explained_variance", "dead_units",
     *ACTION_QUANTITIES,
@@ -48,79 +40,78 @@ PUBLISHED_CURVES = (
 # --- plot -----------------------------------------------------------------------------------------
 
 
-@opt.grouped
 def plot(
-    picked: opt.Chosen,
-    names: Annotated[
-        list[str] | None, opt.argument("NAME", "Studies; left out: all that were run.", complete.studies)
-    ] = None,
-    figure: Annotated[
-        opt.Text,
-        opt.choice(
-            "--figure",
-            FIGURE_KINDS,
-            "Curves over steps (default for seven conditions or less), or a summary.",
-        ),
-    ] = None,
-    quantity: Annotated[
-        list[Any] | None,
-        opt.choice(
-            "--quantity",
-            (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
-            "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
-            "NAME",
-        ),
-    ] = None,
-    band: Annotated[
-        opt.Text,
-        opt.choice(
-            "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
-        ),
-    ] = None,
-    window: Annotated[opt.Text, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
-    beside: Annotated[
-        opt.Text, opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too.")
-    ] = None,
-    format: opt.Formats = None,
-    out: opt.PlotFolder = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    names: opt.Several = opt.argument(
+        "NAME", "Studies; left out: all that were run.", complete.studies, default=None
+    ),
+    figure: opt.Text = opt.choice(
+        "--figure",
+        FIGURE_KINDS,
+        "Curves over steps (default for seven conditions or less), or a summary.",
+    ),
+    quantity: opt.SeveralRead = opt.choice(
+        "--quantity",
+        (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
+        "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
+        "NAME",
+    ),
+    band: opt.Text = opt.choice(
+        "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
+    ),
+    window: opt.Text = opt.choice("--window", WINDOWS, "Which episodes a point averages."),
+    beside: opt.Text = opt.option(
+        "--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."
+    ),
+    format: opt.SeveralRead = opt.FORMATS,
+    out: Path | None = opt.PLOT_FOLDER,
+) -> Result:
     """Draw a study: curves over its steps, or a summary of its outcomes."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
-    from pneuma.figures.curves import draw_study
-    from pneuma.figures.summary import draw_summary
+    from pneuma.figures.curves import curves_page
+    from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    other = open_data(opt.Chosen(Selection(), None, store), beside) if beside else None
+    all_runs = replace(picked, seeds=None, steps=None, condition=None, set_=None, world=None)
+    other = all_runs.open(beside) if beside else None
 
-    def draw_one(folder: Path, asked: tuple[str, str | None]) -> list[Path]:
-        name, world = asked
-        data = open_data(replace(picked, world=world), name)
-        words = ["plot", name, *(["--beside", beside] if beside else [])]
+    def page(name: str, picked: opt.Picked) -> tuple[Page, str]:
+        data = picked.open(name)
         of_curves = quantity or band or window or beside or fits_panel(data)
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
-        look: dict[str, Iterable[str]] = {"figure": [kind], "format": formats}
         if kind == "summary":
-            return draw_summary(data, folder, formats, command=opt.drawing_command(words, picked, look))
+            return summary_page(data), picked.again(data, "plot", name, figure=[kind], format=formats)
         quantities = _quantities(data, quantity or [])
-        given = {"band": filter(None, [band]), "window": filter(None, [window])}
-        again = opt.drawing_command(words, picked, {**look, "quantity": quantities, **given})
-        return draw_study(data, folder, quantities, band, window, formats, beside=other, command=again)
+        given = {"band": band, "window": window, "beside": beside}
+        look = {key: [value] for key, value in given.items() if value}
+        again = picked.again(data, "plot", name, figure=[kind], format=formats, quantity=quantities, **look)
+        return curves_page(data, quantities, band, window, beside=other), again
 
-    def draw(folder: Path) -> list[Path]:
-        one = partial(draw_one, folder)
-        asked = [(name, picked.world) for name in names or ()]
-        drawn = [*map(one, asked)] if names else each_study(_run_here(picked), one)
-        return [path for paths in drawn for path in paths]
+    def pages() -> Iterator[tuple[Page, str]]:
+        if names:
+            yield from (page(name, picked) for name in names)
+            return
+        drawn, problems = 0, []
+        for name, world in _run_here(picked):
+            try:
+                yield page(name, replace(picked, world=world))
+                drawn += 1
+            except UserError as error:
+                problems.append(error)
+        if not drawn:
+            raise problems[0]
+        for problem in problems:
+            say(f"Note: {problem}.", aside=True)
 
-    tell_written(draw_files(store, out, draw), json)
+    files = draw_files(store, out, formats, pages())
+    return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.Chosen) -> list[tuple[str, str | None]]:
+def _run_here(picked: opt.Picked) -> list[tuple[str, str | None]]:
     """Return the studies, each with its world, all of whose conditions have runs in the results folder."""
     from pneuma.analysis.held import studies_here
     from pneuma.analysis.run_index import RunIndex
@@ -147,24 +138,20 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
 # --- export ---------------------------------------------------------------------------------------
 
 
-@opt.grouped
 def export(
-    name: opt.StudyName,
-    table: Annotated[str, opt.choice("--table", EXPORT_TABLES, "What to export.")],
-    out: Annotated[
-        Path,
-        opt.option("--out", "FILE", f"The file to write, in {', '.join(EXPORT_SUFFIXES)}; - prints CSV."),
-    ],
-    picked: opt.Chosen,
-    band: Annotated[
-        opt.Text,
-        opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
-    ] = None,
-    window: Annotated[
-        opt.Text, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
-    ] = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    name: str = opt.STUDY,
+    table: str = opt.choice("--table", EXPORT_TABLES, "What to export.", default=opt.REQUIRED),
+    out: Path = opt.option(
+        "--out",
+        "FILE",
+        f"The file to write, in {_ENDINGS}; - prints CSV.",
+        default=opt.REQUIRED,
+    ),
+    band: opt.Text = opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
+    window: opt.Text = opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages."),
+    json: bool = opt.JSON,
+) -> Result | None:
     """Write a study's records as one tidy table."""
     if (band or window) and table != "curves":
         raise UserError("--band and --window: go with --table curves alone")
@@ -173,7 +160,7 @@ def export(
         check_file(out, EXPORT_SUFFIXES)
     elif json:
         raise UserError("--json: standard output is for the table; name a file by --out")
-    data = open_data(picked, name)
+    data = picked.open(name)
     from pneuma.analysis.export import encode_table
 
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
@@ -182,9 +169,7 @@ def export(
         sys.stdout.buffer.write(encoded)
         return None
     write_file(out, encoded)
-    if json:
-        return print_json({"file": out, "rows": rows})
-    return say(f"wrote {out}: {counted(rows, 'row')}")
+    return Result({"file": out, "rows": rows}, [f"wrote {out}: {counted(rows, 'row')}"])
 
 
 # --- publish --------------------------------------------------------------------------------------
@@ -202,38 +187,29 @@ def _read_curves(text: str) -> tuple[str, ...]:
     )
 
 
-@opt.grouped
 def publish(
-    name: opt.StudyName,
-    picked: opt.Chosen,
-    curves: Annotated[
-        Any,
-        opt.option(
-            "--curves",
-            "NAME,…|none",
-            "Keep curves of these quantities, not of the usual.",
-            _read_curves,
-        ),
-    ] = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    name: str = opt.STUDY,
+    curves: Any = opt.option(
+        "--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.", _read_curves
+    ),
+) -> Result:
     """Write a study's runs as rows of one small table, from which they are read where they are not stored.
 
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
     store = picked.store
-    data = open_data(picked, name)
+    data = picked.open(name)
     from pneuma.study.locks import run_lock
 
     with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
         if not alone:
             raise UserError(f"another command publishes from {store.root}: try again when it has ended")
         path, encoded, new, staying = _publish(store, data, curves or PUBLISHED_CURVES)
-    if json:
-        written = {"study": data.study, "file": path, "bytes": len(encoded)}
-        return print_json({**written, "runs": new, "staying": staying})
     more = f", {staying} as they were published before" if staying else ""
-    return say(f"wrote {path}: {counted(new, 'run')} from here{more}; {len(encoded) / 1000:.0f} kB")
+    told = f"wrote {path}: {counted(new, 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
+    written = {"study": data.study, "file": path, "bytes": len(encoded)}
+    return Result({**written, "runs": new, "staying": staying}, [told])
 
 
 def _publish(store: Store, data: StudyData, curves: Sequence[str]) -> tuple[Path, bytes, int, int]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import command, print_json, print_table, say, tallied
+from pneuma.cli.output import Result, Table, command, say, tallied
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import LOCAL_CONFIG, Detached, ExecutorConfig
+from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
 from pneuma.study.provenance import uncommitted
@@ -25,18 +24,10 @@ UNFINISHED_STATUSES = ("crashed", "killed", "timeout", "damaged", "running", "pa
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
 
-Unpublished = Annotated[
-    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
-]
+UNPUBLISHED = opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
 
 
-@opt.grouped
-def plan_(
-    name: opt.StudyName,
-    chosen: opt.Chosen,
-    unpublished: Unpublished = False,
-    json: opt.Json = False,
-) -> None:
+def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLISHED) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
     store = chosen.store
     planned = _plan(chosen, name, unpublished)
@@ -49,47 +40,37 @@ def plan_(
         for key, run in todo.items()
     }
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
-    if json:
-        cells = [
-            {**_cell(cell), "state": states[cell.run_id], "expected_seconds": seconds.get(cell.run_id)}
-            for cell in planned.cells
-        ]
-        return print_json({"study": planned.study.name, "runs": cells})
-    for note in planned.notes:
-        say(f"Note: {note}.")
+    cells = [
+        {**_cell(cell), "state": states[cell.run_id], "expected_seconds": seconds.get(cell.run_id)}
+        for cell in planned.cells
+    ]
     rows = []
     for condition in planned.conditions:
         of_condition = [cell for cell in planned.cells if cell.condition == condition]
         counts = tallied(states[cell.run_id] for cell in of_condition)
         rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
-    print_table([""] * 3, rows)
-    print(f"{tallied(states.values())}.")
+    shown: list[str | Table] = [Table([""] * 3, rows), f"{tallied(states.values())}."]
     if todo:
         at_once = opt.most_workers(None)
         expected = duration(max(sum(seconds.values()) / at_once, *seconds.values()))
         rough = "" if all(is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
-        print(f"To train: about {expected} with {at_once} at once{rough}.")
-    return None
+        shown.append(f"To train: about {expected} with {at_once} at once{rough}.")
+    notes = [f"Note: {note}." for note in planned.notes]
+    return Result({"study": planned.study.name, "runs": cells}, shown, notes=notes)
 
 
-@opt.grouped
 def run(
-    name: opt.StudyName,
     chosen: opt.Chosen,
-    workers: opt.Workers = None,
-    place: ExecutorConfig = LOCAL_CONFIG,
-    checkpoint_seconds: Annotated[
-        float,
-        typer.Option("--checkpoint-seconds", metavar="S", min=0.01, help="Between two checkpoints of a run."),
-    ] = 15.0,
-    tensorboard: Annotated[
-        Path | None, opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train.")
-    ] = None,
-    retry_failed: opt.RetryFailed = False,
-    unpublished: Unpublished = False,
-    json: opt.Json = False,
-    quiet: opt.Quiet = False,
-) -> int:
+    place: opt.Place,
+    name: str = opt.STUDY,
+    checkpoint_seconds: float = opt.number(
+        "--checkpoint-seconds", "Between two checkpoints of a run.", 15.0, metavar="S", min=0.01
+    ),
+    tensorboard: Path | None = opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train."),
+    retry_failed: bool = opt.RETRY_FAILED,
+    unpublished: bool = UNPUBLISHED,
+    quiet: bool = opt.QUIET,
+) -> Result:
     """Train the missing runs of a study, resuming those that were stopped."""
     store = chosen.store
     if chosen.selection.preset == spec.CLAIMS and (changed := uncommitted()):
@@ -99,34 +80,23 @@ def run(
         )
     planned = _plan(chosen, name, unpublished)
     how = replace(
-        place,
-        workers=opt.most_workers(workers, place),
+        place.config(),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},
     )
-    return train(planned, store, how, retry_failed, json, quiet)
+    return train(planned, store, how, retry_failed, quiet)
 
 
-def train(
-    planned: plan.Plan,
-    store: Store,
-    how: ExecutorConfig,
-    retry_failed: bool,
-    json: bool,
-    quiet: bool,
-    document: bool = True,
-) -> int:
-    """Train the missing runs of a plan and show the progress; return the exit code.
+def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: bool, quiet: bool) -> Result:
+    """Train the missing runs of a plan and show the progress.
 
     Args:
         planned: the plan.
         store: where runs are kept.
         how: where and how they are trained.
         retry_failed: whether runs that crashed are tried again.
-        json: whether standard output is for a JSON document.
         quiet: whether to print only mistakes.
-        document: whether to print the document here and not in the caller.
     """
     todo, notes = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *notes):
@@ -134,22 +104,20 @@ def train(
     if todo:
         runs = counted(len(todo), "run")
         say(f"Training {runs}; compiling for the first time takes up to a minute.", aside=True, quiet=quiet)
-    results, code = [], STOPPED
+    results, told, code = [], [], STOPPED
     try:
         with ProgressDisplay(todo, store, quiet) as display:
             results = execute.execute(planned, todo, store, how, display.update)
         code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
-        _tell_results(planned, results, store, json, quiet)
+        told = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
     except Detached as left:  # as --detach asks, or by Ctrl-C
         say(str(left), aside=True)
         code = 0 if left.asked else STOPPED
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
-    if json and document:
-        results = results or execute.cell_results(planned, store, todo)
-        rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
-        print_json({"study": planned.study.name, "runs": rows})
-    return code
+    results = results or execute.cell_results(planned, store, todo)
+    rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
+    return Result({"study": planned.study.name, "runs": rows}, notes=told, code=code)
 
 
 def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
@@ -203,21 +171,24 @@ def _state(status: Status, published: bool) -> str:
     return "partial" if status.step else "to-train"
 
 
-def _tell_results(
-    planned: plan.Plan, results: list[execute.CellResult], store: Store, as_json: bool, quiet: bool
-) -> None:
+def _failures(results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
+    """Say which runs did not end as they should, and where to look."""
     for result in results:
         label, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
-            say(f"{label} diverged at step {state.step:,}; its records count", as_json)
+            yield f"{label} diverged at step {state.step:,}; its records count"
         elif state.name in UNFINISHED_STATUSES:
             trace, why = store.run_folder(result.cell.run_id) / "error.txt", result.reason
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
-            say(f"{label} {state.name}: {why}", as_json)
+            yield f"{label} {state.name}: {why}"
+
+
+def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
+    """Count what was trained, and say what draws it."""
     trained = sum(result.trained for result in results)
     states = tallied(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"
-    say(f"{planned.study.name}: {states}; {stored}.", as_json, quiet)
+    yield f"{planned.study.name}: {states}; {stored}."
     if results and not any(result.status.name in UNFINISHED_STATUSES for result in results):
         drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
-        say(f"Draw it with: {drawn}", as_json, quiet)
+        yield f"Draw it with: {drawn}"

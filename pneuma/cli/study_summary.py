@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import OUTPUT_FORMATS, Result, draw_files, print_result, read_formats, tell_written
-from pneuma.cli.study_records import open_data, told_step, with_unit
+from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
+from pneuma.cli.study_records import told_step, with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies
@@ -44,29 +45,23 @@ def _told_episodes(data: StudyData, outcomes: Iterable[str]) -> str:
 # --- summary --------------------------------------------------------------------------------------
 
 
-@opt.grouped
 def summary(
-    name: opt.StudyName,
-    picked: opt.Chosen,
-    outcome: opt.Outcomes = None,
-    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
-    format: opt.OutputFormat = "table",
-    cells: Annotated[
-        str | None,
-        opt.choice(
-            "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
-        ),
-    ] = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    name: str = opt.STUDY,
+    outcome: opt.Several = opt.OUTCOMES,
+    all_: bool = opt.flag("--all", "Tell all statistics of the usual outcomes."),
+    format: str = opt.OUTPUT_FORMAT,
+    cells: opt.Text = opt.choice(
+        "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
+    ),
+) -> Result:
     """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
 
     --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD in it.
     """
-    form = "json" if json else format
-    if cells and form not in PRINTED:
+    if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
-    data = open_data(picked, name)
+    data = picked.open(name)
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.summaries import summary_table
 
@@ -75,17 +70,17 @@ def summary(
     document = {"study": data.study, "at_step": step, "left_out": left_out, "summary": found}
     every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
     listed = every if all_ else outcome or ()
-    if form in PRINTED:
-        table = _thesis_table(data, found, listed, cells or "sd")
+    if format in PRINTED:
+        table = _thesis_table(data, found, listed, cells or "sd", by_factor=format == "latex")
     else:
         table = _statistics(data, found, listed) if listed else _overview(data, found)
-    legend = ""
+    shown: list[str | Table] = ["", frame_table(table)]
     if not listed:
         lacking = " –: no run has it." * bool((table == "–").any(axis=None))
         legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
-    notes = [told_step(data), *_told_lacks(data, found, outcome or ())]
-    notes += [_told_episodes(data, listed)]
-    print_result(Result(table, document, found, data.full_title, notes, legend), form)
+        shown += ["", legend]
+    notes = [told_step(data), *_told_lacks(data, found, outcome or ()), _told_episodes(data, listed)]
+    return Result(document, shown, data.full_title, notes, table, found, format)
 
 
 def _statistics(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
@@ -138,10 +133,13 @@ def _cells(found: pd.DataFrame) -> dict[tuple[str, str, str], str]:
     }
 
 
-def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], cells: str) -> pd.DataFrame:
+def _thesis_table(
+    data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], cells: str, by_factor: bool
+) -> pd.DataFrame:
     """Return a row for each condition with a value and a column for each outcome, as in '0.68 ± 0.11'.
 
-    A value of fewer runs than the condition has says of how many.
+    A value of fewer runs than the condition has says of how many. If asked for, the conditions of a crossed
+    study have a column for each factor.
     """
     import pandas as pd
 
@@ -170,10 +168,24 @@ def _thesis_table(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str],
 
     heads = [with_unit(name) + ", median" * (told_by.get(name) == "median") for name in names]
     told = {name: [cell(name, outcome) for outcome in names] for name in data.conditions}
+    factors, levels = _factors(data) if by_factor else (["condition"], {name: (name,) for name in told})
     table = [
-        [name, len(data.of_condition(name)), *values] for name, values in told.items() if {*values} != {"–"}
+        [*levels[name], len(data.of_condition(name)), *values]
+        for name, values in told.items()
+        if {*values} != {"–"}
     ]
-    return pd.DataFrame(table, columns=["condition", "runs", *heads])
+    return pd.DataFrame(table, columns=[*factors, "runs", *heads])
+
+
+def _factors(data: StudyData) -> tuple[list[str], Mapping[str, tuple[str, ...]]]:
+    """Return the factors of a crossed study, and their levels in each condition; else the name alone."""
+    from pneuma.analysis.crossed import find_crossing
+
+    try:
+        factors, levels = find_crossing(data)
+    except UserError:  # not crossed
+        return ["condition"], {name: (name,) for name in data.conditions}
+    return [factor.replace("_", " ") for factor in factors], levels
 
 
 def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
@@ -195,38 +207,30 @@ def _lack(data: StudyData, condition: str, outcome: str) -> str:
 # --- compare --------------------------------------------------------------------------------------
 
 
-@opt.grouped
 def compare(
-    name: opt.StudyName,
-    a: Annotated[
-        str, opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions)
-    ],
-    picked: opt.Chosen,
-    b: Annotated[
-        str | None, opt.argument("B", "The condition that A is compared with.", complete.conditions)
-    ] = None,
-    outcome: opt.Outcomes = None,
-    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
-    out: opt.PlotFolder = None,
-    format: Annotated[
-        list[Any] | None,
-        opt.choice(
-            "--format",
-            (*OUTPUT_FORMATS, *FIGURE_FORMATS),
-            "Of the table; with --plot also of figures (repeatable).",
-        ),
-    ] = None,
-    json: opt.Json = False,
-) -> None:
+    picked: opt.Picked,
+    name: str = opt.STUDY,
+    a: str = opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions),
+    b: opt.Text = opt.argument(
+        "B", "The condition that A is compared with.", complete.conditions, default=None
+    ),
+    outcome: opt.Several = opt.OUTCOMES,
+    plot: bool = opt.flag("--plot", "Draw the differences too."),
+    out: Path | None = opt.PLOT_FOLDER,
+    format: opt.SeveralRead = opt.choice(
+        "--format",
+        (*OUTPUT_FORMATS, *FIGURE_FORMATS),
+        "Of the table; with --plot also of figures (repeatable).",
+    ),
+) -> Result:
     """Compare two conditions: the difference of their means, and how likely a run of A is better.
 
     Without B, each condition of NAME is compared with that of the same name of the study or variant A.
     """
-    form = ["table", *(each for each in format or () if each in OUTPUT_FORMATS), *["json"] * json][-1]
+    form = ["table", *(each for each in format or () if each in OUTPUT_FORMATS)][-1]
     drawn = [each for each in format or () if each in FIGURE_FORMATS]
     formats = read_formats(drawn, out, "" if plot else "--plot")
-    selected = replace(picked.selection, conditions=(a, b) if b else picked.selection.conditions)
-    data, heads = open_data(replace(picked, selection=selected), name), [a, b or ""]
+    data, heads = (replace(picked, condition=[a, b]) if b else picked).open(name), [a, b or ""]
     pairs = {"": (a, b or "")}
     if b is None:
         from pneuma.analysis.frames import join_studies
@@ -237,7 +241,7 @@ def compare(
             )
         if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
             raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
-        other = open_data(replace(picked, selection=replace(selected, conditions=(), settings=None)), a)
+        other = replace(picked, condition=None, set_=None).open(a)
         heads = [data.study, other.study]
         data, pairs = join_studies(data, other)
         if not pairs:
@@ -252,15 +256,13 @@ def compare(
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
     if plot:
-        from pneuma.figures.summary import draw_comparison
+        from pneuma.figures.summary import comparison_page
 
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
         basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
         words = ["compare", name, a, *([b] if b else []), "--plot"]
-        again = opt.drawing_command(words, picked, {"outcome": outcome or (), "format": formats})
-        files = draw_files(
-            picked.store, out, lambda folder: draw_comparison(data, table, folder, basename, formats, again)
-        )
+        again = picked.again(data, *words, outcome=outcome or (), format=formats)
+        files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
     rows = []
     compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
     for condition, row in compared:
@@ -273,19 +275,22 @@ def compare(
             (condition, with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
         )
     columns = ["", "outcome", *heads, "difference", "P(better)", "runs", "no value"]
-    result = Result(
-        pd.DataFrame(rows, columns=columns).iloc[:, 1 if b else 0 :],
-        {"study": data.study, "comparisons": table, "figures": files},
-        table,
-        f"{data.full_title}: {heads[0]} against {heads[1]}",
-        [told_step(data), _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])],
-        "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the\n"
-        "probability that a run of the first is better than one of the second, from ten runs on.\n"
+    people = pd.DataFrame(rows, columns=columns).iloc[:, 1 if b else 0 :]
+    legend = (
+        "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
+        "probability that a run of the first is better than one of the second, from ten runs on.",
         "no value: runs left out.",
     )
-    print_result(result, form)
-    if form == "table":
-        tell_written(files)
+    engines, episodes = _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])
+    return Result(
+        {"study": data.study, "comparisons": table, "figures": files},
+        ["", frame_table(people), "", *legend, *wrote(files)],
+        f"{data.full_title}: {heads[0]} against {heads[1]}",
+        [told_step(data), engines, episodes],
+        people,
+        table,
+        form,
+    )
 
 
 def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Progress, Result, print_result, print_table, say
+from pneuma.cli.output import Result, Table, frame_table, progress_of
 from pneuma.cli.study_records import nothing_yet
 from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
@@ -16,7 +16,7 @@ from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.analysis.claim_table import ClaimContrast
-    from pneuma.analysis.claims import ClaimList
+    from pneuma.analysis.claims import Claim, ClaimList
     from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Verdict
 
@@ -27,16 +27,13 @@ NAME_WIDTH = 16
 
 
 def verify(
-    claims: Annotated[list[str] | None, opt.argument("CLAIM", "Claims; left out: all.")] = None,
-    world: Annotated[str | None, opt.choice("--world", WORLDS, "Only this world.")] = None,
-    file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
-    design: Annotated[
-        bool, opt.flag("--design", "Say which differences the planned runs can show, and read none.")
-    ] = False,
-    results: opt.Results = opt.RESULTS,
-    format: opt.OutputFormat = "table",
-    json: opt.Json = False,
-) -> None:
+    claims: opt.Several = opt.argument("CLAIM", "Claims; left out: all.", default=None),
+    world: opt.Text = opt.choice("--world", WORLDS, "Only this world."),
+    file: Path | None = opt.option("--claims", "FILE", "Other claims than the thesis's."),
+    design: bool = opt.flag("--design", "Say which differences the planned runs can show, and read none."),
+    results: Path = opt.RESULTS,
+    format: str = opt.OUTPUT_FORMAT,
+) -> Result:
     """Judge the thesis's sentences by the runs that each one fixed in advance.
 
     Name claims to see also what is compared, how many runs there are, and the reason.
@@ -44,26 +41,28 @@ def verify(
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
 
-    known, form = load_claims(file), "json" if json else format
+    known, store = load_claims(file), Store(results)
     for name in claims or ():
         if name not in known.claims:
             raise unknown_name("claim", name, known.claims)
     if design:
-        return _print_design(known, claims or (), world, form)
-    every = judge(known, Store(results), on_progress=Progress("verdicts"))
-    shown = [one for one in every if (not claims or one.claim.name in claims) and world in (None, one.world)]
-    if form != "table":
-        return print_result(_result(known, shown), form)
-    if not any(one.run_ids for one in every) and (lacking := nothing_yet(Store(results))):
-        print(f"Note: {lacking} (or `make reproduction`, for the runs that claims need).\n")
-    return _print_claims(known, shown, bool(claims))
+        return _design(known, claims or (), world, format)
+
+    def asked(claim: Claim, where: str) -> bool:
+        return (not claims or claim.name in claims) and world in (None, where)
+
+    judged = judge(known, store, asked=asked, on_progress=progress_of("verdicts"))
+    lacking = "" if any(one.run_ids for one in judged) else nothing_yet(store)
+    return _result(known, judged, _show_claims(known, judged, bool(claims), lacking), format)
 
 
 # --- For people ----------------------------------------------------------------------------------
 
 
-def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -> None:
-    """Print each sentence, and below it for each world the word, and the effect or why there is none."""
+def _show_claims(
+    known: ClaimList, shown: Sequence[Verdict], in_detail: bool, lacking: str
+) -> Iterator[str | Table]:
+    """Yield each sentence, and below it for each world the word, and the effect or why there is none."""
     from pneuma.analysis.verdict_words import (
         WORLD_NAMES,
         count_words,
@@ -73,26 +72,29 @@ def _print_claims(known: ClaimList, shown: Sequence[Verdict], in_detail: bool) -
         word,
     )
 
+    if lacking:
+        yield f"Note: {lacking} (or `make reproduction`, for the runs that claims need)."
+        yield ""
     grouped, quoted = verdicts_by_claim(shown), set()
     for name, judged in grouped.items():
         claim = next(iter(judged.values())).claim
-        say(f"{name} (section {claim.section})")
-        _print_indented(f"“{sentence(claim)}”", 2)
+        yield f"{name} (section {claim.section})"
+        yield from _indented(f"“{sentence(claim)}”", 2)
         if claim.context and (in_detail or claim.quote in quoted):
-            _print_indented(claim.context, 2)
+            yield from _indented(claim.context, 2)
         quoted.add(claim.quote)
         for one in judged.values():
-            say(f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{told(one)}".rstrip())
+            yield f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{told(one)}".rstrip()
             for line in _details(one) if in_detail else ():
-                _print_indented(line, 6)
-        print()
-    counts = count_words(grouped)
-    print_table([*counts], counts.to_numpy())
-    print("\nIn brackets: where the difference lies. All of a world's hold together, with")
-    print(f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words.")
+                yield from _indented(line, 6)
+        yield ""
+    yield frame_table(count_words(grouped))
+    yield ""
+    yield "In brackets: where the difference lies. All of a world's hold together, with"
+    yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
     for world in {one.world for one in shown} & {*known.head.seen}:
-        print(f"Runs of {WORLDS[world].title} were seen before the sentences were stated as tests.")
-    say(f"Stated in {known.path.name}; with the code that judges, SHA-256 {known.digest[:16]}….")
+        yield f"Runs of {WORLDS[world].title} were seen before the sentences were stated as tests."
+    yield f"Stated in {known.path.name}; with the code that judges, SHA-256 {known.digest[:16]}…."
 
 
 def _details(one: Verdict) -> Iterator[str]:
@@ -106,15 +108,15 @@ def _details(one: Verdict) -> Iterator[str]:
         yield one.reason
 
 
-def _print_indented(text: str, spaces: int) -> None:
+def _indented(text: str, spaces: int) -> list[str]:
     indent = " " * spaces
-    print(fill(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent))
+    return wrap(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent)
 
 
 # --- The table of contrasts ------------------------------------------------------------------------
 
 
-def _result(known: ClaimList, shown: Sequence[Verdict]) -> Result:
+def _result(known: ClaimList, shown: Sequence[Verdict], people: Iterator[str | Table], form: str) -> Result:
     import pandas as pd
 
     from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
@@ -123,7 +125,8 @@ def _result(known: ClaimList, shown: Sequence[Verdict]) -> Result:
     head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
     document = {**head, "claims": [_document(one) for one in shown]}
     rows = [{"claim": one.claim.name, **_flat(_record(row))} for one in shown for row in one.contrasts]
-    return Result(verdict_table(verdicts_by_claim(shown)), document, pd.DataFrame(rows))
+    table = verdict_table(verdicts_by_claim(shown))
+    return Result(document, people, table=table, numbers=pd.DataFrame(rows), form=form)
 
 
 def _document(one: Verdict) -> dict[str, Any]:
@@ -181,19 +184,17 @@ _PAIRS = {
 
 def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row without pairs, for CSV."""
-    pairs = {
-        name: dict(zip(names, record[name] or (None, None), strict=True)) for name, names in _PAIRS.items()
-    }
-    return {
-        name: number for key, value in record.items() for name, number in pairs.get(key, {key: value}).items()
-    }
+    flat: dict[str, Any] = {}
+    for key, value in record.items():
+        flat |= zip(_PAIRS[key], value or (None, None), strict=True) if key in _PAIRS else {key: value}
+    return flat
 
 
 # --- The design check --------------------------------------------------------------------------------
 
 
-def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, form: str) -> None:
-    """Print how near the seeds of claims tell their effects, and which claims are not admitted."""
+def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: str) -> Result:
+    """Return how near the seeds of claims tell their effects, and which claims are not admitted."""
     import pandas as pd
 
     from pneuma.analysis.claim_table import plan_contrasts
@@ -217,16 +218,13 @@ def _print_design(known: ClaimList, claims: Sequence[str], world: str | None, fo
         about = plan["claim"], plan["world"], plan["outcome"], "/".join(map(str, plan["seeds"]))
         rows.append([*about, *shown, plan["reason"] or "decidable"])
     columns = ["claim", "world", "outcome", "seeds", "spread", "half width", "margin", ""]
-    legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
     notes = [f"Not admitted: {name}, {where}: {reason}" for (name, where), reason in refused.items()]
     notes = notes or [
         "Every claim is admitted." if known.pilot else "Without a pilot every claim is admitted."
     ]
     head = {"claims_hash": known.digest, "alpha": known.head.alpha, "pilot": known.pilot is not None}
+    table = pd.DataFrame(rows, columns=columns)
+    legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
+    people: list[str | Table] = ["", frame_table(table), "", legend]
     document = {**head, "design": plans}
-    print_result(
-        Result(
-            pd.DataFrame(rows, columns=columns), document, pd.DataFrame(plans), notes=notes, legend=legend
-        ),
-        form,
-    )
+    return Result(document, people, "", notes, table, pd.DataFrame(plans), form)

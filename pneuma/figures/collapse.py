@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,12 @@ from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 
 from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
-from pneuma.analysis.frames import FinishedRun, StudyData, common_step, view
+from pneuma.analysis.frames import FinishedRun, StudyData, common_step, figure_basename, view
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import UserError
 from pneuma.figures import grid, style
-from pneuma.figures.grid import LONGEST_INCHES, Page, Panel, in_grid, save_page
-from pneuma.figures.origin import origin_of
+from pneuma.figures.grid import LONGEST_INCHES, Page, Panel, in_grid
+from pneuma.figures.origin import samples_of
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import headline_of, notes_of, styles_of
 from pneuma.study.quantities import ACTION_QUANTITIES
@@ -42,16 +41,8 @@ PANELS = {
 Colours = Mapping[str, str]
 
 
-def draw_collapse(
-    data: StudyData,
-    folder: Path,
-    basename: str,
-    formats: Sequence[str] = ("png", "svg"),
-    *,
-    found: pd.DataFrame | None = None,
-    command: str = "",
-) -> list[Path]:
-    """Draw a study's collapses and return the files written.
+def collapse_page(data: StudyData, found: pd.DataFrame | None = None) -> Page:
+    """Return the figure of a study's collapses.
 
     On the left are the curves of every run that collapsed, with steps counted from the onset. On the right is
     the share of each condition's runs that collapsed, with its interval. `found` are the `diagnoses`.
@@ -82,13 +73,14 @@ def draw_collapse(
     rows = 2 if len(panels) > 1 else 1
     cells = in_grid(panels, -(-len(panels) // rows)) if panels else [[]]
     usual = PANELS_INCHES if rows > 1 else 0.7 * PANELS_INCHES
-    page = Page(
+    return Page(
+        figure_basename(data, "collapse"),
         [[*row, bars] for row in cells],
         max(usual, min(BAR_INCHES * len(shown) + 0.5, LONGEST_INCHES)),
         headline_of(data, f"{known['collapsed'].sum()} of {known['runs'].sum()} runs collapsed"),
+        samples_of(data),
         caption=[*_caption(data, found, shares, len(known) - len(shown)), parts and f"Rows: {parts}."],
     )
-    return save_page(page, folder, basename, formats, origin_of(command, data))
 
 
 def _falls(data: StudyData, name: str, onsets: Mapping[str, int], colours: Colours) -> Panel | None:

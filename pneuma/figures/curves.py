@@ -8,51 +8,42 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from pneuma.analysis.curves import BANDS, checked_band, curve_names
 from pneuma.analysis.frames import StudyData, figure_basename
 from pneuma.analysis.outcomes import have_one_return
 from pneuma.errors import UserError, counted
 from pneuma.figures import grid, style
-from pneuma.figures.grid import Page, Panel, in_grid, save_page
+from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.lines import QUANTITIES, USUAL_BAND, Column
-from pneuma.figures.origin import origin_of
+from pneuma.figures.origin import Sample, samples_of
 from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes
 from pneuma.study.quantities import EPISODE_QUANTITIES
 
 USUAL_QUANTITIES = ("return", "share_killed", "success")
 
 
-# --- Figures -----------------------------------------------------------------------------------------
-
-
-def draw_study(
+def curves_page(
     studies: StudyData | Mapping[str, StudyData | None],
-    folder: Path,
     quantities: str | Sequence[str] = (),
     band: str | None = None,
     window: str | None = None,
-    formats: Sequence[str] = ("png", "svg"),
     *,
     beside: StudyData | None = None,
     basename: str = "",
-    command: str = "",
-) -> list[Path]:
-    """Draw the curves of a study's finished runs and return the files written.
+) -> Page:
+    """Return the figure of the curves of a study's finished runs.
 
     Args:
         studies: the study; or its runs in each world, by the title of a column, which is narrow if there are
             none. The quantities are the rows then.
-        folder: where to write.
         quantities: of `curve_names`; default: the return and the share killed, as far as recorded. If returns
             are of different rewards, the length of episodes replaces them.
         band: one of `BANDS`; default: the deviation, and inside it the interval of the mean.
         window: one of the study's windows; default: the first.
-        formats: of `FIGURE_FORMATS`.
         beside: another study, whose runs are dashed lines.
-        basename: of the files; default: the study's figure, and how this one differs from the usual.
-        command: draws the figure again.
+        basename: of the files; default: of a single study its figure, and how this one differs from the
+            usual.
 
     Raises:
         UserError: for more conditions than a panel can show, a quantity that the study's data does not have,
@@ -72,13 +63,21 @@ def draw_study(
         for title, each in columns.items()
         if each
     }
+    runs = samples_of(*(each.data for each in drawn.values()), *filter(None, [beside]))
     if len(columns) > 1:
-        page = _columns_page({title: drawn.get(title) for title in columns}, names, basename)
-    else:
-        page = _page(*drawn.values())
-    origin = origin_of(command, *(each.data for each in drawn.values()), *filter(None, [beside]))
-    basename = basename or figure_basename(data, *_differences(*drawn.values()))
-    return save_page(page, folder, basename, formats, origin)
+        return _columns_page({title: drawn.get(title) for title in columns}, names, basename, runs)
+    (column,) = drawn.values()
+    rows = -(-len(column.quantities) // style.COLUMNS)
+    across = -(-len(column.quantities) // rows)
+    return Page(
+        basename or figure_basename(data, *_differences(column)),
+        in_grid([column.panel(name) for name in column.quantities], across),
+        rows * style.PANEL_INCHES * (1.2 if across == 1 else 1),
+        headline_of(data),
+        runs,
+        column.meanings,
+        column.notes,
+    )
 
 
 def _known(data: StudyData, quantities: Sequence[str]) -> list[str]:
@@ -117,19 +116,12 @@ def _differences(column: Column) -> list[str]:
     return [*differs, *(["beside", column.beside.study] if column.beside else [])]
 
 
-# --- Pages -------------------------------------------------------------------------------------------
+# --- Worlds beside each other ------------------------------------------------------------------------
 
 
-def _page(column: Column) -> Page:
-    """Return one panel for each quantity."""
-    rows = -(-len(column.quantities) // style.COLUMNS)
-    columns = -(-len(column.quantities) // rows)
-    panels = in_grid([column.panel(name) for name in column.quantities], columns)
-    inches = rows * style.PANEL_INCHES * (1.2 if columns == 1 else 1)
-    return Page(panels, inches, headline_of(column.data), column.meanings, column.notes)
-
-
-def _columns_page(columns: Mapping[str, Column | None], quantities: Sequence[str], basename: str) -> Page:
+def _columns_page(
+    columns: Mapping[str, Column | None], quantities: Sequence[str], basename: str, runs: Sequence[Sample]
+) -> Page:
     """Return a column for each world, and a row for each quantity."""
     drawn = {title: column for title, column in columns.items() if column}
     first = next(iter(drawn))
@@ -150,9 +142,11 @@ def _columns_page(columns: Mapping[str, Column | None], quantities: Sequence[str
 
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
     return Page(
+        basename,
         [[panel(title, name) for title in columns] for name in quantities],
         0.95 * len(quantities) * style.PANEL_INCHES,
         f"{drawn[first].data.title}: {after_thesis(basename) or 'in each world'}",
+        runs,
         meanings,
         notes,
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],

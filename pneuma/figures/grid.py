@@ -2,6 +2,8 @@
 
     panels (lines with bands, rows of marks, cells of a map) → Page → save_page → files with their origin
 
+Every figure of runs is a `Page`: `curves_page`, `summary_page` and others return one.
+
 A study's words (title, notes, labels) are in `words.py`.
 """
 
@@ -22,8 +24,9 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
+from pneuma.errors import plain
 from pneuma.figures import style
-from pneuma.figures.origin import Origin
+from pneuma.figures.origin import Origin, Sample
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
 
 FAR = 3.0
@@ -116,19 +119,23 @@ class Panel:
 
 @dataclass(frozen=True)
 class Page:
-    """A figure: all that is in it.
+    """A figure: all that is in it, and the runs that it shows.
 
     Attributes:
+        basename: of its files, without an ending.
         grid: panels, row by row; one that stands in several neighbouring cells fills them all.
         inches: height of all panels with their axes.
+        runs: what its origin tells.
         entries: artists of the legend that are in no panel, by their words.
         caption: notes, the most important first.
         widths: of columns, relative to each other.
     """
 
+    basename: str
     grid: Sequence[Sequence[Panel | None]]
     inches: float
     headline: str
+    runs: Sequence[Sample]
     entries: Mapping[str, Any] = field(default_factory=dict)
     caption: Sequence[str] = ()
     widths: Sequence[float] | None = None
@@ -151,8 +158,14 @@ def _draw_no_runs(axes: Axes) -> None:
     axes.text(0.5, 0.5, "no\nruns\nyet", transform=axes.transAxes, ha="center", va="center", color=GREY)
 
 
-def save_page(page: Page, folder: Path, basename: str, formats: Sequence[str], origin: Origin) -> list[Path]:
-    """Draw a figure, and write it in each format."""
+def save_page(
+    page: Page, folder: Path, formats: Sequence[str] = ("png", "svg"), command: str = ""
+) -> list[Path]:
+    """Draw a figure, and write it in each of some `FIGURE_FORMATS`; return the files.
+
+    Its origin tells the `command` that draws it again.
+    """
+    origin = Origin(command=plain(command), runs=tuple(page.runs))
     with style.house_style():
         figure = Figure(layout="constrained")
         panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
@@ -163,7 +176,7 @@ def save_page(page: Page, folder: Path, basename: str, formats: Sequence[str], o
             pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
             _fill(grid[name], panel, pitch, WIDTH / len(cells[0]))
         _put_texts(figure, page, _legend_entries(figure.axes, page.entries))
-        return style.save_figure(figure, folder, basename, formats, origin)
+        return style.save_figure(figure, folder, page.basename, formats, origin)
 
 
 def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:

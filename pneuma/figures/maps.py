@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
-from pneuma.analysis.frames import StudyData
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.frames import StudyData, figure_basename
+from pneuma.analysis.outcomes import find_outcome, primary
 from pneuma.errors import UserError
 from pneuma.figures import grid
-from pneuma.figures.grid import Page, Panel, in_grid, save_page
-from pneuma.figures.origin import origin_of
+from pneuma.figures.grid import Page, Panel, in_grid
+from pneuma.figures.origin import samples_of
 from pneuma.figures.style import COLOURS, GREY, INK
 from pneuma.figures.words import format_counts, headline_of, note_on_step, notes_of
 from pneuma.values import shown_level, shown_value
@@ -53,15 +52,11 @@ def study_maps(data: StudyData) -> list[Map]:
     return found
 
 
-def draw_robustness(
-    data: StudyData,
-    maps: Sequence[Map],
-    folder: Path,
-    basename: str,
-    formats: tuple[str, ...] = ("png", "svg"),
-    *,
-    command: str = "",
-) -> list[Path]:
+def robustness_page(data: StudyData, maps: Sequence[Map]) -> Page:
+    """Return the figure of some maps of a study; its name is that of the first."""
+    found, *_ = maps
+    other = [found.outcome] if found.outcome != primary(data) else []
+    basename = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
     columns = min(len(maps), 2)
     panels = in_grid([_panel(found) for found in maps], columns)
     inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
@@ -71,8 +66,8 @@ def draw_robustness(
         for label, look in STYLES.items()
     }
     headline = headline_of(data, "does the contrast hold elsewhere?")
-    page = Page(panels, len(panels) * inches, headline, entries, [*notes_of(data), *_caption(data, maps)])
-    return save_page(page, folder, basename, formats, origin_of(command, data))
+    caption = [*notes_of(data), *_caption(data, maps)]
+    return Page(basename, panels, len(panels) * inches, headline, samples_of(data), entries, caption)
 
 
 def _panel(found: Map) -> Panel:

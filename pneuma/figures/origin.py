@@ -18,7 +18,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, FailFast
 
 from pneuma import __version__
-from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.errors import UserError, plain
 from pneuma.files import checksum, read_whole
 from pneuma.values import shown_seeds
@@ -56,14 +56,14 @@ class Origin(BaseModel):
         return json.dumps(self.model_dump(), separators=(",", ":"))
 
 
-def origin_of(command: str, *studies: StudyData) -> Origin:
-    samples = (
-        sample(data.study, name, ids_of(runs), [run.seed for run in runs])
+def samples_of(*studies: StudyData) -> list[Sample]:
+    """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
+    return [
+        sample(data.study, name, (run.row.config_id for run in runs), [run.seed for run in runs])
         for data in studies
         for name in data.conditions
         if (runs := data.of_condition(name))
-    )
-    return Origin(command=plain(command), runs=tuple(samples))
+    ]
 
 
 def sample(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int]) -> Sample:
@@ -74,11 +74,6 @@ def sample(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int])
     return Sample(
         study=plain(study), condition=plain(condition), ids=tuple(map(plain, names)), seeds=shown_seeds(seeds)
     )
-
-
-def ids_of(runs: Sequence[FinishedRun]) -> list[str]:
-    """Return the ids of the configurations of a condition's runs, usually one."""
-    return [run.row.config_id for run in runs]
 
 
 def read_origin(path: Path) -> Origin:

@@ -14,6 +14,7 @@ import argparse
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,15 +28,16 @@ from pneuma.analysis.frames import SLACK, StudyData
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures.collapse import draw_collapse
-from pneuma.figures.curves import draw_study
+from pneuma.figures.collapse import collapse_page
+from pneuma.figures.curves import curves_page
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
+from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
-from pneuma.figures.maps import draw_robustness, study_maps
+from pneuma.figures.maps import robustness_page, study_maps
 from pneuma.figures.origin import read_origin
-from pneuma.figures.search import draw_search
+from pneuma.figures.search import search_page
 from pneuma.figures.style import MOST_IN_A_PANEL
-from pneuma.figures.summary import draw_summary
+from pneuma.figures.summary import summary_page
 from pneuma.figures.verdicts import judged_claims, write_verdicts
 from pneuma.search.storage import published_searches, read_record
 from pneuma.study.plan import Selection
@@ -46,7 +48,6 @@ from pneuma.worlds import WORLDS
 
 RESULTS = Path("results")
 COMMAND = "make figures"
-DRAWN: dict[str, Any] = {"formats": ("png",), "command": COMMAND}
 TABLES = "tables"
 SETTINGS_FILE = "table-6-1-and-6-2.md"
 
@@ -96,12 +97,15 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
             written += paths
     written += verdicts.result()
-    for name, world in published_searches(Store(results)):
-        written += draw_search(
-            read_record(Store(results), name, world, stored=False), folder, ("png",), COMMAND
-        )
+    store = Store(results)
+    searched = (read_record(store, *each, stored=False) for each in published_searches(store))
+    written += _save(folder, filter(None, map(search_page, searched)))
     _remove_others(folder, written)
     return written
+
+
+def _save(folder: Path, pages: Iterable[Page]) -> list[Path]:
+    return [path for page in pages for path in save_page(page, folder, ("png",), COMMAND)]
 
 
 def _published(results: Path) -> RunIndex:
@@ -159,18 +163,18 @@ def settings_table() -> pd.DataFrame:
 
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str) -> list[Path]:
     """Draw all figures of a study; return the files written."""
-    index, paths = _published(results), []
+    index, pages = _published(results), []
     for figure, (of, conditions) in THESIS_FIGURES.items():
         if of == study:
             columns = {_title(world): thesis_runs(index, study, world, conditions) for world in WORLDS}
-            paths += draw_study(columns, folder, THESIS_QUANTITIES, basename=figure, **DRAWN)
+            pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
     if study not in WHOLE:
-        paths += _draw_study(folder, index, study, beside.get(study))
-    return paths
+        pages += _study_pages(index, study, beside.get(study))
+    return _save(folder, pages)
 
 
-def _draw_study(folder: Path, index: RunIndex, study: str, logs: str | None) -> list[Path]:
-    """Draw a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
+def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
+    """Return a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
     shown = dict.fromkeys(run.condition for data in found.values() if data for run in data.runs)
@@ -181,18 +185,16 @@ def _draw_study(folder: Path, index: RunIndex, study: str, logs: str | None) -> 
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
         with_logs = open_study(index, logs)
-        return draw_study(
-            data, folder, held, "runs", TRAILING_WINDOW, basename=study, beside=with_logs, **DRAWN
-        )
+        return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_logs, basename=study)]
     if maps := study_maps(data):
-        return draw_robustness(data, maps, folder, f"{study}-map", **DRAWN)
+        return [replace(robustness_page(data, maps), basename=f"{study}-map")]
     if len(shown) > MOST_IN_A_PANEL:
-        paths = draw_summary(columns if len(columns) > 1 else data, folder, basename=study, **DRAWN)
+        pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
     else:
-        paths = draw_study(columns, folder, basename=study, **DRAWN)
+        pages = [curves_page(columns, basename=study)]
     if study in COLLAPSES:
-        paths += draw_collapse(data, folder, f"{study}-collapses", **DRAWN)
-    return paths
+        pages.append(replace(collapse_page(data), basename=f"{study}-collapses"))
+    return pages
 
 
 def _title(world: str | None) -> str:

@@ -29,11 +29,12 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import shown_with_interval
 from pneuma.errors import counted
 from pneuma.figures import verdicts
-from pneuma.figures.collapse import draw_collapse
-from pneuma.figures.curves import draw_study
-from pneuma.figures.maps import contrast_word, draw_robustness, study_maps
+from pneuma.figures.collapse import collapse_page
+from pneuma.figures.curves import curves_page
+from pneuma.figures.grid import save_page
+from pneuma.figures.maps import contrast_word, robustness_page, study_maps
 from pneuma.figures.style import clean
-from pneuma.figures.summary import draw_summary
+from pneuma.figures.summary import summary_page
 from pneuma.figures.words import fits_panel
 from pneuma.files import MADE_BY
 
@@ -148,38 +149,28 @@ def numbers_table(study: str, summary: pd.DataFrame) -> Table:
 # --- Pictures ----------------------------------------------------------------------------------------
 
 
-def study_pictures(data: StudyData) -> list[dict[str, str]]:
+def study_pictures(data: StudyData, words: str) -> list[dict[str, str]]:
     """Draw a study's figures for the report: curves, collapses if there are any, and maps.
 
-    Each has a data URI, a text alternative, and a caption with the command that draws it. With too many
-    conditions for curves, it shows their summaries.
+    Each has a data URI, a text alternative, and a caption with the command that draws it, whose `words` ask
+    for the study. With too many conditions for curves, it shows their summaries.
     """
-    study, form = quote(data.study), ("png",)
-    with TemporaryDirectory() as name:
-        folder, drawn = Path(name), []
-        if curve_names(data) and fits_panel(data):
-            again = f"pneuma study plot {study}"
-            curves = draw_study(data, folder, formats=form, command=again)
-            drawn.append((f"Curves over {data.budget:,} environment steps", again, curves))
-        else:
-            again = f"pneuma study plot --figure summary {study}"
-            summary = draw_summary(data, folder, form, command=again)
-            drawn.append(("What every run came to, and means", again, summary))
-        found = diagnoses(data) if data.evaluated else None
-        if found is not None and found["collapsed"].any():
-            again = f"pneuma study collapse --out figures {study}"
-            collapses = draw_collapse(data, folder, "collapse", form, found=found, command=again)
-            drawn.append(("Runs that collapsed", again, collapses))
-        if maps := study_maps(data):
-            contrast = quote(contrast_word(maps[0]))
-            again = f"pneuma study robustness --contrast {contrast} --out figures {study}"
-            paths = draw_robustness(data, maps, folder, "maps", form, command=again)
-            drawn.append(("In which cells contrasts hold", again, paths))
-        return [
-            {
-                "source": f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}",
-                "alt": f"{data.title}: {what}, for {'; '.join(data.conditions)}.",
-                "caption": f"{what}: {again}.",
-            }
-            for what, again, (path,) in drawn
-        ]
+    if curve_names(data) and fits_panel(data):
+        pages = [(f"Curves over {data.budget:,} environment steps", "plot", curves_page(data))]
+    else:
+        pages = [("What every run came to, and means", "plot --figure summary", summary_page(data))]
+    found = diagnoses(data) if data.evaluated else None
+    if found is not None and found["collapsed"].any():
+        pages.append(("Runs that collapsed", "collapse --out figures", collapse_page(data, found)))
+    if maps := study_maps(data):
+        command = f"robustness --contrast {quote(contrast_word(maps[0]))} --out figures"
+        pages.append(("In which cells contrasts hold", command, robustness_page(data, maps)))
+    pictures = []
+    for what, command, page in pages:
+        again = f"pneuma study {command} {words}"
+        with TemporaryDirectory() as folder:
+            (path,) = save_page(page, Path(folder), ("png",), again)
+            source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
+        alternative = f"{data.title}: {what}, for {'; '.join(data.conditions)}."
+        pictures.append({"source": source, "alt": alternative, "caption": f"{what}: {again}."})
+    return pictures

@@ -1,6 +1,6 @@
 """The figure of a search: history, importances, every parameter's values, and the best trials' together.
 
-RecordedSearch → panels → one page (`grid.py`)
+RecordedSearch → panels → Page (`grid.py`)
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,8 @@ from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted
 from pneuma.figures import grid
-from pneuma.figures.grid import Page, Panel, in_grid, save_page
-from pneuma.figures.origin import Origin, sample
+from pneuma.figures.grid import Page, Panel, in_grid
+from pneuma.figures.origin import sample
 from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.space import Parameter
@@ -37,13 +36,11 @@ COMPLETE, BEST = COLOURS[0], COLOURS[1]
 ROW_INCHES = 1.75
 
 
-def draw_search(
-    searched: RecordedSearch, folder: Path, formats: tuple[str, ...], command: str = ""
-) -> list[Path]:
-    """Draw a search that has a complete trial; return the files written."""
+def search_page(searched: RecordedSearch) -> Page | None:
+    """Return the figure of a search; None before a trial is complete."""
     drawn = _Drawn(searched)
     if not drawn.complete:
-        return []
+        return None
     search, budget = searched.task.search, searched.task.budget
     importances = drawn.importances()
     wide = Panel(drawn.history, "History", "Trial", drawn.label, y_ticks=drawn.ticks)
@@ -57,10 +54,10 @@ def draw_search(
         rows.append([Panel(drawn.front, "Both objectives", drawn.label, drawn.second)] * COLUMNS)
     elif len(search.space.parameters) > 1:
         rows.append([Panel(drawn.parallel, "Best trials")] * COLUMNS)
-    page = Page(rows, ROW_INCHES * len(rows), search.title, caption=drawn.caption())
     ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
-    origin = Origin(command=command, runs=(sample(search.name, "", ids, budget.seeds),))
-    return save_page(page, folder, f"search-{search.label}", formats, origin)
+    runs, caption = [sample(search.name, "", ids, budget.seeds)], drawn.caption()
+    inches = ROW_INCHES * len(rows)
+    return Page(f"search-{search.label}", rows, inches, search.title, runs, caption=caption)
 
 
 class _Drawn:

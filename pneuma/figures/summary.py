@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,8 +28,8 @@ from pneuma.analysis.outcomes import (
 )
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import grid, style
-from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel, in_grid, save_page
-from pneuma.figures.origin import origin_of
+from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel, in_grid
+from pneuma.figures.origin import samples_of
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import (
     format_counts,
@@ -117,15 +116,8 @@ class Outcomes:
         return notes
 
 
-def draw_summary(
-    studies: StudyData | Mapping[str, StudyData | None],
-    folder: Path,
-    formats: Sequence[str] = ("png", "svg"),
-    *,
-    basename: str = "",
-    command: str = "",
-) -> list[Path]:
-    """Draw what every run of a study came to; or its runs in each world, by the title of a column."""
+def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: str = "") -> Page:
+    """Return what every run of a study came to; or its runs in each world, by the title of a column."""
     columns = {"Every run": studies} if isinstance(studies, StudyData) else studies
     drawn = {title: Outcomes(data) for title, data in columns.items() if data}
     names = list(dict.fromkeys(name for found in drawn.values() for name in found.values))
@@ -141,16 +133,16 @@ def draw_summary(
     notes = merge_notes({title: (found.data, found.notes) for title, found in drawn.items()})
     step = common_step(alone.data)
     shown = f"at {step:,} steps" if step else "at the end of training"
-    page = Page(
+    return Page(
+        basename or figure_basename(alone.data, "summary"),
         [panels],
         max(pitch * len(names) + 0.7, 0.6 * style.PANEL_INCHES),
         headline_of(alone.data, shown) if len(columns) == 1 else f"{alone.data.title}: {shown}",
+        samples_of(*(found.data for found in drawn.values())),
         _marks([*drawn.values()]),
         [*notes, parts and f"Rows: {parts}."],
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
     )
-    origin = origin_of(command, *(found.data for found in drawn.values()))
-    return save_page(page, folder, basename or figure_basename(alone.data, "summary"), formats, origin)
 
 
 def _draw_runs(axes: Axes, found: Outcomes, names: list[str], mark: float) -> None:
@@ -205,15 +197,8 @@ def _marks(drawn: Sequence[Outcomes]) -> dict[str, Any]:
 # --- Differences -------------------------------------------------------------------------------------
 
 
-def draw_comparison(
-    data: StudyData,
-    table: pd.DataFrame,
-    folder: Path,
-    basename: str,
-    formats: tuple[str, ...],
-    command: str = "",
-) -> list[Path]:
-    """Draw differences of means with intervals: a panel per outcome, a row per comparison.
+def comparison_page(data: StudyData, table: pd.DataFrame, basename: str) -> Page:
+    """Return differences of means with intervals: a panel per outcome, a row per comparison.
 
     The table contains the results of `compare_conditions` for several pairs.
     """
@@ -236,9 +221,9 @@ def draw_comparison(
     if lacking := [name for name in every if name not in finite]:
         caption.append(f"Without a finite difference: {', '.join(lacking)}.")
     inches = rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
+    notes, runs = [*caption, note_on_step(data)], samples_of(data)
     headline = headline_of(data, "differences")
-    page = Page(in_grid(panels, columns), inches, headline, caption=[*caption, note_on_step(data)])
-    return save_page(page, folder, basename, formats, origin_of(command, data))
+    return Page(basename, in_grid(panels, columns), inches, headline, runs, caption=notes)
 
 
 def _draw_differences(axes: Axes, compared: list[dict[Any, Any]]) -> None:

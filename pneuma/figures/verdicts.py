@@ -55,11 +55,11 @@ def judged_claims(
 ) -> tuple[Verdicts, str]:
     """Return the verdicts on claims about some studies, or all, with a sentence on the list.
 
-    The whole list is judged, whichever claims are shown, because the correction is for the whole list. With
-    `stored = False` only published tables are used, so that every clone gives the same result.
+    Whichever claims are shown, the correction is for the whole list. With `stored = False` only published
+    tables are used, so that every clone gives the same result.
     """
     known = load_claims()
-    shown = [one for one in judge(known, store, stored) if studies is None or one.claim.study in studies]
+    shown = judge(known, store, stored, lambda claim, world: studies is None or claim.study in studies)
     note = (
         f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
         f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "

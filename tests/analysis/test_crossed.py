@@ -19,7 +19,8 @@ from pneuma.analysis.crossed import (
     study_effects,
 )
 from pneuma.analysis.frames import StudyData
-from pneuma.figures.maps import draw_robustness
+from pneuma.figures.grid import save_page
+from pneuma.figures.maps import robustness_page
 from pneuma.figures.origin import read_origin
 from pneuma.study.measure import stored_row
 from pneuma.study.store import Store
@@ -173,10 +174,21 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
     assert told.splitlines()[0].endswith("activation tanh against relu, final-share-killed: conditional")
     (drawn,) = (tmp_path / "drawn").iterdir()
     command = read_origin(drawn).command
-    (again,) = draw_robustness(data, [mapped(data)], tmp_path, "again", ("svg",), command=command)
+    (again,) = save_page(robustness_page(data, [mapped(data)]), tmp_path, ("svg",), command)
     assert drawn.name == "mine-activation-tanh-relu.svg" and drawn.read_bytes() == again.read_bytes()
     for wrong in ("activation", "activation=tanh", "=tanh:relu", "activation=:relu"):
         assert "must be KEY=A:B" in refused(*contrast, wrong, *at)
+
+
+def test_a_latex_table_has_a_column_for_each_factor(tmp_path: Path) -> None:
+    crossed(tmp_path, 0.2, 0.0, 0.2, -0.2)
+    asked = ("study", "summary", "mine", "--outcome", "final-share-killed", "--results", tmp_path / "results")
+    lines = printed(*asked, "--format", "latex").splitlines()
+    assert lines[2] == r"learning rate & scale & activation & runs & final-share-killed (share) \\"
+    assert lines[4].startswith(f"{RATES[0]} & {SCALES[0]} & tanh & 6 & 0.6")
+    assert (
+        printed(*asked, "--format", "markdown").splitlines()[2].startswith(f"| tanh {RATES[0]} {SCALES[0]} |")
+    )
 
 
 # --- Factorial designs ------------------------------------------------------------------------------

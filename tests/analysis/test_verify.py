@@ -53,6 +53,8 @@ def test_the_document_has_every_claim_in_its_worlds(
     assert (first["seeds"], first["reason"]) == ([8, 8], "")
     assert len(first["run_ids"]) == 16
     assert (missing["effect"], missing["interval"]) == (None, None)
+    (alone,) = _document(capsys, *command, "better")["claims"]  # whose correction is for the whole list
+    assert alone == first
     assert missing["reason"] == (
         "no runs: middle, 8 seeds of 1,024 steps; "
         f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims --world text"

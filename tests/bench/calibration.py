@@ -24,7 +24,7 @@ from pneuma.analysis.curves import BANDS
 from pneuma.analysis.intervals import mean
 from pneuma.analysis.judgement import INCONCLUSIVE, decide, significant_direction
 from pneuma.analysis.pvalues import ManyPValues, PValues
-from pneuma.cli.output import print_rows
+from pneuma.cli.output import print_result, rows_result
 
 SEEDS = (3, 5, 10, 20, 50)
 CLAIMS = {"mean": 50, "incidence": 10}
@@ -257,7 +257,7 @@ def main(lists: int = 2000) -> None:
     for table, row in bench_calibration(lists):
         tables[table].append(row)
     for table, rows in tables.items():
-        print_rows(table, rows, json=False)
+        print_result(rows_result(table, rows), "table")
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ import csv
 import io
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+from pneuma.analysis.export import encode_frame
 from pneuma.study.store import Store
 
 from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
@@ -39,6 +41,13 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
     assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
     assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")
+
+
+def test_a_latex_table_that_is_longer_than_a_page_is_broken_over_pages() -> None:
+    rows = pd.DataFrame({"condition": [f"c{k}" for k in range(60)], "runs": 3})
+    short, long = (encode_frame(rows[:count], "latex").decode() for count in (40, 60))
+    assert short.startswith(r"\begin{tabular}{lr}") and long.startswith(r"\begin{longtable}{lr}")
+    assert r"\endhead" in long and "c59 & 3" in long
 
 
 def test_a_comparison_in_every_form(mine: list[str]) -> None:

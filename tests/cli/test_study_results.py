@@ -10,9 +10,8 @@ from typing import Any
 
 import pandas as pd
 import pytest
-import typer
 
-from pneuma.cli.options import Chosen, grouped, selecting_words
+from pneuma.cli.options import Commands, Picked, selecting_words
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
@@ -125,11 +124,10 @@ def test_a_copy_of_any_shipped_study_plans_the_same_runs(
 )
 def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], words: str) -> None:
     selection = Selection(**{"settings": {}, **given})
-    told, app, read = selecting_words(selection), typer.Typer(), []
+    told, app, read = selecting_words(selection), Commands(""), []
 
     @app.command()
-    @grouped
-    def take(picked: Chosen) -> None:
+    def take(picked: Picked) -> None:
         read.append(picked.selection)
 
     assert " ".join(told) == words

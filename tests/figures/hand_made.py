@@ -13,7 +13,8 @@ from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.figures.curves import draw_study
+from pneuma.figures.curves import curves_page
+from pneuma.figures.grid import save_page
 from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_listing, save_run
@@ -64,7 +65,7 @@ class HandMade:
         beside: StudyData | None = None,
         **how: Any,
     ) -> list[Path]:
-        return draw_study(self.data, folder, formats=formats, beside=beside, **how)
+        return save_page(curves_page(self.data, beside=beside, **how), folder, formats)
 
 
 def legend(figure: Figure) -> list[str]:
