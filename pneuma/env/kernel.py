@@ -55,17 +55,14 @@ def run_worlds(handle: Array, actions: Array, steps: bool) -> int:
 
 @cache
 def announce_compiling() -> None:
-    """From now on say on standard error when the rules are compiled, so that nobody thinks it hangs."""
+    """From now on tell a person at a terminal when the rules are compiled, as nothing else happens then."""
     event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 class _Announcer(event.Listener):
     def on_start(self, event: Any) -> None:
-        if event.data["dispatcher"] is run_worlds:
-            print(
-                "Compiling the rules of the world, as for every new version: some ten seconds.",
-                file=sys.stderr,
-            )
+        if event.data["dispatcher"] is run_worlds and sys.stderr.isatty():
+            print("Compiling the rules of the world: some ten seconds, once a version.", file=sys.stderr)
 
     def on_end(self, event: Any) -> None:
         pass

@@ -29,15 +29,19 @@ def results(tmp_path: Path, logs: Path) -> Path:
     return tmp_path / "results"
 
 
-def test_an_import_is_drawn_and_published_and_drawn_again(logs: Path, results: Path, tmp_path: Path) -> None:
+def test_an_import_is_drawn_and_published_and_drawn_again(
+    logs: Path, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folders = [logs / name for name in ("relu_1", "tanh_1", "tanh_2")]
     again = call("import", "tensorboard", *folders, "--results", results)
     assert "3 runs, 63 points; 0 imported now, 3 were stored." in again.out
-    assert call("study", "plot", "old", "--results", results)[0] == 0
+    monkeypatch.chdir(results.parent)  # a figure tells the folder that it was drawn from
+    assert call("study", "plot", "old", "--results", "results")[0] == 0
     assert call("study", "publish", "old", "--results", results)[0] == 0
-    clone = tmp_path / "clone"
+    clone = tmp_path / "clone" / "results"
     shutil.copytree(results / "published", clone / "published")
-    assert call("study", "plot", "old", "--results", clone)[0] == 0
+    monkeypatch.chdir(clone.parent)
+    assert call("study", "plot", "old", "--results", "results")[0] == 0
     for name in ("old.png", "old.svg"):
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
