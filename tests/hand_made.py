@@ -72,7 +72,8 @@ def save_run(
     run = {**FIELDS, **(fields or {})}
     files["run.json"] = to_json({"run_id": run_id, "run": run})
     files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11", **provenance})
-    store.save_run(run_id, Status(status, end), files, Identity(config_id, run.get("seed", 0), run["steps"]))
+    identity = Identity(config_id, run.get("seed", 0), run["steps"])
+    store.save_run(run_id, Status(status, end, identity=identity), files)
 
 
 def make_id(condition: str, seed: int) -> str:

@@ -24,10 +24,10 @@ from pneuma.files import checksum, dump_checksummed
 from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
 from pneuma.study.imported import read_event_file
-from pneuma.study.measure import Measured, row_cells
+from pneuma.study.measure import Recorded, row_cells
 from pneuma.study.rows import decode_row, encode_row
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store, read_checkpoint_name
+from pneuma.study.store import Status, Store, read_checkpoint_name
 from pneuma.study.tables import record_table, to_parquet
 
 from .cli.calls import policy_of
@@ -88,7 +88,7 @@ def _level(path: Path) -> None:
     load_level(str(path.parent), {390: "bamboo"})
 
 
-RUN = Measured("a0" * 8, "a0" * 8, {"steps": 1000}, "done", 1000, {}, [{"step": 500}], {})
+CELLS = row_cells("a0" * 8, Status("done", 1000), {"steps": 1000}, Recorded({}, [{"step": 500}]), {})
 ROWS = [{"step": 256, "policy_loss": 0.1, "entropy": 1.0}, {"step": 512, "policy_loss": 0.2, "entropy": 0.9}]
 ROW = {**dict.fromkeys(EPISODE_COLUMNS, 1), "ending": "died"}
 CHECKPOINT = Checkpoint(256, {"weights": np.arange(6.0).reshape(2, 3)}, {"seed": 3}, Records(episodes=[ROW]))
@@ -111,7 +111,7 @@ FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
         lambda path: Store(path.parent.parent).listing("mine"),
     ),
     "row": (
-        "row.arrow", lambda: encode_row(row_cells(RUN)),
+        "row.arrow", lambda: encode_row(CELLS),
         lambda path: decode_row(path.read_bytes()),
     ),
     "events": ("events.out.tfevents.1.host", lambda: encode_events(POINTS), read_event_file),

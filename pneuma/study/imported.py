@@ -114,9 +114,9 @@ def import_tensorboard(
             files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
             scalars = run.points[["tag", "step", "value", "superseded"]]
             files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
-            status = Status("done", run.steps)
-            files[ROW_FILE] = encode_row(cells_of_files(name, name, status, files))
-            store.save_run(name, status, files, Identity(name, run.log.seed, run.steps))
+            status = Status("done", run.steps, identity=Identity(name, run.log.seed, run.steps))
+            files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
+            store.save_run(name, status, files)
     about = {"title": study, "baseline": rows[0]["condition"], "source": SOURCE, "runs": rows}
     store.save_listing(study, about)
     return study, [*found.values()], notes

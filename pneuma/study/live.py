@@ -14,15 +14,12 @@ from typing import Any
 
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Row
-from pneuma.study.quantities import EVALUATION_TAGS
+from pneuma.study.quantities import EVALUATION_TAGS, NEGATED, TAGS
+from pneuma.study.series import TRAILING_EPISODES
 
-TRAILING_EPISODES = 100
-"""Episodes over which Stable-Baselines3 averages returns and lengths."""
-
-EPISODE_TAGS = {"return": "charts/episodic_return", "length": "charts/episodic_length"}
-TRAILING_TAGS = {"return": "rollout/ep_rew_mean", "length": "rollout/ep_len_mean"}
-UPDATE_TAGS = {"policy_loss": "train/policy_gradient_loss", "entropy": "train/entropy_loss"}
-"""Tags of some metrics; others are called train/COLUMN. Entropy is logged as a loss, negated."""
+LOGGED_BY_EPISODE = ("return", "length")
+UPDATE_TAGS = {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE}
+"""Tags of some metrics; others are called train/COLUMN."""
 
 
 class LiveLog:
@@ -43,12 +40,10 @@ class LiveLog:
         """Write what an update added to the file, before a checkpoint that could be resumed from."""
         records = progress.records
         for row in self._new("episodes", records.episodes):
-            self._write(row["step"], {tag: row[name] for name, tag in EPISODE_TAGS.items()})
+            self._write(row["step"], {TAGS[name][1]: row[name] for name in LOGGED_BY_EPISODE})
         if recent := records.episodes[-TRAILING_EPISODES:]:
-            means = {
-                tag: sum(row[name] for row in recent) / len(recent) for name, tag in TRAILING_TAGS.items()
-            }
-            self._write(progress.step, means)
+            means = {name: sum(row[name] for row in recent) / len(recent) for name in LOGGED_BY_EPISODE}
+            self._write(progress.step, {TAGS[name][0]: mean for name, mean in means.items()})
         for row in self._new("metrics", records.metrics):
             self._write(row["step"], _tagged(row, "train", UPDATE_TAGS))
         for row in self._new("evaluations", records.evaluations):
@@ -73,5 +68,5 @@ class LiveLog:
 
 
 def _tagged(row: Row, group: str, tags: Mapping[str, str]) -> dict[str, Any]:
-    values = {name: -value if name == "entropy" else value for name, value in row.items() if name != "step"}
-    return {tags.get(name, f"{group}/{name}"): value for name, value in values.items()}
+    values = {tags.get(name, f"{group}/{name}"): value for name, value in row.items() if name != "step"}
+    return {tag: -value if tag == NEGATED else value for tag, value in values.items()}

@@ -1,6 +1,6 @@
 """Measuring: from what a finished run recorded to the cells of its row (`rows.py`).
 
-    tables of an engine's records, or points of an imported log → `Measured` → `row_cells`
+    tables of an engine's records, or points of an imported log → `Recorded` → `row_cells`
 
 Nothing else measures a run. Functions of series of values are in `series.py`.
 """
@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,13 +22,13 @@ import pyarrow.compute as pc
 from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.files import parse_json
-from pneuma.study import identity
 from pneuma.study.checkpoints import TABLES, checkpoint_files, read_checkpoint, table_files
-from pneuma.study.identity import own_names, run_id
+from pneuma.study.identity import config_id, own_names, run_id
 from pneuma.study.quantities import (
-    ACTION_QUANTITIES,
     EPISODE_QUANTITIES,
     EVALUATION_TAGS,
+    NEGATED,
+    TAGS,
     UPDATE_QUANTITIES,
     WINDOWS,
 )
@@ -51,7 +51,6 @@ from pneuma.study.series import (
     TRAILING_EPISODES,
     WINDOW_POINTS,
     Series,
-    Stretch,
     episode_curve,
     held_curve,
     make_grid,
@@ -61,7 +60,7 @@ from pneuma.study.series import (
     update_curve,
     update_signs,
 )
-from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
+from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store, run_identity
 from pneuma.study.tables import record_table
 
 if TYPE_CHECKING:
@@ -75,50 +74,30 @@ RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 LEVELS = 512
 """Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
 
-TAGS = {
-    "return": ("rollout/ep_rew_mean", "charts/episodic_return"),
-    "length": ("rollout/ep_len_mean", "charts/episodic_length"),
-    "policy_loss": ("train/policy_gradient_loss", "losses/policy_loss"),
-    "value_loss": ("train/value_loss", "losses/value_loss"),
-    "entropy": ("train/entropy_loss", "losses/entropy"),
-    "approx_kl": ("train/approx_kl", "losses/approx_kl"),
-    "clip_fraction": ("train/clip_fraction", "losses/clipfrac"),
-    "explained_variance": ("train/explained_variance", "losses/explained_variance"),
-}
-"""The tags of Stable-Baselines3 and CleanRL for each quantity."""
-NEGATED = "train/entropy_loss"
-ONE_EPISODE = ("charts/episodic_return", "charts/episodic_length")
+ONE_EPISODE = tuple(TAGS[name][1] for name in ("return", "length"))
 """Tags of single episodes, which are averaged as Stable-Baselines3 does before it logs."""
 WALL_CLOCK = ("time/", "charts/SPS")
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A finished run that is to become a row.
+class Recorded:
+    """What a finished run recorded.
 
     Attributes:
-        fields: its resolved configuration, with steps and seed; of an import, what is known.
-        end: agent steps trained.
         series: step and value of every episode or update, by quantity; steps do not decrease.
         evaluations: rows of the evaluations.
         first_step: from which every slot has finished an episode; infinite if one has none.
         averaged_over: episodes over which returns were averaged when they were logged; None if they were not.
     """
 
-    run_id: str
-    config_id: str
-    fields: Mapping[str, Any]
-    status: str
-    end: int
     series: Mapping[str, Series]
     evaluations: Sequence[Mapping[str, Any]]
-    provenance: Mapping[str, Any]
     first_step: float = math.inf
     averaged_over: int | None = None
 
 
-def series_of_records(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> dict[str, Any]:
-    """Return the series, evaluations and first step of a run's record tables, as keywords of `Measured`."""
+def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Recorded:
+    """Return what a run's record tables hold."""
     series: dict[str, Series] = {}
     for name, quantities in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
         table = tables[name]
@@ -128,26 +107,22 @@ def series_of_records(fields: Mapping[str, Any], tables: Mapping[str, pa.Table])
             if quantity in table.column_names:
                 values = table[quantity].to_numpy().astype(float)
                 series[quantity] = steps[order], values[order]
-    episodes = tables["episodes"]
-    firsts = episodes.group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
+    firsts = tables["episodes"].group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
     slots, players = fields.get("slots"), fields.get("players", 1)
     all_began = isinstance(slots, int) and isinstance(players, int) and len(firsts) == slots * players
-    return {
-        "series": series,
-        "evaluations": tables["evaluations"].to_pylist(),
-        "first_step": float(firsts.max()) if all_began and len(firsts) else math.inf,
-    }
+    first_step = float(firsts.max()) if all_began and len(firsts) else math.inf
+    return Recorded(series, tables["evaluations"].to_pylist(), first_step)
 
 
-def series_of_log(scalars: pd.DataFrame) -> dict[str, Any]:
-    """Return the series of an imported log's points (tag, step, value, superseded), likewise."""
+def of_log(scalars: pd.DataFrame) -> Recorded:
+    """Return what the points (tag, step, value, superseded) of an imported log hold."""
     named = named_scalars(scalars)
     series = {}
     for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
         points = named[named["name"] == quantity]
         if len(points):
             series[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return {"series": series, "evaluations": _logged_evaluations(named), "averaged_over": TRAILING_EPISODES}
+    return Recorded(series, _logged_evaluations(named), averaged_over=TRAILING_EPISODES)
 
 
 _OF_RUNS = ("run_id", "condition", "seed")
@@ -191,14 +166,13 @@ def stored_row(store: Store, name: str) -> Row:
     folder = store.run_folder(name)
     try:
         files = {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
-        known = store.identity(name)
-        found = known.config_id if known else _config_id(name, parse_json(files["run.json"])["run"])
-        cells = cells_of_files(name, found, store.status(name, quick=True), files)
-        data = encode_row(cells)
+        status = store.status(name, quick=True)
+        known = status.identity or _identity(name, parse_json(files["run.json"])["run"])
+        data = encode_row(cells_of_files(name, replace(status, identity=known), files))
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{folder}: its records make no sense ({error})") from None
     with suppress(UserError):  # a folder that cannot be written is still read
-        store.save_row(name, data, known or Identity(cells["config_id"], cells["seed"], cells["steps"]))
+        store.save_row(name, data, known)
     return decode_row(data)
 
 
@@ -219,13 +193,11 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
         files = table_files(read[0].records)
     tables = {table: record_table(data, table) for table, data in files.items()}
     tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
-    fields = as_fields(run)
-    found = series_of_records(fields, tables)
-    measured = Measured(name, identity.config_id(run), fields, "done", step, provenance={}, **found)
-    return decode_row(encode_row(row_cells(measured)))
+    status, fields = Status("done", step, identity=run_identity(run)), as_fields(run)
+    return decode_row(encode_row(row_cells(name, status, fields, of_tables(fields, tables), {})))
 
 
-def cells_of_files(name: str, config_id: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
+def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
     """Return the cells of a finished run's row, from the files that it leaves.
 
     Raises:
@@ -238,23 +210,24 @@ def cells_of_files(name: str, config_id: str, status: Status, files: Mapping[str
         if file.endswith(".parquet")
     }
     if "scalars" in tables:
-        found = series_of_log(tables["scalars"].to_pandas(use_threads=False))
+        recorded = of_log(tables["scalars"].to_pandas(use_threads=False))
     else:
-        found = series_of_records(fields, tables)
-    about = parse_json(files["provenance.json"])
-    return row_cells(Measured(name, config_id, fields, status.name, status.step, provenance=about, **found))
+        recorded = of_tables(fields, tables)
+    return row_cells(name, status, fields, recorded, parse_json(files["provenance.json"]))
 
 
-def _config_id(name: str, fields: Mapping[str, Any]) -> str:
-    """Return the configuration id of a run that was stored without one.
+def _identity(name: str, fields: Mapping[str, Any]) -> Identity:
+    """Return the identity of a run that was stored without one.
 
-    It is unknown if the fields do not give the run's id any more, or name a user's files, which are not read.
+    Its configuration is unknown if the fields do not give the run's id any more, or name a user's files,
+    which are not read.
     """
+    found = UNKNOWN
     with suppress(UserError, OSError):
         run = make_run(fields)
         if not own_names(fields) and run_id(run) == name:
-            return identity.config_id(run)
-    return UNKNOWN
+            found = config_id(run)
+    return Identity(found, fields.get("seed") or 0, fields["steps"])
 
 
 def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
@@ -287,83 +260,82 @@ def _wide(scalars: pd.DataFrame) -> pd.DataFrame:
 # --- The cells --------------------------------------------------------------------------------------
 
 
-def row_cells(run: Measured) -> dict[str, Any]:
-    """Return the cells of a run's row, by column."""
+def row_cells(
+    run_id: str,
+    status: Status,
+    fields: Mapping[str, Any],
+    recorded: Recorded,
+    provenance: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
+    grid = make_grid(fields["steps"])
+    updates = {name: values for name, (_, values) in recorded.series.items() if name in UPDATE_QUANTITIES}
+    step = recorded.series[next(iter(updates))][0] if updates else np.empty(0)
     cells: dict[str, Any] = {
-        **{key: getattr(run, key) for key in ("run_id", "config_id", "status", "end")},
-        "seed": run.fields.get("seed") or 0,
-        "steps": run.fields["steps"],
-        "fields": json.dumps(run.fields),
-        "provenance": json.dumps(run.provenance),
-        "signs": pack_signs(_signs(run.series)),
-        EVALUATIONS: list(run.evaluations),
+        "run_id": run_id,
+        "config_id": status.identity.config_id if status.identity else UNKNOWN,
+        "status": status.name,
+        "end": status.step,
+        "seed": fields.get("seed") or 0,
+        "steps": fields["steps"],
+        "fields": json.dumps(fields),
+        "provenance": json.dumps(provenance),
+        "signs": pack_signs(update_signs(step, updates)),
+        EVALUATIONS: list(recorded.evaluations),
     }
-    if run.averaged_over:
-        cells[AVERAGED_OVER] = run.averaged_over
-    columns = {name: values for name, (_, values) in run.series.items() if name in UPDATE_QUANTITIES}
-    if columns:
-        step, _ = run.series[next(iter(columns))]
-        cells |= dict(zip(STUCK, stuck_updates(step, columns), strict=True))
-    for quantity in run.series:
-        cells |= _of_quantity(run, quantity)
-    if "return" in run.series and not run.averaged_over:
-        cells[LAST_EPISODES] = _last_episodes(run, cells[curve_column("return", WINDOWS[0])])
+    if recorded.averaged_over:
+        cells[AVERAGED_OVER] = recorded.averaged_over
+    if updates:
+        cells |= dict(zip(STUCK, stuck_updates(step, updates), strict=True))
+    for quantity in recorded.series:
+        cells |= _of_quantity(recorded, quantity, grid, status.step)
+    if "return" in recorded.series and not recorded.averaged_over:
+        curve = np.array(cells[curve_column("return", WINDOWS[0])])
+        cells[LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)
     return cells
 
 
-def _last_episodes(run: Measured, curve: Sequence[float]) -> float:
+def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> float:
     """Return how many episodes the last point of a curve of returns averages."""
     known = np.flatnonzero(np.isfinite(curve))
     if not len(known):
         return 0.0
-    steps, end = run.series["return"][0], make_grid(run.fields["steps"])[known[-1]]
-    window = run.fields["steps"] * WINDOW_POINTS / GRID_POINTS
-    return float(np.count_nonzero((steps > end - window) & (steps <= end)))
+    end, window = grid[known[-1]], grid[-1] * WINDOW_POINTS / GRID_POINTS
+    return float(np.count_nonzero((step > end - window) & (step <= end)))
 
 
-def _of_quantity(run: Measured, quantity: str) -> dict[str, Any]:
+def _of_quantity(recorded: Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
     """Return the cells of one quantity: its curves, rounded, and what of them is kept exact."""
-    (step, values), grid = run.series[quantity], make_grid(run.fields["steps"])
-    curves = dict(_curves(run, quantity, step, values, grid))
-    exact = {name: next(iter(curves.values())) for name in EXACT.get(quantity, ())}
-    if quantity in EXTREMES:
-        curves[f"{quantity} {PEAKS}"] = exact["peak"] = peak_curve(step, values, grid, EXTREMES[quantity])
+    curves = dict(_curves(recorded, quantity, grid, end))
+    usual = next(iter(curves.values()))
+    exact = {name: (usual, STATISTICS[name]) for name in EXACT.get(quantity, ())}
+    if take := EXTREMES.get(quantity):
+        curves[f"{quantity} {PEAKS}"] = peaks = peak_curve(*recorded.series[quantity], grid, take)
+        exact["peak"] = peaks, lambda step, values, until: float(take.reduce(values))
     cells: dict[str, Any] = {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()}
-    for name, curve in exact.items():
+    for name, (curve, statistic) in exact.items():
         known = np.isfinite(curve)
         if known.any():
-            take = STATISTICS.get(name) or (lambda _, values, end: EXTREMES[quantity].reduce(values))
-            cells[f"{quantity} {name}"] = float(take(grid[known], curve[known], float(run.fields["steps"])))
+            cells[f"{quantity} {name}"] = statistic(grid[known], curve[known], float(grid[-1]))
     return cells
 
 
 def _curves(
-    run: Measured, quantity: str, step: np.ndarray, values: np.ndarray, grid: np.ndarray
+    recorded: Recorded, quantity: str, grid: np.ndarray, end: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a quantity's curves with their columns, the usual one first."""
+    step, values = recorded.series[quantity]
+    windows = WINDOWS if quantity in ("return", "length") else WINDOWS[:1]  # as SB3 logs
     if quantity in UPDATE_QUANTITIES:
-        yield quantity, update_curve(step, values, grid, run.end)
-    elif run.averaged_over:
+        yield quantity, update_curve(step, values, grid, end)
+    elif recorded.averaged_over:
         single = values.astype(np.float32).astype(float)
-        yield curve_column(quantity, "trailing-100"), held_curve(step, single, grid, run.end)
+        yield curve_column(quantity, "trailing-100"), held_curve(step, single, grid, end)
     else:
-        for window in WINDOWS if quantity in ("return", "length") else WINDOWS[:1]:  # as SB3 logs
-            trailing = window != WINDOWS[0]
-            curve = episode_curve(
-                step, values, grid, trailing=trailing, from_step=run.first_step, end=run.end
-            )
+        for window in windows:
+            trailing, first = window != WINDOWS[0], recorded.first_step
+            curve = episode_curve(step, values, grid, trailing=trailing, from_step=first, end=end)
             yield curve_column(quantity, window), curve
-
-
-def _signs(series: Mapping[str, Series]) -> dict[str, list[Stretch]]:
-    """Return where each recorded sign of collapse holds."""
-    columns = {name: series[name] for name in ("entropy", "dead_units", *ACTION_QUANTITIES) if name in series}
-    if "action_0" in columns and np.isnan(columns["action_0"][1]).all():
-        columns.pop("entropy", None)  # of actions that are numbers it may be of any size
-    if not columns:
-        return {}
-    step, _ = next(iter(columns.values()))
-    return update_signs(step, {name: values for name, (_, values) in columns.items()})
 
 
 def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:

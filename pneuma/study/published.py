@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.files import checksum, parse_json
-from pneuma.study.rows import Row, check_table, column_type
+from pneuma.study.rows import Row, check_table, column_type, read_row
 from pneuma.study.tables import from_parquet
 
 
@@ -121,7 +121,7 @@ class Published:
         Raises:
             ValueError: where the table makes no sense.
         """
-        return Row(self._rows, self.places[run_id], published=True).checked()
+        return read_row(self._rows, self.places[run_id], published=True)
 
     def rows(self) -> dict[str, Row]:
         return {run_id: self.row(run_id) for run_id in self.places}

@@ -26,6 +26,19 @@ TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
 """Quantities of a curve over evaluations: columns of the evaluations table."""
 
+TAGS = {
+    "return": ("rollout/ep_rew_mean", "charts/episodic_return"),
+    "length": ("rollout/ep_len_mean", "charts/episodic_length"),
+    "policy_loss": ("train/policy_gradient_loss", "losses/policy_loss"),
+    "value_loss": ("train/value_loss", "losses/value_loss"),
+    "entropy": ("train/entropy_loss", "losses/entropy"),
+    "approx_kl": ("train/approx_kl", "losses/approx_kl"),
+    "clip_fraction": ("train/clip_fraction", "losses/clipfrac"),
+    "explained_variance": ("train/explained_variance", "losses/explained_variance"),
+}
+"""The tags of Stable-Baselines3 and CleanRL for each quantity."""
+NEGATED = "train/entropy_loss"
+
 EVALUATION_TAGS = {
     "return": "eval/mean_reward",
     "length": "eval/mean_ep_length",

@@ -13,7 +13,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -66,17 +66,11 @@ def column_type(name: str) -> pa.DataType | None:
     return pa.float64() if known else None
 
 
-def rows_table(cells: Sequence[Mapping[str, Any]]) -> pa.Table:
-    """Return rows with these cells as one table; a cell that is not there is null."""
-    names = dict.fromkeys(name for row in cells for name in row if name != EVALUATIONS)
-    columns = {name: pa.array([row.get(name) for row in cells], column_type(name)) for name in names}
-    columns[EVALUATIONS] = pa.array([row[EVALUATIONS] for row in cells])
-    return pa.table(columns)
-
-
 def encode_row(cells: Mapping[str, Any]) -> bytes:
     """Return one row as a file in Arrow's own format, which is read 25 times as fast as Parquet."""
-    table, sink = rows_table([cells]), io.BytesIO()
+    columns = {name: pa.array([cell], column_type(name)) for name, cell in cells.items()}
+    columns[EVALUATIONS] = columns.pop(EVALUATIONS)  # the last
+    table, sink = pa.table(columns), io.BytesIO()
     with pa.ipc.new_file(sink, table.schema) as writer:
         writer.write_table(table)
     return sink.getvalue()
@@ -92,7 +86,7 @@ def decode_row(data: bytes) -> Row:
     check_table(table)
     if table.num_rows != 1:
         raise ValueError("has not one row")
-    return Row(table).checked()
+    return read_row(table)
 
 
 _PATTERNS = {"run_id": "[0-9a-f]{16}", "config_id": "[0-9a-f]{16}", "status": "done|diverged"}
@@ -135,65 +129,56 @@ def _check_schema(serialized: bytes) -> None:
 # --- Reading ----------------------------------------------------------------------------------------
 
 
+_DOCUMENTS = {"fields": parse_json, "provenance": parse_json, "signs": unpack_signs}
+
+
+def read_row(table: pa.Table, place: int = 0, published: bool = False) -> Row:
+    """Return a row of a table that `check_table` lets pass.
+
+    Raises:
+        ValueError: naming a column that makes no sense.
+    """
+    row = table.slice(place, 1).replace_schema_metadata(None)
+    cells = {name: row[name][0].as_py() for name in (*NAMING, *NUMBERS)}
+    for name, read in _DOCUMENTS.items():
+        try:
+            cells[name] = read(cells[name])
+        except ValueError as error:
+            raise ValueError(f"column {name} makes no sense ({error})") from None
+    return Row(row, published, budget=cells.pop("steps"), **cells)
+
+
 @dataclass(frozen=True, eq=False)
 class Row:
     """One finished run, done or diverged.
 
     Attributes:
+        table: all its cells, as a table of one row.
         published: whether it is of a published table.
+        config_id: the id of its configuration, without seed and steps.
+        budget: agent steps that it was to train.
+        end: agent steps trained; fewer than the budget if it diverged.
+        status: 'done' or 'diverged'.
+        fields: its configuration, which may be untrusted.
+        provenance: what produced it, and how long that took.
+        signs: where each recorded sign of collapse holds.
     """
 
-    _table: pa.Table = field(repr=False)
-    _place: int = 0
-    published: bool = False
-
-    @property
-    def table(self) -> pa.Table:
-        """The row as a table of one row, without metadata."""
-        return self._table.slice(self._place, 1).replace_schema_metadata(None)
+    table: pa.Table = field(repr=False)
+    published: bool
+    run_id: str
+    config_id: str
+    seed: int
+    budget: int
+    end: int
+    status: str
+    fields: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    signs: Mapping[str, list[Stretch]]
 
     def cell(self, column: str) -> Any:
         """Return a cell; None if there is no such column."""
-        at = self._table.schema.get_field_index(column)
-        return self._table.column(at)[self._place].as_py() if at >= 0 else None
-
-    @cached_property
-    def run_id(self) -> str:
-        return str(self.cell("run_id"))
-
-    @cached_property
-    def config_id(self) -> str:
-        """The id of its configuration, without seed and steps."""
-        return str(self.cell("config_id"))
-
-    @cached_property
-    def seed(self) -> int:
-        return int(self.cell("seed"))
-
-    @cached_property
-    def budget(self) -> int:
-        """Agent steps that it was to train."""
-        return int(self.cell("steps"))
-
-    @cached_property
-    def end(self) -> int:
-        """Agent steps trained; fewer than the budget if it diverged."""
-        return int(self.cell("end"))
-
-    @cached_property
-    def status(self) -> str:
-        """'done' or 'diverged'."""
-        return str(self.cell("status"))
-
-    @cached_property
-    def fields(self) -> dict[str, Any]:
-        """Its configuration, which may be untrusted."""
-        return parse_json(self.cell("fields"))
-
-    @cached_property
-    def provenance(self) -> dict[str, Any]:
-        """What produced it, and how long that took."""
-        return parse_json(self.cell("provenance"))
+        return self.table[column][0].as_py() if column in self._columns else None
 
     @property
     def averaged_over(self) -> int | None:
@@ -220,8 +205,8 @@ class Row:
 
     @cached_property
     def _columns(self) -> frozenset[str]:
-        columns = zip(self._table.column_names, self._table.columns, strict=True)
-        return frozenset(name for name, column in columns if column[self._place].is_valid)
+        columns = zip(self.table.column_names, self.table.columns, strict=True)
+        return frozenset(name for name, column in columns if column[0].is_valid)
 
     def curve(self, quantity: str, window: str = "") -> np.ndarray:
         """Return a curve on the row's own grid, (points,); NaN where it has no value."""
@@ -234,8 +219,7 @@ class Row:
         return self._points(f"{quantity} {PEAKS}")
 
     def _points(self, column: str) -> np.ndarray:
-        at = self._table.schema.get_field_index(column)
-        values = self._table.column(at)[self._place].values if at >= 0 else None
+        values = self.table[column][0].values if column in self._columns else None
         if values is None or len(values) != GRID_POINTS:
             return np.full(GRID_POINTS, np.nan)
         return values.to_numpy(zero_copy_only=False).astype(float)
@@ -259,7 +243,7 @@ class Row:
 
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:
-        values = self._table[EVALUATIONS][self._place].values
+        values = self.table[EVALUATIONS][0].values
         if values is None or pa.types.is_null(values.type):
             return {}
         fields = {values.type.field(i).name: values.field(i) for i in range(values.type.num_fields)}
@@ -276,24 +260,6 @@ class Row:
 
     def evaluations_table(self) -> pa.Table:
         return pa.table(dict(self._evaluations))
-
-    @cached_property
-    def signs(self) -> dict[str, list[Stretch]]:
-        """Where each recorded sign of collapse holds."""
-        return unpack_signs(self.cell("signs"))
-
-    def checked(self) -> Row:
-        """Return the row itself if its texts are documents; they are read once.
-
-        Raises:
-            ValueError: naming one that is not.
-        """
-        for name in ("fields", "provenance", "signs"):
-            try:
-                getattr(self, name)
-            except ValueError as error:
-                raise ValueError(f"column {name} makes no sense ({error})") from None
-        return self
 
     @property
     def wall_seconds(self) -> float | None:

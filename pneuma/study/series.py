@@ -175,22 +175,27 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
         columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`. NaN is no sign. A column of NaN
             only, such as the entropy of learners of action values, is ignored.
     """
-    columns = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    known = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    if "action_0" in {*columns} - {*known}:
+        known.pop("entropy", None)  # of actions that are numbers it may be of any size
     holding: dict[str, np.ndarray] = {}
-    if "entropy" in columns:
-        holding[NO_ENTROPY] = columns["entropy"] < LEAST_ENTROPY
-    if {*ACTION_QUANTITIES} <= {*columns}:
-        shares = np.array([columns[name] for name in ACTION_QUANTITIES])  # (actions, updates)
-        others = 1 - shares.sum(axis=0)  # of the two spells, which have no columns, together
-        holding[ONE_ACTION] = np.maximum(shares.max(axis=0), others) >= MOST_OF_ONE
-    if "dead_units" in columns:
-        holding[DEAD_UNITS] = columns["dead_units"] >= MOST_DEAD
+    if "entropy" in known:
+        holding[NO_ENTROPY] = known["entropy"] < LEAST_ENTROPY
+    if {*ACTION_QUANTITIES} <= {*known}:
+        holding[ONE_ACTION] = _most_used(known) >= MOST_OF_ONE
+    if "dead_units" in known:
+        holding[DEAD_UNITS] = known["dead_units"] >= MOST_DEAD
     return {sign: stretches(step, holds) for sign, holds in holding.items()}
 
 
-STUCK_ENTROPY = LEAST_ENTROPY
+def _most_used(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the share of each update's most used action; the spells, without columns, count as one."""
+    shares = np.array([columns[name] for name in ACTION_QUANTITIES])  # (actions, updates)
+    return np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))
+
+
 STUCK_SHARE = 0.99
-"""An update is stuck below that entropy, in nats, if one action is more than this share of its rollout."""
+"""An update without entropy is stuck if one action is more than this share of its rollout."""
 
 
 def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
@@ -205,9 +210,7 @@ def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[
     names = ("entropy", *ACTION_QUANTITIES)
     if any(name not in columns or np.isnan(columns[name]).all() for name in names):
         return 0, 0, 0
-    shares = np.array([columns[name] for name in ACTION_QUANTITIES])
-    most = np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))  # of the spells together
-    holds = (columns["entropy"] < STUCK_ENTROPY) & (most > STUCK_SHARE)
+    holds = (columns["entropy"] < LEAST_ENTROPY) & (_most_used(columns) > STUCK_SHARE)
     return int(holds.sum()), len(step), len(stretches(step, holds))
 
 

@@ -22,9 +22,9 @@ import errno
 import os
 import re
 import tempfile
-from collections.abc import Mapping
-from contextlib import AbstractContextManager, suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,31 +70,6 @@ _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 
 @dataclass(frozen=True)
-class Status:
-    """The status of a run, and the agent steps trained.
-
-    Attributes:
-        name: planned if nothing is stored; running while a process trains it or its group; partial if there
-            are only checkpoints; damaged if a file is not what was written.
-        step: agent steps of the records, or of the latest checkpoint.
-        detail: the file that is damaged.
-    """
-
-    name: str
-    step: int = 0
-    detail: str = ""
-
-    @property
-    def finished(self) -> bool:
-        return self.name in FINISHED
-
-    @property
-    def failed(self) -> bool:
-        """Whether the run failed and is trained again only when asked for."""
-        return self.name in FAILED
-
-
-@dataclass(frozen=True)
 class Identity:
     """What a stored run is a run of.
 
@@ -106,6 +81,33 @@ class Identity:
     config_id: str
     seed: int
     steps: int
+
+
+@dataclass(frozen=True)
+class Status:
+    """The status of a run, and the agent steps trained.
+
+    Attributes:
+        name: planned if nothing is stored; running while a process trains it or its group; partial if there
+            are only checkpoints; damaged if a file is not what was written.
+        step: agent steps of the records, or of the latest checkpoint.
+        detail: the file that is damaged.
+        identity: what it is a run of; None if that is not stored, as of older runs.
+    """
+
+    name: str
+    step: int = 0
+    detail: str = ""
+    identity: Identity | None = field(default=None, compare=False)
+
+    @property
+    def finished(self) -> bool:
+        return self.name in FINISHED
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run failed and is trained again only when asked for."""
+        return self.name in FAILED
 
 
 class Store:
@@ -169,45 +171,30 @@ class Store:
 
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
-        return self._status(run_id, self._manifest(run_id), quick)
-
-    def _status(self, run_id: str, manifest: dict[str, Any] | None, quick: bool) -> Status:
-        folder = self.run_folder(run_id)
-        recorded = Status(manifest["status"], manifest["step"]) if manifest else Status("planned")
-        files = {
-            name: sum_ for name, sum_ in (manifest or {"files": {}})["files"].items() if name != ROW_FILE
-        }
-        for name, expected in files.items():
+        folder, manifest = self.run_folder(run_id), self._manifest(run_id)
+        about = manifest or {"status": "planned", "step": 0, "files": {}}
+        known = {one.name: about[one.name] for one in fields(Identity) if one.name in about}
+        identity = Identity(**known) if len(known) == len(fields(Identity)) else None
+        recorded = Status(about["status"], about["step"], identity=identity)
+        for name, expected in about["files"].items():
+            if name == ROW_FILE:
+                continue  # it is made anew
             sound = (folder / name).is_file() if quick else read_sound(folder, name, expected) is not None
             if not sound:
-                return Status("damaged", 0, name)
+                return replace(recorded, name="damaged", step=0, detail=name)
         if recorded.finished:
             return recorded
         try:
             checkpoints = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
         except UserError as error:
-            return Status("damaged", 0, str(error))
+            return replace(recorded, name="damaged", step=0, detail=str(error))
         steps = [named[0] for named in checkpoints if named]  # a crash does not know its step
-        step = max(recorded.step, 0, *steps)
+        status = replace(recorded, step=max(recorded.step, 0, *steps))
         if is_held(folder):
-            return Status("running", step)
+            return replace(status, name="running")
         if manifest is None and os.path.lexists(folder / "status.json"):
-            return Status("damaged", step, "status.json")
-        return Status("partial" if step and recorded.name == "planned" else recorded.name, step)
-
-    def identity(self, run_id: str) -> Identity | None:
-        """Return what a run is a run of; None if its status does not say so, as those of older runs."""
-        return self._identity(self._manifest(run_id))
-
-    def listed(self, run_id: str) -> tuple[Status, Identity | None]:
-        """Return a run's status, judged by the existence of its files, and its identity."""
-        manifest = self._manifest(run_id)
-        return self._status(run_id, manifest, quick=True), self._identity(manifest)
-
-    def _identity(self, manifest: Mapping[str, Any] | None) -> Identity | None:
-        manifest = manifest or {}
-        known = {key: manifest[key] for key in ("config_id", "seed", "steps") if key in manifest}
-        return Identity(**known) if len(known) == 3 else None
+            return replace(status, name="damaged", detail="status.json")
+        return replace(status, name="partial") if status.step and status.name == "planned" else status
 
     def saved_at(self, run_id: str) -> float:
         """Return when a run's status was written, in seconds since 1970; 0 if there is none."""
@@ -222,13 +209,8 @@ class Store:
             UserError: when the folder cannot be written.
         """
         folder = self.run_folder(run_id)
-        manifest = {"status": "planned", "step": 0, "files": {}, **asdict(identity)}
-        self._check_within(folder)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            create_whole(folder / "status.json", dump_checksummed(manifest))
-        except OSError as error:
-            raise UserError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        with self._writing(folder, folder):
+            create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
     def save_row(self, run_id: str, data: bytes, identity: Identity) -> None:
         """Write the row of a finished run that lacks it.
@@ -239,12 +221,10 @@ class Store:
         manifest = self._manifest(run_id)
         if manifest and manifest["status"] in FINISHED:
             files = {**manifest["files"], ROW_FILE: checksum(data)}
-            document = _status_document(Status(manifest["status"], manifest["step"]), files, identity)
+            document = dump_checksummed({**manifest, "files": files, **asdict(identity)})
             self._write_all(self.run_folder(run_id), {ROW_FILE: data, "status.json": document})
 
-    def save_run(
-        self, run_id: str, status: Status, files: Mapping[str, bytes], identity: Identity | None = None
-    ) -> None:
+    def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that lists their checksums; remove its other files.
 
         A finished run is never replaced by an unfinished one, because another process may have trained it.
@@ -252,11 +232,12 @@ class Store:
         Raises:
             UserError: when the folder cannot be written.
         """
-        if not status.finished and self.status(run_id).finished:
-            return remove_lock(self.run_folder(run_id))
-        folder, known = self.run_folder(run_id), identity or self.identity(run_id)
+        folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
+        if before.finished and not status.finished:
+            return remove_lock(folder)
+        known = replace(status, identity=status.identity or before.identity)
         checksums = {name: checksum(data) for name, data in files.items()}
-        self._write_all(folder, {**files, "status.json": _status_document(status, checksums, known)})
+        self._write_all(folder, {**files, "status.json": _status_document(known, checksums)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 path.unlink(missing_ok=True)
@@ -355,14 +336,18 @@ class Store:
 
     def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
         """Write files into a folder in this order. If one fails, those before it may be there."""
+        with self._writing(folder, folder / next(iter(files))):
+            replace_files(folder, files)
+
+    @contextmanager
+    def _writing(self, folder: Path, what: Path) -> Iterator[None]:
+        """Create a folder of the results to write into; an error says that `what` cannot be written."""
         self._check_within(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            replace_files(folder, files)
+            yield
         except OSError as error:
-            raise UserError(
-                f"{folder / next(iter(files))}: cannot be written ({error.strerror or error})"
-            ) from None
+            raise UserError(f"{what}: cannot be written ({error.strerror or error})") from None
 
 
 def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
@@ -394,6 +379,6 @@ def run_document(run: Run, run_id: str) -> bytes:
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_fields(run)})
 
 
-def _status_document(status: Status, checksums: Mapping[str, str], identity: Identity | None) -> bytes:
-    known = asdict(identity) if identity else {}
+def _status_document(status: Status, checksums: Mapping[str, str]) -> bytes:
+    known = asdict(status.identity) if status.identity else {}
     return dump_checksummed({"status": status.name, "step": status.step, "files": checksums, **known})

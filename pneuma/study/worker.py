@@ -190,7 +190,7 @@ def _train_once(
         if log:
             with suppress(OSError):
                 log.close()
-    status = Status(result.status, result.step)
+    status = Status(result.status, result.step, identity=run_identity(run))
     if status.name != "stopped":
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
         about |= {"warning": warned[0]} if warned else {}
@@ -198,9 +198,8 @@ def _train_once(
         files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
         if result.policy is not None:
             files[POLICY_FILE] = result.policy.to_bytes()
-        identity = run_identity(run)
-        files[ROW_FILE] = encode_row(cells_of_files(name, identity.config_id, status, files))
-        job.store.save_run(name, status, files, identity)
+        files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
+        job.store.save_run(name, status, files)
         checkpoints.finish()
     reporter.end(name, status)
 

@@ -110,10 +110,13 @@ def test_a_planned_run_says_what_it_is_and_a_study_with_a_file_leaves_nothing_el
     plan, store = tiny_plan(tmp_path), Store(tmp_path / "results")
     for _ in range(2):
         todo, _ = prepare(plan, store)
-        assert {name: store.identity(name) for name in todo} == {n: run_identity(r) for n, r in todo.items()}
-    assert {store.status(name).name for name in todo} == {"planned"}
+        statuses = {name: store.status(name) for name in todo}
+        assert {n: status.identity for n, status in statuses.items()} == {
+            name: run_identity(run) for name, run in todo.items()
+        }
+    assert {status.name for status in statuses.values()} == {"planned"}
     assert os.listdir(store.root) == ["runs"]
     first = plan.cells[0].run_id
     store.save_run(first, Status("done", 256), {})
-    assert store.identity(first) == run_identity(plan.cells[0].run)
+    assert store.status(first).identity == run_identity(plan.cells[0].run)
     assert first not in prepare(plan, store)[0] and store.status(first).finished

@@ -75,7 +75,7 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
     assert files == {path.name for path in store.run_folder(SECOND).iterdir()}  # no lock is left either
     (row,) = from_parquet(store.read_file(SECOND, "metrics.parquet")).to_pylist()
     assert (row["step"], row["policy_loss"]) == (256, 0.5)
-    assert [store.identity(run_id(run)) for run in RUNS] == [run_identity(run) for run in RUNS]
+    assert [store.status(run_id(run)).identity for run in RUNS] == [run_identity(run) for run in RUNS]
     rows = [decode_row(store.read_file(name, "row.arrow")) for name in (FIRST, SECOND)]
     assert [(row.run_id, row.status, row.seed, row.budget, row.end) for row in rows] == [
         (FIRST, "done", 0, 512, 512),
