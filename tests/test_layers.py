@@ -63,8 +63,8 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     # what knows at which steps runs are evaluated:
     "pneuma.search.trials": ("pneuma.search", "pneuma.study", "pneuma.analysis", "pneuma.engines.loop"),
     "pneuma.figures": (
-        "pneuma.analysis", "pneuma.search", "pneuma.env.render", "pneuma.env.watch", "pneuma.study.store",
-        "pneuma.study.provenance", "pneuma.study.plan", "pneuma.study.series", "pneuma.study.quantities",
+        "pneuma.analysis", "pneuma.search", "pneuma.env", "pneuma.study.store", "pneuma.study.provenance",
+        "pneuma.study.plan", "pneuma.study.series", "pneuma.study.quantities",
     ),
     "pneuma.bench": ("pneuma.env",),
     "pneuma.doctor": ("pneuma.study",),

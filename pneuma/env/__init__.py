@@ -1,8 +1,8 @@
 """The environment: a top-down world in which players fight monsters (thesis chapter 5).
 
 `rules.py` holds the compiled rules, `layouts.py` and `observe.py` what a player perceives and `reward.py`
-what it is paid; `kernel.py` calls them, `worlds.py` owns the state, and `slots.py` has the players one by
-one. `gym.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
+what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` has the players one by one.
+`gym.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
 """
 
 from typing import Any

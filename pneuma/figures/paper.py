@@ -2,10 +2,10 @@
 
     python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
-It draws the environment's own figures; the thesis's Figs. 6.2 to 6.5 with its conditions; one figure of every
-study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that pages show; of
-every search that is published there; and the verdicts on all claims. Figures of an earlier run that are no
-longer drawn are removed.
+It draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to 6.5 with its conditions; one
+figure of every study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that
+pages show; of every search that is published there; and the verdicts on all claims. Figures of an earlier run
+that are no longer drawn are removed.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pneuma.errors import UserError
 from pneuma.figures.collapse import collapse_page
 from pneuma.figures.curves import curves_page
 from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
+from pneuma.figures.gallery import draw_gallery
 from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import robustness_page, study_maps
@@ -86,7 +87,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
     """
     logs = beside or {}
     (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    written = [*_draw_environment(folder), *_write_settings(folder)]
+    written = [*_draw_environment(folder, results), *_write_settings(folder)]
     index = _published(results)
     sizes: dict[str, int] = {}
     for table in index.tables.values():
@@ -134,9 +135,10 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     return write_verdicts(judged_claims(store, stored=False)[0], folder, COMMAND)
 
 
-def _draw_environment(folder: Path) -> list[Path]:
-    """Draw the figures of the environment itself."""
-    return [path for draw in (draw_mailman, draw_screens, draw_level) for path in draw(folder, COMMAND)]
+def _draw_environment(folder: Path, results: Path) -> list[Path]:
+    """Draw the figures of the environment itself, and its gallery."""
+    drawn = [path for draw in (draw_mailman, draw_screens, draw_level) for path in draw(folder, COMMAND)]
+    return [*drawn, *draw_gallery(folder, results, COMMAND)]
 
 
 def _write_settings(folder: Path) -> list[Path]:

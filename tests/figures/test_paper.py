@@ -28,7 +28,7 @@ from .hand_made import HandMade
 def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the environment's own figures, which tests of theirs draw; one process has the rest."""
     monkeypatch.setattr(paper, "available_cores", lambda: 1)
-    monkeypatch.setattr(paper, "_draw_environment", lambda folder: [])
+    monkeypatch.setattr(paper, "_draw_environment", lambda folder, results: [])
     monkeypatch.setattr(paper, "_write_settings", lambda folder: [])
 
 

@@ -1,0 +1,207 @@
+"""The pictures of docs/gallery.md: worlds, classes, spells, islands, and an agent before and after training.
+
+The agent's episodes are a recording (`studies/record_play.py`), so that nothing is trained here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pneuma.env.players import Hunter
+from pneuma.env.render import GIF_FACTOR, Renderer
+from pneuma.env.rules import RIGHT
+from pneuma.env.watch import (
+    GIF_FRAMES_PER_STEP,
+    episode_frames,
+    frame_rate,
+    level_worlds,
+    smooth,
+    write_video,
+)
+from pneuma.env.worlds import Worlds
+from pneuma.env_fields import DASH, SPELL_NAMES, make_env_config
+from pneuma.figures.origin import Origin
+from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.files import read_json
+from pneuma.worlds import WORLDS
+
+RECORDING = "played.json"
+DOTS = 200
+"""Dots an inch: every pixel of a frame is one dot."""
+GAP, LINE, PLOT, HEIGHT = 24, 36, 300, 280
+"""Dots between panels, of a line above them, of a plot below them, and of a scene's height."""
+CLASSES = ("base", "tank", "mage", "warrior")
+REWARDS = {
+    "text": "all XP minus the share of HP left",
+    "godot": "circles entered; at a kill, all XP",
+    "arena": "XP gained minus HP lost",
+}
+AWAY = 400.0
+"""Pixels beyond which a monster does not notice."""
+ISLANDS = ("random:train:17", "random:test:17")
+HUNTED, SHOWN = 120, 130
+"""Steps that the hunter plays in each world, and that the moving picture of the agent lasts."""
+
+
+def draw_gallery(folder: Path, results: Path, command: str = "") -> list[Path]:
+    """Draw all pictures; those of the agent where its recording is published."""
+    played = read_json(results / "published" / RECORDING)
+    with house_style():
+        pages = {"worlds": _worlds(), "classes": _classes(), "spells": _spells(), "islands": _islands()}
+        if played:
+            pages["training"] = _training(played["episodes"])
+        paths = [
+            path
+            for name, page in pages.items()
+            for path in save_figure(
+                page, folder, f"gallery-{name}", ("png",), Origin(command=command), colours=0
+            )
+        ]
+    return [*paths, _move(played["episodes"][-1], folder / "play.gif")] if played else paths
+
+
+def _page(frames: Mapping[str, np.ndarray], below: int = 0) -> tuple[Figure, list[Axes]]:
+    """Return a figure of frames side by side, dot by dot, under their titles."""
+    height, above = max(map(len, frames.values())), LINE * (1 + max(title.count("\n") for title in frames))
+    width = sum(frame.shape[1] + GAP for frame in frames.values()) - GAP
+    page, panels, left = Figure(figsize=(width / DOTS, (above + height + below) / DOTS), dpi=DOTS), [], 0
+    for title, frame in frames.items():
+        panels.append(_panel(page, left, below + height - len(frame), *frame.shape[1::-1]))
+        panels[-1].imshow(frame, interpolation="none", aspect="auto")
+        panels[-1].set_title(title)
+        panels[-1].axis("off")
+        left += frame.shape[1] + GAP
+    return page, panels
+
+
+def _panel(page: Figure, left: int, bottom: int, width: int, height: int) -> Axes:
+    """Add a panel at a place in dots."""
+    across, up = page.get_size_inches() * DOTS
+    return page.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+# --- The world -----------------------------------------------------------------------------------
+
+
+def _worlds() -> Figure:
+    """Show the hunter in each world, and what its steps are paid."""
+    frames, rewards = {}, []
+    for name, world in WORLDS.items():
+        worlds = level_worlds(config=make_env_config({}, world.env))
+        hunter, paid = Hunter(worlds), []
+        renderer = Renderer(worlds, "follow", panel=False, zoom=GIF_FACTOR)
+        for _ in range(HUNTED):
+            worlds.step(hunter.act(worlds))
+            paid.append(float(worlds.events["reward"][0, 0]))
+            frame = renderer.frame()
+            if worlds.events["hits"][0, 0]:
+                frames[f"{name}\n{REWARDS[name]}"] = frame
+        rewards.append(paid)
+    page, panels = _page(frames, PLOT)
+    for panel, paid in zip(panels, rewards, strict=True):
+        left = round(panel.get_position().x0 * page.get_figwidth() * DOTS)
+        axes = _panel(page, left + 80, 100, 390, PLOT - 130)
+        axes.plot(range(1, HUNTED + 1), paid, color=COLOURS[0])
+        axes.set(xlabel="step", ylabel="reward", xlim=(0, HUNTED))
+    return page
+
+
+def _classes() -> Figure:
+    """Show one blow of each class."""
+    worlds = level_worlds(config=make_env_config({"players": len(CLASSES), "classes": CLASSES}))
+    _put_ahead(worlds, np.arange(len(CLASSES)), 66.0)
+    titles = [
+        f"{name}\n{stats['hp']:.0f} HP, {stats['damage']:.0f} a blow"
+        for name, stats in zip(CLASSES, worlds.player_stats, strict=True)
+    ]
+    return _page(dict(zip(titles, _acted(worlds, "attack", 340), strict=True)))[0]
+
+
+def _spells() -> Figure:
+    """Show the two spells, and the dash."""
+    frames = {}
+    for name in (*SPELL_NAMES, DASH):
+        worlds = level_worlds(config=make_env_config({"classes": "mage", "magic": True, "dash": True}))
+        _put_ahead(worlds, np.zeros(3, np.int64), np.array([120.0, 200.0, 280.0]) + AWAY * (name == DASH))
+        worlds.players["hp"] = 30.0
+        (frames[name],) = _acted(worlds, name, 480, ahead=110)
+    return _page(frames)[0]
+
+
+def _islands() -> Figure:
+    islands = {name: level_worlds(config=make_env_config({"level": name})) for name in ISLANDS}
+    return _page({name: Renderer(worlds, panel=False).frame() for name, worlds in islands.items()})[0]
+
+
+def _put_ahead(worlds: Worlds, players: np.ndarray, away: np.ndarray | float) -> None:
+    """Turn all players to the right, and put a monster so many pixels ahead of each that is named."""
+    worlds.players["facing"] = RIGHT
+    worlds.monsters["x"][0, : len(players)] = worlds.players["x"][0, players] + away
+    worlds.monsters["y"][0, : len(players)] = worlds.players["y"][0, players]
+    worlds.observe()
+
+
+def _acted(worlds: Worlds, action: str, width: int, ahead: int = 0) -> list[np.ndarray]:
+    """Return what is around each player, or more ahead of it, in the middle of an action."""
+    renderer = Renderer(worlds, "follow", panel=False)
+    smooth(worlds)
+    for _ in range(3):  # 6 ticks; what shows for a moment follows from the frames before
+        renderer.frame()
+        worlds.step(np.full(worlds.players.shape, worlds.action_names.index(action)))
+    frames = [renderer.frame(0, player) for player in range(worlds.players.shape[1])]
+    top, left = (len(frames[0]) - HEIGHT) // 2, (frames[0].shape[1] - width) // 2 + ahead
+    return [frame[top : top + HEIGHT, left : left + width] for frame in frames]
+
+
+# --- An agent ------------------------------------------------------------------------------------
+
+
+def _training(episodes: Sequence[Mapping[str, Any]]) -> Figure:
+    """Show on the map where agents went, and where they killed."""
+    frames, paths, killed = {}, [], []
+    for episode in episodes:
+        worlds, act = replay(episode)
+        renderer = Renderer(worlds, panel=False)
+        frame, (left, top, right, _) = renderer.frame(), renderer.extent
+        corner, scale = np.array([left, top]), frame.shape[1] / (right - left)
+        path = []
+        while worlds.worlds["ending"][0] == 0 and worlds.worlds["monsters_left"][0] > 0:
+            path.append([worlds.players["x"][0, 0], worlds.players["y"][0, 0]])
+            worlds.step(act(worlds))
+        dead = worlds.monsters[0][worlds.monsters["hp"][0] <= 0]
+        paths.append((np.array(path) - corner) * scale)
+        killed.append((np.stack([dead["x"], dead["y"]], axis=1) - corner) * scale)
+        fate = "dead after" if worlds.ending(0) == "killed" else "in"
+        killed_of = f"{len(dead)} of {worlds.monsters.size} killed, {fate} {len(path)} steps"
+        frames[f"after {episode['steps']:,} steps of training\n{killed_of}"] = frame
+    page, panels = _page(frames)
+    for axes, way, places in zip(panels, paths, killed, strict=True):
+        axes.set(autoscale_on=False)
+        axes.plot(*way.T, color="black", linewidth=2.4)
+        axes.plot(*way.T, color="white", linewidth=1.4)
+        axes.plot(*places.T, "X", color="#e8503f", markeredgecolor="black", markersize=9)
+    return page
+
+
+def replay(episode: Mapping[str, Any], **settings: object) -> tuple[Worlds, Callable[[Worlds], np.ndarray]]:
+    """Return the world of a recorded episode, and who plays it again."""
+    worlds = Worlds(1, make_env_config(settings, episode["env"]))
+    worlds.seed([episode["seed"]])
+    worlds.reset()
+    actions = map(int, episode["actions"])
+    return worlds, lambda shown: np.full(shown.players.shape, next(actions))
+
+
+def _move(episode: Mapping[str, Any], path: Path) -> Path:
+    """Write the first steps of an episode as a moving picture."""
+    worlds, act = replay(episode, episode_steps=SHOWN)
+    renderer = Renderer(worlds, "follow", zoom=GIF_FACTOR)
+    frames = episode_frames(worlds, act, renderer, GIF_FRAMES_PER_STEP)
+    write_video(path, frames, frame_rate(GIF_FRAMES_PER_STEP))
+    return path

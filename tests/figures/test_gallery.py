@@ -1,0 +1,33 @@
+"""The pictures of docs/gallery.md, and the episodes that they show."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pneuma.figures import gallery
+from pneuma.figures.origin import read_origin
+from pneuma.study.store import shipped_tables
+
+
+def test_the_gallery_is_drawn_and_says_where_it_comes_from(tmp_path: Path) -> None:
+    results = shipped_tables().parent
+    *pictures, moving = gallery.draw_gallery(tmp_path, results, "make figures")
+    assert [path.stem for path in pictures] == [
+        f"gallery-{name}" for name in ("worlds", "classes", "spells", "islands", "training")
+    ]
+    assert {read_origin(path).command for path in pictures} == {"make figures"}
+    assert moving.name == "play.gif"
+    paths = gallery.draw_gallery(tmp_path / "bare", tmp_path)
+    assert [path.stem for path in paths] == [path.stem for path in pictures[:-1]]
+
+
+def test_the_recorded_agents_kill_what_the_page_says() -> None:
+    recorded = json.loads((shipped_tables() / gallery.RECORDING).read_bytes())["episodes"]
+    kills = []
+    for episode in recorded:
+        worlds, act = gallery.replay(episode)
+        while worlds.worlds["ending"][0] == 0:
+            worlds.step(act(worlds))
+        kills.append(int(worlds.players["kills"][0, 0]))
+    assert kills == [2, 14]
