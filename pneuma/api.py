@@ -84,7 +84,7 @@ def run_study(
     )
     asked = spec.load_study(os.fspath(study), world)
     if preset == spec.CLAIMS:
-        from pneuma.analysis.claims_preset import with_claims
+        from pneuma.analysis.claims import with_claims
 
         asked = with_claims(asked, steps)
     planned, store = plan.make_plan(asked, selection), _store(results)

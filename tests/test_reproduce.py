@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims_preset import fixed_amounts, with_claims
+from pneuma.analysis.claims import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Study, list_studies, load_study
 from pneuma.study.store import Store

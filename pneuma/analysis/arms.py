@@ -115,24 +115,16 @@ class ClaimRuns:
         budgets = [self.budget(name) for name in claim.compared]
         unlike = max(budgets) > min(budgets) * (1 + SLACK)
         at_step = float(min(claim.steps.values())) if unlike else None
-        learned, reasons = _learned(data, runs, at_step), []
-        values = _values(data, runs, name, at_step)
-        # A threshold that is never reached gives inf: not a number to compare, but one to count.
+        parts, why = name.split(MINUS), ""
+        values = np.subtract.reduce([[outcome(data, run, part, at_step) for run in runs] for part in parts])
         for run, value in zip(runs, values, strict=True):
-            if np.isnan(value) or (np.isinf(value) and not claim.event):
-                why = next(filter(None, (reason(data, run, part, at_step) for part in name.split(MINUS))), "")
-                reasons.append(f"{condition} seed {run.seed}: {why or f'it never gets to its {name}'}")
+            # A threshold that is never reached gives inf: not a number to compare, but one to count.
+            if not why and (np.isnan(value) or (np.isinf(value) and not claim.event)):
+                found = filter(None, (reason(data, run, part, at_step) for part in parts))
+                why = f"{condition} seed {run.seed}: {next(found, f'it never gets to its {name}')}"
         if claim.event:
             values = claim.has_event(values).astype(float)
-        return Arm(values, tuple(run.run_id for run in runs), next(iter(reasons), ""), learned)
-
-
-def _values(data: StudyData, runs: Sequence[FinishedRun], name: str, at_step: float | None) -> np.ndarray:
-    """Return each run's outcome, or by how much the first of two outcomes exceeds the second, (runs,)."""
-    first, *second = (
-        np.array([outcome(data, run, part, at_step) for run in runs], float) for part in name.split(MINUS)
-    )
-    return first - second[0] if second else first
+        return Arm(values, tuple(run.run_id for run in runs), why, _learned(data, runs, at_step))
 
 
 def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> bool | None:
@@ -167,7 +159,6 @@ def find_runs(
         path = str(claims.path.parent / claim.study) if is_path else claim.study
         for world in filter(partial(wanted, claim), claim.worlds):
             asked = ask(index, path, Selection(conditions=claim.compared), world)
-            assert asked.study is not None
             commands = _commands(claims, claim, asked.study)
             fix = f"{TRAIN_WITH} {' && '.join(shlex.join(words) + rest for words in commands)}"
             runs = ClaimRuns(claim, world, asked, None, fix, index.problems)

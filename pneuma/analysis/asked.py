@@ -11,7 +11,7 @@ list theirs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,8 @@ from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.plan import Selection, configure, round_up
 from pneuma.study.spec import Study, list_studies, load_study, run_command
-from pneuma.values import shown_settings, shown_value
-from pneuma.worlds import WORLDS
+from pneuma.values import as_tuple, shown_settings, shown_value
+from pneuma.worlds import TEXT, WORLDS
 
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData  # which loads pandas: not for `status`
@@ -38,37 +38,27 @@ class Asked:
     """A study as it is asked for, before any run is looked at.
 
     Attributes:
-        name: of the study.
-        title: shown to users, without world and changed fields.
-        baseline: the condition that others are compared with.
+        study: in its world and with changed fields; one that lists its runs has no path.
         fields: the fields of each condition, apart from seed and steps; of an import, what is known.
-        listed: of a study without a file, condition and seed of each run, by id.
-        same: groups of conditions that are one configuration.
-        every: the names of all conditions, also of those that are not shown.
-        study: the study in its world and with changed fields; None if it has no file.
         runs: the configurations, by condition; empty if the study lists its runs.
+        listed: of a study that lists them, condition and seed of each run, by id.
+        same: groups of conditions that are one configuration.
         narrowed: conditions, seeds and steps that were asked for, which figures' names contain.
     """
 
-    name: str
-    title: str
-    baseline: str
+    study: Study
     fields: Mapping[str, Mapping[str, Any]]
-    same: Sequence[Sequence[str]] = ()
-    every: Sequence[str] = ()
-    study: Study | None = None
     runs: Mapping[str, Run] = field(default_factory=dict)
     listed: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    same: Sequence[Sequence[str]] = ()
     narrowed: Sequence[str] = ()
 
     @property
     def where(self) -> str:
         """The study with its world and changed fields, for messages."""
-        if self.study is None:
-            return self.name
-        world = f" in {WORLDS[self.study.world].title}" if len(self.study.worlds) > 1 else ""
-        changed = shown_settings(self.study.settings)
-        return f"{self.name}{world}" + (f" with {changed}" if changed else "")
+        study, changed = self.study, shown_settings(self.study.settings)
+        world = f" in {WORLDS[study.world].title}" if len(study.worlds) > 1 else ""
+        return f"{study.name}{world}" + (f" with {changed}" if changed else "")
 
 
 @dataclass(frozen=True)
@@ -109,44 +99,32 @@ def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None =
     if not of_file and (listing := index.listing(name)) is not None:
         return _ask_listed(index, listing, picked)
     study = load_study(name, world, () if of_file else index.listings())
-    asked = configure(study, picked.settings or {}, picked.conditions, index.engine_of)
-    fields = {name: _without_amount(as_fields(run)) for name, run in asked.runs.items()}
-    narrowed = picked.conditions if {*asked.origins} < {*asked.study.conditions} else ()
-    return Asked(
-        study.name,
-        study.title,
-        asked.study.baseline,
-        fields,
-        asked.same,
-        tuple(asked.study.conditions),
-        asked.study,
-        asked.runs,
-        narrowed=narrowed,
-    )
+    found = configure(study, picked.settings or {}, picked.conditions, index.engine_of)
+    fields = {name: _without_amount(as_fields(run)) for name, run in found.runs.items()}
+    narrowed = picked.conditions if {*found.origins} < {*found.study.conditions} else ()
+    return Asked(found.study, fields, found.runs, same=found.same, narrowed=narrowed)
 
 
 def _ask_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) -> Asked:
-    every = list(dict.fromkeys(run["condition"] for run in listing["runs"]))
-    for name in picked.conditions:
-        if name not in every:
-            raise unknown_name(f"condition of study {listing['study']}", name, every)
+    name, every = listing["study"], dict.fromkeys((run["condition"] for run in listing["runs"]), {})
+    for condition in picked.conditions:
+        if condition not in every:
+            raise unknown_name(f"condition of study {name}", condition, every)
     if picked.settings:
-        raise UserError(f"--set: study {listing['study']} has no file whose fields could be changed")
-    wanted = [name for name in every if name in (picked.conditions or every)]
+        raise UserError(f"--set: study {name} has no file whose fields could be changed")
+    fields: dict[str, Mapping[str, Any]] = {
+        condition: {} for condition in every if condition in (picked.conditions or every)
+    }
     listed = {
         run["run_id"]: (run["condition"], run["seed"])
         for run in listing["runs"]
-        if run["condition"] in wanted and run["run_id"] in index.entries
+        if run["condition"] in fields and run["run_id"] in index.entries
     }
-    rows = index.rows(index.entries[run_id] for run_id in listed)
-    fields: dict[str, Mapping[str, Any]] = dict.fromkeys(wanted, {})
-    for run_id, row in rows.items():
+    for run_id, row in index.rows(index.entries[run_id] for run_id in listed).items():
         fields[listed[run_id][0]] = _without_amount(row.fields)
-    narrowed = picked.conditions if len(wanted) < len(every) else ()
-    return Asked(
-        listing["study"], listing["title"], listing["baseline"], fields,
-        every=every, listed=listed, narrowed=narrowed,
-    )  # fmt: skip
+    study = Study(name, None, listing["title"], "", name, listing["baseline"], every, worlds=(TEXT,))
+    narrowed = picked.conditions if len(fields) < len(every) else ()
+    return Asked(study, fields, listed=listed, narrowed=narrowed)
 
 
 def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,38 +143,42 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     Raises:
         UserError: when nothing is stored that is asked for.
     """
-    if asked.study is None:
-        found = [run for run in stored_runs(index, asked) if picked.steps in (None, run[2].steps)]
+    stored = stored_runs(index, asked)
+    if not asked.runs:
+        found = [run for run in stored if picked.steps in (None, run[2].steps)]
         if not found:
             of = f" of {picked.steps:,} steps" if picked.steps else ""
-            raise UserError(f"study {asked.name} has no runs{of} in {index.store.root}")
+            raise UserError(f"study {asked.study.name} has no runs{of} in {index.store.root}")
         return _narrowed(Shown(asked, found), picked)
-    stored = stored_runs(index, asked)
     if not stored:
-        raise UserError(_nothing(index, asked, asked.study))
-    budgets = _by_budget(asked, asked.study, stored)
+        raise UserError(_nothing(index, asked))
+    budgets = _by_budget(asked, stored)
     if picked.steps is None:
-        having = {steps: runs for steps, runs in budgets.items() if _have(runs, picked.seeds)}
+        having = {
+            steps: runs
+            for steps, runs in budgets.items()
+            if picked.seeds is None or any(seed in picked.seeds for _, seed, _ in runs)
+        }
         budget = _usual_budget(index, having or budgets)
-    elif chosen := _of_budget(asked, asked.study, stored, picked.steps):
+    elif chosen := _of_budget(asked, stored, picked.steps):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
         known = ", ".join(f"{steps:,}" for steps in budgets)
         raise UserError(f"--steps {picked.steps}: {asked.where} has runs of {known} steps")
-    shown = budgets[budget]
-    others = [
-        f"{counted(len(runs), 'run')} of {steps:,} steps{_published_words(runs)} (--steps {steps})"
-        for steps, runs in budgets.items()
-        if runs != shown
-    ]
+    shown, others = budgets[budget], []
+    for steps, runs in budgets.items():
+        if runs != shown:
+            published = ", published" if all(entry.table for *_, entry in runs) else ""
+            others.append(f"{counted(len(runs), 'run')} of {steps:,} steps{published} (--steps {steps})")
     return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked.study)]), picked)
 
 
 def stored_runs(index: RunIndex, asked: Asked) -> list[Stored]:
     """Return condition, seed and entry of every run of a study, of any budget."""
-    if asked.study is None:
-        return [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
-    return [(name, entry.seed, entry) for name, run in asked.runs.items() for entry in index.of_run(run)]
+    listed = [(*named, index.entries[run_id]) for run_id, named in asked.listed.items()]
+    return listed + [
+        (name, each.seed, each) for name, run in asked.runs.items() for each in index.of_run(run)
+    ]
 
 
 def _narrowed(shown: Shown, picked: Selection) -> Shown:
@@ -213,21 +195,21 @@ def _narrowed(shown: Shown, picked: Selection) -> Shown:
     return replace(shown, asked=asked, runs=sorted(runs, key=lambda run: (run[1], order.index(run[0]))))
 
 
-def _by_budget(asked: Asked, study: Study, stored: Sequence[Stored]) -> dict[int, list[Stored]]:
+def _by_budget(asked: Asked, stored: Sequence[Stored]) -> dict[int, list[Stored]]:
     """Return the stored runs of each budget, in the words of the study's presets where they have it."""
-    known = [preset.steps for preset in study.presets.values()]
+    known = [preset.steps for preset in asked.study.presets.values()]
     found: dict[int, list[Stored]] = {}
     for steps in dict.fromkeys([*known, *sorted({entry.steps for *_, entry in stored})]):
-        runs = _of_budget(asked, study, stored, steps)
+        runs = _of_budget(asked, stored, steps)
         if runs and not any({*map(id, runs)} <= {*map(id, others)} for others in found.values()):
             found[steps] = runs
     return found
 
 
-def _of_budget(asked: Asked, study: Study, stored: Sequence[Stored], steps: int) -> list[Stored]:
+def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Stored]:
     """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
     amounts = dict.fromkeys(asked.runs, steps)
-    for preset in study.presets.values():
+    for preset in asked.study.presets.values():
         if preset.steps == steps:
             amounts |= {name: each.steps for name, each in preset.conditions.items() if name in amounts}
     budgets = {name: round_up(asked.runs[name], amount) for name, amount in amounts.items()}
@@ -244,14 +226,6 @@ def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> i
     return max(possible, key=lambda steps: (len({name for name, *_ in budgets[steps]}), len(budgets[steps])))
 
 
-def _have(runs: Iterable[Stored], seeds: Sequence[int] | None) -> bool:
-    return seeds is None or any(seed in seeds for _, seed, _ in runs)
-
-
-def _published_words(runs: Iterable[Stored]) -> str:
-    return ", published" if all(entry.table for *_, entry in runs) else ""
-
-
 # --- What else there is -----------------------------------------------------------------------------
 
 
@@ -266,11 +240,11 @@ def _elsewhere(index: RunIndex, study: Study) -> list[str]:
     return found
 
 
-def _nothing(index: RunIndex, asked: Asked, study: Study) -> str:
+def _nothing(index: RunIndex, asked: Asked) -> str:
     """Return that no runs are stored, what to run, and what is stored that differs in one field."""
-    others = [*_elsewhere(index, study), *_changed(index, asked)]
+    others = [*_elsewhere(index, asked.study), *_changed(index, asked)]
     stored = f" Stored are: {'; '.join(others)}." if others else ""
-    train = f"run `{run_command(study)}` first, or give --results"
+    train = f"run `{run_command(asked.study)}` first, or give --results"
     return f"study {asked.where} has no runs in {index.store.root}: {train}.{stored}"
 
 
@@ -282,15 +256,11 @@ def _changed(index: RunIndex, asked: Asked) -> list[str]:
         row = index.row(finished.run_id) if finished else None
         kept = _without_amount(row.fields) if row else {}
         for fields in asked.fields.values() if row else ():
-            unlike = [key for key in {**fields, **kept} if _plain(fields.get(key)) != kept.get(key)]
+            unlike = [key for key in {**fields, **kept} if fields.get(key) != as_tuple(kept.get(key))]
             if len(unlike) == 1:
                 option = f"--set {unlike[0]}={shown_value(kept.get(unlike[0]))}"
                 counts[option] = counts.get(option, 0) + len(entries)
     return [f"{counted(count, 'run')} ({option})" for option, count in counts.items()]
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
 
 
 # --- The answer -------------------------------------------------------------------------------------
@@ -305,12 +275,8 @@ def open_study(
 ) -> StudyData:
     """Return the finished runs of a study that are asked for, wherever they are.
 
-    Args:
-        index: the runs that there are.
-        name: of a study, the path of its file, or a study without a file.
-        picked: conditions, steps, seeds and changed fields.
-        world: a key of `WORLDS`; default: the arena where the study is run in it.
-        tell: told what is shown and what else is stored, in one sentence each.
+    `name` is that of a study, with or without a file, or the path of its file; `world` is one of `WORLDS`, by
+    default the arena where the study is run in it. `tell` is told what is shown and what else is stored.
 
     Raises:
         UserError: when nothing is stored that is asked for, or no run of it has finished.
@@ -327,10 +293,8 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
     if left_out := len(shown.runs) - (len(data.runs) if data else 0):
         tell(f"Note: {left_out} of {len(shown.runs)} runs are not finished or damaged, and left out.")
     if data is None:
-        raise UserError(
-            f"no finished run of study {shown.asked.where} is in {index.store.root}"
-            + (f": run `{run_command(shown.asked.study)}` first" if shown.asked.study else "")
-        )
+        train = f": run `{run_command(shown.asked.study)}` first" if shown.asked.runs else ""
+        raise UserError(f"no finished run of study {shown.asked.where} is in {index.store.root}{train}")
     return replace(data, steps=shown.budget)
 
 
@@ -347,15 +311,15 @@ def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyD
     if not runs:
         return None
     return StudyData(
-        study=asked.name,
-        title=asked.title,
-        figure=study.figure if study else asked.name,
-        baseline=asked.baseline,
+        study=study.name,
+        title=study.title,
+        figure=study.figure,
+        baseline=study.baseline,
         fields=asked.fields,
         runs=runs,
         same=asked.same,
-        every=asked.every,
+        every=tuple(study.conditions),
         narrowed=asked.narrowed,
-        world=study.world if study and len(study.worlds) > 1 else "",
-        changed=study.settings if study else {},
+        world=study.world if len(study.worlds) > 1 else "",
+        changed=study.settings,
     )

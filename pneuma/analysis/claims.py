@@ -6,8 +6,8 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of `claims_preset.py`. A checksum
-of the file and of the code that judges is printed with the verdicts. docs/claims.md explains each key.
+studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. A checksum of the file
+and of the code that judges is printed with the verdicts. docs/claims.md explains each key.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -29,7 +29,16 @@ from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
 from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
-from pneuma.study.spec import CLAIMS_FILE, SEEDS_ALLOWED, Study, load_study, read_seeds, studies_folder
+from pneuma.study.spec import (
+    CLAIMS,
+    CLAIMS_FILE,
+    SEEDS_ALLOWED,
+    Preset,
+    Study,
+    load_study,
+    read_seeds,
+    studies_folder,
+)
 from pneuma.values import OneOf, Reads
 from pneuma.worlds import WORLDS
 
@@ -102,15 +111,7 @@ Arms = tuple[str, ...]
 
 
 class ListHead(Table):
-    """The head of a list: what holds for all its claims.
-
-    Attributes:
-        title: of the list.
-        learned: what the earlier list taught.
-        alpha: the chance of any false verdict of the whole list in each world.
-        seeds_from: the first seed if a claim fixes a number of seeds; smaller ones are refused.
-        seen: worlds in which nothing is trained anew, with the first and last seed of their earlier runs.
-    """
+    """The head of a list: what holds for all its claims."""
 
     title: Text = ""
     learned: Text = ""
@@ -120,12 +121,9 @@ class ListHead(Table):
 
 
 class Pilot(Table):
-    """Spreads between runs of other seeds, for the design check.
+    """Spreads between runs of other seeds, for the design check: by world and outcome.
 
-    Attributes:
-        command: the command that printed the spreads.
-        spreads: by world and outcome, the standard deviation between runs; for an incidence 'OUTCOME above
-            X', the share of runs in arm b.
+    That of an incidence, 'OUTCOME above X', is the share of runs in arm b.
     """
 
     command: Text = ""
@@ -133,29 +131,11 @@ class Pilot(Table):
 
 
 class Claim(Table):
-    """A sentence of the thesis as a test; see docs/claims.md.
+    """A sentence of the thesis as a test; docs/claims.md explains its keys.
 
-    Each condition of a is compared with each of b; for a range, all of a together with all of b.
-
-    Attributes:
-        name: of the claim.
-        quote: the sentence of the thesis.
-        context: what is compared, in one line.
-        section: of the thesis.
-        study: the name of a shipped study, or the path of a file beside the claims.
-        a, b: conditions that are compared; b may be empty.
-        control: a condition that must show what the claim says is cured; may be empty.
-        beside: conditions that are trained and told beside the claim, and not tested.
-        seeds, steps: of each condition, after `_fix_runs`.
-        seen: for worlds in which nothing is trained anew, the seeds of earlier runs, after `_fix_runs`.
-        worlds: those of `WORLDS` that the claim is about; default: all of the study's.
-        value: a constant that a is compared with instead of b, or one for each outcome.
-        outcome: names of `pneuma.analysis.outcomes`, or differences of two; two are co-primary.
-        above, below: the threshold of an incidence.
-        direction: of a compared with b.
-        margin: smaller differences count as none; see `contrasts.compare`.
-        spread: between runs of its arms, for the design check, where it is not the pilot's.
-        note: why it is tested so.
+    Each condition of a is compared with each of b; for a range, all of a together with all of b. `_fix_runs`
+    gives it the seeds and steps of each condition, its worlds, and `seen`: for worlds in which nothing is
+    trained anew, the seeds of earlier runs.
     """
 
     name: str
@@ -370,3 +350,49 @@ def _mistaken_number(claim: Claim, world: str, outcome: str) -> tuple[str, str] 
     if margin is not None and margin >= 1 and claim.event:
         return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
     return None
+
+
+# --- The preset `claims` ---------------------------------------------------------------------------
+
+
+def with_claims(study: Study, steps: int | None = None) -> Study:
+    """Return a study with the preset `claims`: the runs that claims beside its file fix in its world.
+
+    Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
+    claims fix several budgets, `steps` chooses one; any other number chooses the conditions of all.
+
+    Raises:
+        UserError: when no claim is about the study, or several budgets are possible.
+    """
+    found = fixed_amounts(study)
+    if not found:
+        raise UserError(
+            f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it in this world"
+        )
+    if len(found) > 1 and steps is None:
+        budgets = " or ".join(f"{each:,}" for each in found)
+        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
+    every = {name: preset for each in found.values() for name, preset in each.items()}
+    amounts = found.get(steps or 0, every)
+    return replace(study, presets={**study.presets, CLAIMS: Preset((), 0, amounts)})
+
+
+def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
+    """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
+    if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
+        return {}
+    found: dict[int, dict[str, set[int]]] = {}
+    for claim in load_claims(beside).claims.values():
+        own = (beside.parent / claim.study).resolve() == study.path.resolve()
+        shipped = study.own_path is None and claim.study == study.path.stem
+        if (own or shipped) and study.world in claim.worlds:
+            for condition, seeds in claim.seeds_in(study.world).items():
+                found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
+    return {
+        steps: {
+            name: Preset(tuple(sorted(seeds_of[name])), steps)
+            for name in study.conditions
+            if name in seeds_of
+        }
+        for steps, seeds_of in found.items()
+    }

@@ -15,6 +15,7 @@ reported.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,11 @@ DEPTH = 0.1
 twice the standard error of the difference of two evaluations of 50 episodes, or more."""
 RELEARNED = 0.8
 """A run has relearned if it kills this share of its best before the collapse."""
+
+INCIDENCE_COLUMNS = (
+    "condition", "runs", "diverged", "collapsed", "share", "low", "high", "interval", "recovered",
+    "relearned", "unknown",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,15 +75,15 @@ class Diagnosis:
 
 
 def diagnose(seen: RunView) -> Diagnosis:
-    run = seen.run
-    steps, shares, random = _played(seen)
+    run, played = seen.run, _played(seen)
+    steps = played.steps
     distance = _update_steps(run)
     gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
     found = {
         sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
         for sign, parts in run.row.signs.items()
     }
-    falls, losses = _falls(steps, shares, random), _losses(seen)
+    falls, losses = _falls(played), _losses(seen)
     sunk = _lasting(losses or [], gap, shortest)
     alone = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
@@ -111,7 +117,7 @@ def diagnose(seen: RunView) -> Diagnosis:
         signs=tuple(sign for sign in SIGNS if sign in present),
         unseen=unseen,
         recovered_step=None if lasts else int(ended),
-        relearned=_relearned(seen, steps, shares, random, onset, None if lasts else ended),
+        relearned=_relearned(seen, played, onset, None if lasts else ended),
     )
 
 
@@ -132,36 +138,22 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
 
 
 def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:
-    """Return how many runs of each condition collapsed: counts, share, and its 95 % interval.
+    """Return how many runs of each condition collapsed, given all `diagnoses`: counts, share, 95 % interval.
 
     Runs whose records show no sign that decides are left out; `unknown` counts them.
-
-    Args:
-        data: a study.
-        every: its `diagnoses`.
     """
     rows = []
     for condition in data.conditions:
         diagnosed = every[every["condition"] == condition]
         found = diagnosed[diagnosed["collapsed"].notna()]
-        count = int(found["collapsed"].sum())
-        interval = incidence_interval(count, len(found))
-        rows.append(
-            {
-                "condition": condition,
-                "runs": len(found),
-                "diverged": int((found["status"] == "diverged").sum()),
-                "collapsed": count,
-                "share": count / len(found) if len(found) else float("nan"),
-                "low": interval.low,
-                "high": interval.high,
-                "interval": interval.method,
-                "recovered": int(found["recovered_step"].notna().sum()),
-                "relearned": int(found["relearned"].sum()),
-                "unknown": len(diagnosed) - len(found),
-            }
-        )
-    return pd.DataFrame(rows)
+        runs, count = len(found), int(found["collapsed"].sum())
+        diverged, share = int((found["status"] == "diverged").sum()), count / runs if runs else float("nan")
+        interval = incidence_interval(count, runs)
+        ends = interval.low, interval.high, interval.method
+        recovered, relearned = int(found["recovered_step"].notna().sum()), int(found["relearned"].sum())
+        unknown = len(diagnosed) - runs
+        rows.append((condition, runs, diverged, count, share, *ends, recovered, relearned, unknown))
+    return pd.DataFrame(rows, columns=list(INCIDENCE_COLUMNS))
 
 
 # --- Spells ----------------------------------------------------------------------------------------
@@ -184,24 +176,32 @@ def _losses(seen: RunView) -> list[Stretch] | None:
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
-def _played(seen: RunView) -> tuple[np.ndarray, np.ndarray, float | None]:
-    """Return evaluation steps, how well the run played there, and the random player's level if known.
+class _Played(NamedTuple):
+    """Evaluation steps, how well the run played there, and the random player's level if known.
 
     This is the share of monsters killed. In other environments it is the gain in return over the random
     player, in a unit in which `DEPTH` is twice the standard deviation of that player's returns.
     """
+
+    steps: np.ndarray
+    shares: np.ndarray
+    random: float | None
+
+
+def _played(seen: RunView) -> _Played:
     _, returned = seen.evaluations("random_return")
     if not len(returned):
         _, random = seen.evaluations("random_share_killed")
-        return *seen.evaluations("share_killed"), float(random[0]) if len(random) else None
+        return _Played(*seen.evaluations("share_killed"), float(random[0]) if len(random) else None)
     _, spreads = seen.evaluations("random_spread")
     steps, returns = seen.evaluations("return")
     unit = 2 * max(spreads[0], 0.01 * abs(returned[0]), 1e-9) / DEPTH
-    return steps, (returns - returned[0]) / unit, 0.0
+    return _Played(steps, (returns - returned[0]) / unit, 0.0)
 
 
-def _falls(steps: np.ndarray, shares: np.ndarray, random: float | None) -> list[Stretch]:
+def _falls(played: _Played) -> list[Stretch]:
     """Return where two or more consecutive evaluations are far below the best before."""
+    steps, shares, random = played
     if not len(shares) or random is None:
         return []
     best = np.maximum.accumulate(shares)
@@ -211,15 +211,9 @@ def _falls(steps: np.ndarray, shares: np.ndarray, random: float | None) -> list[
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
 
 
-def _relearned(
-    seen: RunView,
-    steps: np.ndarray,
-    shares: np.ndarray,
-    random: float | None,
-    onset: float,
-    recovered: float | None,
-) -> bool | None:
+def _relearned(seen: RunView, played: _Played, onset: float, recovered: float | None) -> bool | None:
     """Return whether evaluations after the recovery come near the best before the onset."""
+    steps, shares, random = played
     if not len(shares) or random is None:
         return None
     if recovered is None:

@@ -218,12 +218,8 @@ def _steps(places: Sequence[int], arms: int) -> np.ndarray:
 def _beyond(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray, shift: float, sign: int) -> float:
     """Return the p-value that one range is above the other by more than -shift.
 
-    Args:
-        effect: (steps of a, steps of b) of a less b, with its sign turned for b over a.
-        error: of each.
-        freedom: of each.
-        shift: added to the difference.
-        sign: 1 for a over b, -1 for b over a.
+    Effects, with their errors and degrees of freedom, are (steps of a, steps of b): of a less b, and for the
+    sign -1 of b less a.
     """
     sure = error > 0
     t = np.divide(effect + shift, error, out=np.zeros_like(error), where=sure)

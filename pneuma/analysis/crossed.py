@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from pneuma.analysis.contrasts import Contrast, compare, undecided
-from pneuma.analysis.frames import StudyData, common_step
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import finite
 from pneuma.analysis.outcomes import find_outcome, outcome_values, primary, refuse_unlike_returns
 from pneuma.analysis.pvalues import holm
@@ -240,12 +240,7 @@ def robustness_map(
 ) -> Map:
     """Map a contrast over all pairs of conditions that differ in a single field.
 
-    Args:
-        data: the study.
-        setting: a field of the run.
-        better: its value that is claimed to do better.
-        worse: the other.
-        outcome: one that has a better direction; default: the study's primary one.
+    The outcome, by default the study's primary one, has a better direction.
 
     Raises:
         UserError: when no pair of conditions is such a contrast, or for an outcome without a direction, or
@@ -290,19 +285,13 @@ def robustness_map(
             "interval": contrast.interval.method,
             "p": float(p),
             "runs": f"{contrast.seeds[0]} and {contrast.seeds[1]}",
-            "label": _label(contrast.effect, p),
+            "label": (HOLDS if contrast.effect > 0 else REVERSED) if p <= LEVEL else OPEN,
             "reason": contrast.reason,
         }
         for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)
     ]
     runs = tuple(count for contrast in contrasts for count in contrast.seeds)
     return Map(setting, values, outcome, tuple(factors), pd.DataFrame(cells), runs)
-
-
-def _label(effect: float, p: float) -> str:
-    if p > LEVEL or not np.isfinite(effect):
-        return OPEN
-    return HOLDS if effect > 0 else REVERSED
 
 
 def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction: float) -> Contrast:
@@ -329,7 +318,7 @@ def _levels(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[Any, .
 
 def _values(data: StudyData, condition: str, name: str) -> np.ndarray:
     """Return the outcome of each finished run, (runs,); refuse one that is infinite for some run."""
-    values = outcome_values(data, condition, name, common_step(data))
+    values = outcome_values(data, condition, name)
     if np.isinf(values).any():
         raise UserError(f"outcome {name}: some runs of {condition} never get there; compare another outcome")
     return values

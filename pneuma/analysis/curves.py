@@ -31,7 +31,6 @@ class Curve:
     """The curve of one condition.
 
     Attributes:
-        condition: its name.
         step: (points,) agent steps.
         runs: (seeds, points) the values of each run; NaN if it has none.
         diverged: (seeds,) whether each run diverged.
@@ -53,7 +52,7 @@ class Curve:
     @property
     def mean(self) -> np.ndarray:
         """The mean over runs with a value, (points,); NaN where there are none."""
-        return self._back(_mean(self._values))
+        return self._back(_moments(self._values)[1])
 
     def band(self, name: str) -> Edges:
         band = BANDS[checked_band(name)]
@@ -207,28 +206,25 @@ class Band(NamedTuple):
     enough_runs: float = 0
 
 
-def _mean(runs: np.ndarray) -> np.ndarray:
-    """Return the mean over the runs that have a value, NaN where none has, (points,)."""
-    count = np.isfinite(runs).sum(axis=0)
-    total = np.where(np.isfinite(runs), runs, 0.0).sum(axis=0)
-    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+def _moments(runs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how many runs have a value, their mean and their sample variance, (points,) each; else NaN."""
+    known = np.isfinite(runs)
+    count = known.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(known, runs, 0.0).sum(axis=0) / count
+        squares = np.where(known, (runs - mean) ** 2, 0.0).sum(axis=0)
+        return count, mean, np.where(count > 1, squares / (count - 1), np.nan)
 
 
-def _variance(runs: np.ndarray) -> np.ndarray:
-    """Return the sample variance over runs, NaN where fewer than two have a value, (points,)."""
-    count = np.isfinite(runs).sum(axis=0)
-    squares = np.where(np.isfinite(runs), (runs - _mean(runs)) ** 2, 0.0).sum(axis=0)
-    return np.divide(squares, count - 1, out=np.full(squares.shape, np.nan), where=count > 1)
+def _deviations(runs: np.ndarray) -> Edges:
+    _, mean, variance = _moments(runs)
+    return mean - np.sqrt(variance), mean + np.sqrt(variance)
 
 
-def _t_half(runs: np.ndarray) -> np.ndarray:
-    """Return half the width of Student's interval for the mean, (points,)."""
-    count = np.maximum(np.isfinite(runs).sum(axis=0), 1)
-    return special.stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(_variance(runs) / count)
-
-
-def _around(half: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], Edges]:
-    return lambda runs: (_mean(runs) - half(runs), _mean(runs) + half(runs))
+def _t_interval(runs: np.ndarray) -> Edges:
+    count, mean, variance = _moments(runs)
+    half = special.stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(variance / np.maximum(count, 1))
+    return mean - half, mean + half
 
 
 def _extremes(runs: np.ndarray) -> Edges:
@@ -238,8 +234,8 @@ def _extremes(runs: np.ndarray) -> Edges:
 
 
 BANDS = {
-    "sd": Band("± 1 SD between runs", _around(lambda runs: np.sqrt(_variance(runs)))),
-    "ci": Band("95 % interval of the mean", _around(_t_half), LEAST_RUNS, 20),
+    "sd": Band("± 1 SD between runs", _deviations),
+    "ci": Band("95 % interval of the mean", _t_interval, LEAST_RUNS, 20),
     "minmax": Band("least to greatest run", _extremes),
     "runs": Band("every run", None),
 }

@@ -116,13 +116,7 @@ def pooled_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, int]:
 
 @dataclass(frozen=True)
 class Interval:
-    """The bounds of an estimate; NaN if there are none.
-
-    Attributes:
-        low: the lower end.
-        high: the upper end.
-        method: what made it, or "none".
-    """
+    """The ends of an interval, NaN if there are none, and the method that made it, or "none"."""
 
     low: float
     high: float
@@ -235,12 +229,8 @@ def bootstrap_interval(
     """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
     With few runs its coverage is smaller (docs/evidence.md). There is none for fewer than three runs, or if
-    both ends are equal, as for the median of mostly equal runs.
-
-    Args:
-        values: (runs,).
-        statistic: works along the last axis, as `mean` and `median` do.
-        generator: draws the resamples.
+    both ends are equal, as for the median of mostly equal runs. `statistic` works along the last axis, as
+    `mean` and `median` do.
     """
     runs = finite(values)
     if runs.size < LEAST_RUNS or np.ptp(runs) == 0:

@@ -14,9 +14,10 @@ difference. docs/evidence.md explains why the smaller p-value bounds the chance 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
 
 import numpy as np
 
@@ -54,24 +55,19 @@ class Verdict:
     contrasts: tuple[ClaimContrast, ...] = ()
 
     @property
-    def deciding(self) -> list[ClaimContrast]:
-        """The contrast that decides each outcome.
+    def decisive(self) -> ClaimContrast | None:
+        """The contrast that decides the outcome with the claim's verdict; of two such outcomes, the surer.
 
-        It is the surest if one is enough for the verdict, which is so if it refutes, else the least sure.
+        An outcome is decided by the surest if one is enough for its verdict, which is so if it refutes, else
+        by the least sure.
         """
         deciding = []
-        for each in _by_outcome(self.contrasts).values():
+        for each in _by_outcome(self.contrasts):
             word = combine_contrasts([row.verdict for row in each]) or INCONCLUSIVE
             agreeing = [row for row in each if row.verdict == word] or each
             deciding.append((min if word == REFUTED else max)(agreeing, key=lambda row: row.p))
-        return deciding
-
-    @property
-    def decisive(self) -> ClaimContrast | None:
-        """The contrast that decides the outcome with the claim's verdict; of two such outcomes, the surer."""
-        each = self.deciding
-        agreeing = [row for row in each if row.verdict == self.verdict]
-        return min(agreeing or each, key=lambda row: row.p, default=None)
+        agreeing = [row for row in deciding if row.verdict == self.verdict]
+        return min(agreeing or deciding, key=lambda row: row.p, default=None)
 
     @property
     def run_ids(self) -> list[str]:
@@ -115,7 +111,7 @@ def judge(
 
 def _combine(claim: Claim, world: str, table: tuple[ClaimContrast, ...]) -> Verdict:
     """Return the verdict on a claim, given those on its contrasts, with the reason for it."""
-    each = [combine_contrasts([row.verdict for row in rows]) for rows in _by_outcome(table).values()]
+    each = [combine_contrasts([row.verdict for row in rows]) for rows in _by_outcome(table)]
     untestable = any(row.verdict == UNTESTABLE for row in table)
     verdict = combine_outcomes(each) or (UNTESTABLE if untestable else INCONCLUSIVE)
     reason = ""
@@ -129,9 +125,8 @@ def _combine(claim: Claim, world: str, table: tuple[ClaimContrast, ...]) -> Verd
     return Verdict(claim, world, verdict, reason, table)
 
 
-def _by_outcome(table: Sequence[ClaimContrast]) -> dict[str, list[ClaimContrast]]:
-    outcomes = dict.fromkeys(row.outcome for row in table)
-    return {outcome: [row for row in table if row.outcome == outcome] for outcome in outcomes}
+def _by_outcome(table: Iterable[ClaimContrast]) -> list[list[ClaimContrast]]:
+    return [list(rows) for _, rows in groupby(table, key=lambda row: row.outcome)]
 
 
 def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
@@ -250,13 +245,8 @@ def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float =
     """Return the verdict on one contrast of a list, and its corrected p-value.
 
     A claim of no difference is refuted only by a difference beyond the margin, tested two-sided there, and
-    one of no loss only by a loss beyond it.
-
-    Args:
-        contrast: the contrast.
-        claimed: the claimed direction.
-        factor: the factor on its p-value, such as the number of contrasts in the list.
-        alpha: the chance of any false verdict in the list.
+    one of no loss only by a loss beyond it. `factor` is that on its p-value, such as the number of contrasts
+    in the list, and `alpha` the chance of any false verdict in the list.
     """
     if claimed == "equal":
         p_far = min(2 * min(contrast.p.far_less, contrast.p.far_greater), 1.0)

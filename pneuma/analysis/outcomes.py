@@ -3,9 +3,9 @@
     StudyData, run and name → float; condition and name → (seeds,)
 
 An outcome is a function of a run's row; it is NaN if the run has none, and `reason` says why. A diverged run
-counts with its last recorded values in every outcome. `at_step` gives the outcome at an earlier step, which
-all conditions reached. "Final" is a run's last evaluation, or the last point of its training curve: the mean
-of the last 5 % of the budget.
+counts with its last recorded values in every outcome. Conditions of unlike budgets are compared at a step
+that all of them reached. "Final" is a run's last evaluation, or the last point of its training curve: the
+mean of the last 5 % of the budget.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from pneuma.algorithms import MAILMAN
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
+from pneuma.analysis.frames import FinishedRun, RunView, StudyData, common_step, view
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.series import EXTREMES, Series, mean_height
+from pneuma.study.series import EXTREMES, mean_height
 
+Measure = Callable[[RunView], float]
 NAN = float("nan")
-ANYTHING = (-np.inf, np.inf)
-SHARE = (0.0, 1.0)
+Bounds = tuple[float, float]
+ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
 NEAR_AN_END = 0.5 / 14
 """How close to 0 or 1 a share killed counts as equal, for claims without a margin: half a monster of 14."""
 LATE = 5
@@ -56,9 +58,9 @@ class Outcome:
     words: str
     unit: str
     better: str
-    bounds: tuple[float, float]
+    bounds: Bounds
     source: str
-    measure: Callable[[RunView], float]
+    measure: Measure
     requires_learning: bool = False
     alike: float = 1e-9
 
@@ -75,22 +77,14 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[tuple[str, str]]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
-    names = data.conditions if conditions is None else conditions
-    firsts = [
-        runs[0].fields for name in names if (runs := data.of_condition(name)) and _tells_reward(runs[0])
-    ]
-    return {
-        (
-            fields["env"] if is_gymnasium_id(fields.get("env")) else "",
-            str([fields.get("reward"), fields.get("players")]),
-        )
-        for fields in firsts
-    }
-
-
-def _tells_reward(run: FinishedRun) -> bool:
-    """Return whether a run's reward is known; logs do not tell theirs."""
-    return run.row.averaged_over is None
+    found = set()
+    for name in data.conditions if conditions is None else conditions:
+        runs = data.of_condition(name)
+        if runs and runs[0].row.averaged_over is None:  # logs do not tell their reward
+            fields = runs[0].fields
+            foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
+            found.add((foreign, str([fields.get("reward"), fields.get("players")])))
+    return found
 
 
 def is_foreign(data: StudyData) -> bool:
@@ -120,10 +114,14 @@ def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None 
     return NAN if run.ends_before(at_step) else found.measure(view(data, run, at_step))
 
 
-def outcome_values(data: StudyData, condition: str, name: str, at_step: float | None = None) -> np.ndarray:
-    """Return the outcome of each finished run of a condition, in the selection's order, (seeds,)."""
+def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
+    """Return the outcome of each finished run of a condition, in the selection's order, (seeds,).
+
+    It is at the step at which a study's conditions are compared: `common_step`, or else each run's end.
+    """
     if condition not in data.conditions:
         raise unknown_name(f"condition of study {data.study}", condition, data.conditions)
+    at_step = common_step(data)
     return np.array([outcome(data, run, name, at_step) for run in data.of_condition(condition)], float)
 
 
@@ -131,14 +129,14 @@ def find_outcome(name: str) -> Outcome:
     if name in OUTCOMES:
         return OUTCOMES[name]
     if sought := re.fullmatch(r"steps-to-return:(-?\d+(\.\d+)?)", name):
-        words, reached = f"an evaluation returns {sought[1]}", (float(sought[1]), "return")
+        least, column, words = float(sought[1]), "return", f"an evaluation returns {sought[1]}"
     elif sought := re.fullmatch(r"steps-to:(?!0*\.?0*$)(0?\.\d+|1(\.0+)?)", name):
-        share = float(sought[1])
-        words, reached = f"{100 * share:g}% of the monsters are killed", (share, "share_killed")
-    if sought:
-        measure = partial(_steps_to, least=reached[0], column=reached[1])
-        return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
-    raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
+        least, column = float(sought[1]), "share_killed"
+        words = f"{100 * least:g}% of the monsters are killed"
+    else:
+        raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
+    measure = partial(_steps_to, least=least, column=column)
+    return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
 
 
 def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
@@ -156,27 +154,8 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
 
 # --- Measures --------------------------------------------------------------------------------------
 
-Measure = Callable[[RunView], float]
 Take = Callable[[np.ndarray], float]
 """A function from values in the order of their steps, (points,), at least one, to a number."""
-
-
-def _of(read: Callable[[RunView, str], Series], name: str, take: Take) -> Measure:
-    """Return a function that measures the values read by a name; NaN if there are none."""
-
-    def measure(seen: RunView) -> float:
-        _, values = read(seen, name)
-        return float(take(values)) if len(values) else NAN
-
-    return measure
-
-
-_evaluations = partial(_of, RunView.evaluations)
-
-
-def _curve(quantity: str, statistic: str) -> Measure:
-    """Return a function that measures a statistic of a training curve; NaN without a value."""
-    return lambda seen: seen.statistic(quantity, statistic)
 
 
 def _peak(quantity: str) -> Measure:
@@ -191,11 +170,11 @@ def _peak(quantity: str) -> Measure:
 
 
 def _last(values: np.ndarray) -> float:
-    return float(values[-1])
+    return values[-1]
 
 
 def _late(values: np.ndarray) -> float:
-    return float(values[-LATE:].mean())
+    return values[-LATE:].mean()
 
 
 def _rise(values: np.ndarray) -> float:
@@ -203,7 +182,15 @@ def _rise(values: np.ndarray) -> float:
     last = values[-LATE:]
     places = np.arange(len(last)) - (len(last) - 1) / 2
     squares = (places**2).sum()
-    return float((len(last) - 1) * (places @ last) / squares) if squares > 0 else NAN
+    return (len(last) - 1) * (places @ last) / squares if squares > 0 else NAN
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
+    if len(values) < 3:
+        return NAN
+    travelled = np.abs(np.diff(values)).sum()
+    return (travelled - abs(values[-1] - values[0])) / (len(values) - 1)
 
 
 def _log_growth(seen: RunView) -> float:
@@ -225,18 +212,6 @@ def _stuck_share(seen: RunView) -> float:
     """Return the share of updates that are stuck; NaN if not known, or up to an earlier step."""
     stuck, updates, _ = seen.run.row.stuck
     return stuck / updates if updates and seen.until >= seen.run.budget else NAN
-
-
-def _fall(values: np.ndarray) -> float:
-    return float(values.max() - values[-1])
-
-
-def _roughness(values: np.ndarray) -> float:
-    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
-    if len(values) < 3:
-        return NAN
-    travelled = np.abs(np.diff(values)).sum()
-    return float((travelled - abs(values[-1] - values[0])) / (len(values) - 1))
 
 
 def _most_of_one(seen: RunView) -> float:
@@ -290,62 +265,66 @@ def _pace(seen: RunView) -> float:
 
 # --- The list --------------------------------------------------------------------------------------
 
-POSITIVE = (0.0, np.inf)
 UP, DOWN, EVALUATED = "higher", "lower", "evaluations"
-KILLED = ("share", UP, SHARE, EVALUATED)
+
+
+def _evaluated(
+    words: str, unit: str, better: str, bounds: Bounds, column: str, take: Take = _last, **more: Any
+) -> Outcome:
+    """Return the outcome that takes a number from a column of the evaluations; NaN without a value."""
+
+    def measure(seen: RunView) -> float:
+        _, values = seen.evaluations(column)
+        return float(take(values)) if len(values) else NAN
+
+    return Outcome(words, unit, better, bounds, EVALUATED, measure, **more)
+
+
+def _trained(
+    words: str, unit: str, better: str, bounds: Bounds, quantity: str, statistic: str = "last"
+) -> Outcome:
+    """Return the outcome that is a statistic of a training curve; NaN without a value."""
+    return Outcome(words, unit, better, bounds, quantity, lambda seen: seen.statistic(quantity, statistic))
+
+
+def _killed(words: str, take: Take = _last, column: str = "share_killed") -> Outcome:
+    return _evaluated(f"monsters killed{words}", "share", UP, SHARE, column, take, alike=NEAR_AN_END)
+
 
 OUTCOMES: dict[str, Outcome] = {
-    "final-share-killed": Outcome(
-        "monsters killed, last evaluation", *KILLED, _evaluations("share_killed", _last), alike=NEAR_AN_END),
-    "late-share-killed": Outcome(
-        "monsters killed, mean of the last five evaluations", *KILLED, _evaluations("share_killed", _late),
-        alike=NEAR_AN_END),
-    "late-greedy-share-killed": Outcome(
-        "monsters killed by the likeliest actions, mean of the last five evaluations", *KILLED,
-        _evaluations("argmax_share_killed", _late), alike=NEAR_AN_END),
-    "late-slope": Outcome(
+    "final-share-killed": _killed(", last evaluation"),
+    "late-share-killed": _killed(", mean of the last five evaluations", _late),
+    "late-greedy-share-killed": _killed(
+        " by the likeliest actions, mean of the last five evaluations", _late, "argmax_share_killed"),
+    "late-slope": _evaluated(
         "rise of monsters killed over the last five evaluations, by a straight line", "share", "",
-        (-1.2, 1.2), EVALUATED, _evaluations("share_killed", _rise), requires_learning=True),
+        (-1.2, 1.2), "share_killed", _rise, requires_learning=True),
     "auc-share-killed": Outcome(
-        "monsters killed, mean over all evaluations", *KILLED, _share_area, alike=NEAR_AN_END),
-    "argmax-share-killed": Outcome(
-        "monsters killed by the most probable actions", *KILLED,
-        _evaluations("argmax_share_killed", _last), alike=NEAR_AN_END),
-    "normalised-score": Outcome(
-        "score (0 random player, 1 all monsters killed)", "", UP, ANYTHING, EVALUATED,
-        _evaluations("score", _last)),
-    "best-score": Outcome(
-        "best score of any evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("score", np.max)),
-    "evaluated-return": Outcome(
-        "return, last evaluation", "", UP, ANYTHING, EVALUATED, _evaluations("return", _last)),
-    "argmax-return": Outcome(
-        "return of the most probable actions, last evaluation", "", UP, ANYTHING, EVALUATED,
-        _evaluations("argmax_return", _last)),
-    "final-success": Outcome(
-        "evaluation episodes that succeeded, where the environment tells", "share", UP, SHARE, EVALUATED,
-        _evaluations("success", _last)),
-    "final-return": Outcome(
-        "return at the end of training", "", UP, ANYTHING, "return", _curve("return", "last")),
-    "auc-return": Outcome(
-        "return, mean over training", "", UP, ANYTHING, "return",
-        _curve("return", "height")),
-    "best-return": Outcome("best return of training", "", UP, ANYTHING, "return", _curve("return", "best")),
-    "final-length": Outcome(
-        "episode length at the end", "steps", "", POSITIVE, "length", _curve("length", "last")),
-    "final-hp": Outcome("HP at the end of an episode", "points", UP, POSITIVE, "hp", _curve("hp", "last")),
-    "final-died": Outcome(
-        "evaluation episodes that ended in death", "share", DOWN, SHARE, EVALUATED,
-        _evaluations("died", _last)),
-    "final-entropy": Outcome(
-        "entropy of the policy at the end", "nats", "", POSITIVE, "entropy", _curve("entropy", "last")),
+        "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, _share_area,
+        alike=NEAR_AN_END),
+    "argmax-share-killed": _killed(" by the most probable actions", column="argmax_share_killed"),
+    "normalised-score": _evaluated(
+        "score (0 random player, 1 all monsters killed)", "", UP, ANYTHING, "score"),
+    "best-score": _evaluated("best score of any evaluation", "", UP, ANYTHING, "score", np.max),
+    "evaluated-return": _evaluated("return, last evaluation", "", UP, ANYTHING, "return"),
+    "argmax-return": _evaluated(
+        "return of the most probable actions, last evaluation", "", UP, ANYTHING, "argmax_return"),
+    "final-success": _evaluated(
+        "evaluation episodes that succeeded, where the environment tells", "share", UP, SHARE, "success"),
+    "final-return": _trained("return at the end of training", "", UP, ANYTHING, "return"),
+    "auc-return": _trained("return, mean over training", "", UP, ANYTHING, "return", "height"),
+    "best-return": _trained("best return of training", "", UP, ANYTHING, "return", "best"),
+    "final-length": _trained("episode length at the end", "steps", "", POSITIVE, "length"),
+    "final-hp": _trained("HP at the end of an episode", "points", UP, POSITIVE, "hp"),
+    "final-died": _evaluated("evaluation episodes that ended in death", "share", DOWN, SHARE, "died"),
+    "final-entropy": _trained("entropy of the policy at the end", "nats", "", POSITIVE, "entropy"),
     "least-entropy": Outcome(
         "least entropy of any update", "nats", "", POSITIVE, "entropy", _peak("entropy")),
     "max-grad-norm": Outcome(
         "greatest gradient norm of any update (mean over its minibatches)", "", DOWN, POSITIVE, "grad_norm",
         _peak("grad_norm")),
-    "median-grad-norm": Outcome(
-        "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm",
-        _curve("grad_norm", "median")),
+    "median-grad-norm": _trained(
+        "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm", "median"),
     "log-max-grad-norm": Outcome(
         "natural logarithm of the greatest gradient norm of any update", "", DOWN, ANYTHING, "grad_norm",
         _log_max),
@@ -354,23 +333,19 @@ OUTCOMES: dict[str, Outcome] = {
         DOWN, ANYTHING, "grad_norm", _log_growth),
     "stuck-share": Outcome(
         "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", _stuck_share),
-    "final-dead-units": Outcome(
-        "dead hidden units at the end", "share", DOWN, SHARE, "dead_units", _curve("dead_units", "last")),
+    "final-dead-units": _trained("dead hidden units at the end", "share", DOWN, SHARE, "dead_units"),
     **{
-        f"final-action-{i}": Outcome(
-            f"share of the action {name} at the end", "share", "", SHARE, f"action_{i}",
-            _curve(f"action_{i}", "last"))
+        f"final-action-{i}": _trained(
+            f"share of the action {name} at the end", "share", "", SHARE, f"action_{i}")
         for i, name in enumerate(ACTION_NAMES)
     },
     "one-action": Outcome(
         "share of the most frequent action at the end", "share", "", SHARE, "action_0", _most_of_one),
-    "mean-kl": Outcome(
-        "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl",
-        _curve("approx_kl", "average")),
-    "early-explained-variance": Outcome(
+    "mean-kl": _trained(
+        "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl", "average"),
+    "early-explained-variance": _trained(
         "share of the returns' variance that the critic explains, first tenth of training",
-        "", UP, (-np.inf, 1.0), "explained_variance",
-        _curve("explained_variance", "early")),
+        "", UP, (-np.inf, 1.0), "explained_variance", "early"),
     "collapsed": Outcome(
         "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", _diagnosed("collapsed")),
     "collapse-step": Outcome(
@@ -378,12 +353,12 @@ OUTCOMES: dict[str, Outcome] = {
     "relearned": Outcome(
         "a collapsed run played as before again (1) or not (0)", "", UP, SHARE, "signs",
         _diagnosed("relearned")),
-    "fall-from-best": Outcome(
-        "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, EVALUATED,
-        _evaluations("share_killed", _fall), requires_learning=True),
-    "curve-roughness": Outcome(
+    "fall-from-best": _evaluated(
+        "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, "share_killed",
+        lambda values: values.max() - values[-1], requires_learning=True),
+    "curve-roughness": _evaluated(
         "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
-        EVALUATED, _evaluations("share_killed", _roughness), requires_learning=True),
+        "share_killed", _roughness, requires_learning=True),
     "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", _wall_seconds),
     "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", _pace),
     "q-overestimation": Outcome(

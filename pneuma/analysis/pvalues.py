@@ -120,8 +120,7 @@ def sign_flips(runs: int, generator: np.random.Generator, draws: int = DRAWS) ->
 def tails(statistics: np.ndarray) -> OneSided:
     """Return the shares of relabelings at least, and at most, as great as the observed one, each (samples,).
 
-    Args:
-        statistics: (relabelings, samples), the observed one first.
+    `statistics` are (relabelings, samples), the observed one first.
     """
     seen = statistics[0]
     slack = _SLACK * (1 + np.abs(seen))
@@ -147,13 +146,8 @@ def mean_p_values(a: np.ndarray, b: np.ndarray, margin: float | None, labels: np
 
     The greater p-value counts. Relabeling is exact for arms that differ by a shift only, and far from its
     level if the smaller arm has the larger spread. Student's distribution allows for that, if means are
-    normal.
-
-    Args:
-        a: (samples, runs) of arm a.
-        b: (samples, runs) of arm b.
-        margin: smaller differences count as none; or None.
-        labels: of `relabel`.
+    normal. Arms are (samples, runs) each, `labels` those of `relabel`; smaller differences than the margin
+    count as none.
     """
     rows = np.concatenate([np.hstack([a + shift, b]) for shift in shifts(margin)])
     relabeled = tails(_welch(rows, labels))
@@ -186,14 +180,10 @@ def student_tails(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray | f
 
 
 def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarray) -> ManyPValues:
-    """Test means against 0 by sign flips and by Student's distribution; the greater p-value counts.
+    """Test means of (samples, runs) against 0 by sign flips and by Student's distribution.
 
-    Sign flips assume that values are symmetric about their mean, Student's distribution that they are normal.
-
-    Args:
-        samples: (samples, runs).
-        margin: smaller means count as 0; or None.
-        flips: (flips, runs) of `sign_flips`.
+    The greater p-value counts. Sign flips, which `sign_flips` gives, assume that values are symmetric about
+    their mean, Student's distribution that they are normal.
     """
     rows = np.concatenate([samples + shift for shift in shifts(margin)])
     size = np.abs(rows).max() or 1.0  # so that units do not matter for equality
@@ -206,14 +196,9 @@ def one_mean_p_values(samples: np.ndarray, margin: float | None, flips: np.ndarr
 
 
 def spread_p_values(a: np.ndarray, b: np.ndarray, margin: float | None) -> ManyPValues:
-    """Test how far the runs of two arms lie from their medians (Brown and Forsythe 1974).
+    """Test how far (samples, runs) of two arms lie from their medians (Brown and Forsythe 1974).
 
     With two arms the F test is the square of Student's t with one variance for both.
-
-    Args:
-        a: (samples, runs) of arm a.
-        b: (samples, runs) of arm b.
-        margin: smaller differences of mean distances count as none; or None.
     """
     from_a, from_b = map(distances, (a, b))
     size = np.maximum(from_a.max(axis=-1), from_b.max(axis=-1))

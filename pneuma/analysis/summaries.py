@@ -8,30 +8,15 @@ different budgets are compared at the largest step that all reached.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
-from pneuma.analysis.frames import StudyData, common_step
-from pneuma.analysis.intervals import (
-    LEAST_RUNS,
-    LEVEL,
-    RESAMPLES,
-    Interval,
-    bootstrap_interval,
-    deviation,
-    deviation_interval,
-    difference_interval,
-    incidence_interval,
-    interquartile_mean,
-    mean,
-    mean_interval,
-    median,
-    no_interval,
-    probability_of_improvement,
-    within,
-)
+from pneuma.analysis import intervals
+from pneuma.analysis.frames import StudyData
+from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -63,7 +48,8 @@ COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interva
 # Of the statistics, iqm is the mean of the middle half, deviation that between seeds, improvement the
 # probability that a run is better than one of the baseline; reached and share are of runs.
 
-Row = tuple[str, str, str, float, Interval, int]
+Row = tuple[str, str, float, Interval, int]
+"""Outcome, statistic, value, interval and number of runs."""
 
 
 def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
@@ -74,52 +60,58 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
 
     The shares of runs that diverged and collapsed are included, whichever outcomes are named.
     """
-    at_step = common_step(data)
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
     asked = (outcomes,) if isinstance(outcomes, str) else outcomes or usual
     names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
     for name in names:
         find_outcome(name)
-    rows = [row for condition in data.conditions for row in _rows(data, condition, names, at_step)]
-    flat = [(c, o, s, value, i.low, i.high, i.method, runs) for c, o, s, value, i, runs in rows]
-    return pd.DataFrame(flat, columns=list(COLUMNS))
+    rows = [
+        (condition, name, statistic, value, interval.low, interval.high, interval.method, runs)
+        for condition in data.conditions
+        for name, statistic, value, interval, runs in _rows(data, condition, names)
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def _rows(data: StudyData, condition: str, outcomes: Sequence[str], at_step: int | None) -> Iterator[Row]:
+def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[Row]:
     runs = data.of_condition(condition)
-    yield condition, "runs", "count", float(len(runs)), no_interval(), len(runs)
-    diverged = sum(run.status == "diverged" for run in runs)
-    yield _share(condition, "diverged", diverged, len(runs))
-    collapsed = _known(outcome_values(data, condition, "collapsed", at_step))
+    yield "runs", "count", float(len(runs)), no_interval(), len(runs)
+    yield _share("diverged", "share", [run.status == "diverged" for run in runs])
+    collapsed = _known(outcome_values(data, condition, "collapsed"))
     if len(collapsed):
-        yield _share(condition, "collapsed", int(collapsed.sum()), len(collapsed))
+        yield _share("collapsed", "share", collapsed)
     for name in outcomes:
-        if name.startswith("steps-to"):
-            yield from _threshold(data, condition, name, at_step)
-            continue
-        values = _known(outcome_values(data, condition, name, at_step))
-        if len(values):
-            yield from _statistics(condition, name, values)
-            yield from _improvement(data, condition, name, values, at_step)
+        values = outcome_values(data, condition, name)
+        if name.startswith("steps-to"):  # infinite where it was never reached
+            if len(steps := values[~np.isnan(values)]):
+                yield _share(name, "reached", np.isfinite(steps))
+                yield name, "median", float(np.median(steps)), no_interval(), len(steps)
+        elif len(known := _known(values)):
+            yield from _statistics(condition, name, known)
+            yield from _improvement(data, condition, name, known)
+
+
+def _share(name: str, statistic: str, events: ArrayLike) -> Row:
+    count, runs = int(np.sum(events)), np.size(events)
+    value = count / runs if runs else float("nan")
+    return name, statistic, value, intervals.incidence_interval(count, runs), runs
 
 
 def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
     generator = _generator(condition, name)
     interval = no_interval()
     if len(values) >= LEAST_RUNS:
-        interval = within(mean_interval(values), *find_outcome(name).bounds)
-    yield condition, name, "mean", float(mean(values)), interval, len(values)
-    resampled: dict[str, Callable[..., np.ndarray]] = {"median": median, "iqm": interquartile_mean}
-    for statistic, estimate in resampled.items():
-        interval = bootstrap_interval(values, estimate, generator)
-        yield condition, name, statistic, float(estimate(values)), interval, len(values)
-    yield condition, name, "deviation", deviation(values), deviation_interval(values), len(values)
+        interval = intervals.within(intervals.mean_interval(values), *find_outcome(name).bounds)
+    yield name, "mean", float(intervals.mean(values)), interval, len(values)
+    for statistic, estimate in (("median", intervals.median), ("iqm", intervals.interquartile_mean)):
+        interval = intervals.bootstrap_interval(values, estimate, generator)
+        yield name, statistic, float(estimate(values)), interval, len(values)
+    spread = intervals.deviation(values), intervals.deviation_interval(values)
+    yield name, "deviation", *spread, len(values)
 
 
-def _improvement(
-    data: StudyData, condition: str, name: str, values: np.ndarray, at_step: int | None
-) -> Iterator[Row]:
-    """Return the probability that a run is better than one of the baseline; nothing for the baseline."""
+def _improvement(data: StudyData, condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
+    """Yield the probability that a run is better than one of the baseline; nothing for the baseline."""
     baseline, found = data.baseline, find_outcome(name)
     if (
         condition == baseline
@@ -130,13 +122,12 @@ def _improvement(
         or (is_return(name) and not have_one_return(data, (condition, baseline)))
     ):
         return
-    others = _known(outcome_values(data, baseline, name, at_step))
+    others = _known(outcome_values(data, baseline, name))
     if not len(others):
         return
-    turned = -1 if found.better == "lower" else 1
-    a, b = turned * values, turned * others
+    a, b = (-values, -others) if found.better == "lower" else (values, others)
     interval = _improvement_interval(a, b, _generator(condition, name, "improvement"))
-    yield condition, name, "improvement", probability_of_improvement(a, b), interval, len(values)
+    yield name, "improvement", intervals.probability_of_improvement(a, b), interval, len(values)
 
 
 def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
@@ -146,12 +137,14 @@ def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Gen
     """
     if min(len(a), len(b)) < LEAST_RUNS:
         return no_interval()
-    first, second = (_times_drawn(generator.integers(0, n, (RESAMPLES, n))) for n in (len(a), len(b)))
+    first, second = (
+        _times_drawn(generator.integers(0, n, (intervals.RESAMPLES, n))) for n in (len(a), len(b))
+    )
     above = (a[:, None] > b) + 0.5 * (a[:, None] == b)  # (runs of a, runs of b)
     drawn = (first @ above * second).sum(axis=1) / (len(a) * len(b))
     if np.ptp(drawn) == 0:
         return no_interval()
-    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.quantile(drawn, [(1 - intervals.LEVEL) / 2, (1 + intervals.LEVEL) / 2])
     return Interval(float(low), float(high), "bootstrap percentiles")
 
 
@@ -160,22 +153,6 @@ def _times_drawn(drawn: np.ndarray) -> np.ndarray:
     resamples, runs = drawn.shape
     places = drawn + runs * np.arange(resamples)[:, None]
     return np.bincount(places.ravel(), minlength=drawn.size).reshape(drawn.shape)
-
-
-def _threshold(data: StudyData, condition: str, name: str, at_step: int | None) -> Iterator[Row]:
-    steps = outcome_values(data, condition, name, at_step)
-    steps = steps[~np.isnan(steps)]
-    if not len(steps):
-        return
-    reached = int(np.isfinite(steps).sum())
-    interval = incidence_interval(reached, len(steps))
-    yield condition, name, "reached", reached / len(steps), interval, len(steps)
-    yield condition, name, "median", float(np.median(steps)), no_interval(), len(steps)
-
-
-def _share(condition: str, name: str, count: int, runs: int) -> Row:
-    value = count / runs if runs else float("nan")
-    return condition, name, "share", value, incidence_interval(count, runs), runs
 
 
 def _known(values: np.ndarray) -> np.ndarray:
@@ -220,21 +197,20 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
 
 
 def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    at_step = common_step(data)
     for name in outcomes:
         found = find_outcome(name)
-        every = [outcome_values(data, condition, name, at_step) for condition in (a, b)]
+        every = [outcome_values(data, condition, name) for condition in (a, b)]
         first, second = (values[~np.isnan(values)] for values in every)
+        fewer = min(len(first), len(second))
         means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
-        comparable = min(len(first), len(second)) > 0
-        finite = comparable and np.isfinite(means).all()  # steps to a threshold may be infinite
+        finite = np.isfinite(means).all()  # steps to a threshold may be infinite
         interval = no_interval()
-        if finite and min(len(first), len(second)) >= LEAST_RUNS:
+        if finite and fewer >= LEAST_RUNS:
             width = found.bounds[1] - found.bounds[0]
-            interval = within(difference_interval(first, second), -width, width)
+            interval = intervals.within(intervals.difference_interval(first, second), -width, width)
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
-        told = sign and min(len(first), len(second)) >= LEAST_FOR_BETTER
-        better = probability_of_improvement(sign * first, sign * second) if told else np.nan
+        told = sign and fewer >= LEAST_FOR_BETTER
+        better = intervals.probability_of_improvement(sign * first, sign * second) if told else np.nan
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
         difference = means[0] - means[1] if finite else np.nan
         yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts

@@ -62,12 +62,12 @@ def _section(index: RunIndex, name: str) -> dict[str, Any]:
     """Return a study in each of its worlds."""
     asked = ask(index, name)
     study = asked.study
-    worlds = study.worlds if study else (None,)
+    worlds = study.worlds if study.path else (None,)
     return {
-        "study": asked.name,
-        "title": asked.title,
-        "section": study.section if study else "",
-        "about": study.about if study else "",
+        "study": study.name,
+        "title": study.title,
+        "section": study.section,
+        "about": study.about,
         "parts": [_part(index, name, world) for world in worlds],
     }
 
@@ -78,11 +78,10 @@ def _section(index: RunIndex, name: str) -> dict[str, Any]:
 def _part(index: RunIndex, name: str, world: str | None) -> Part:
     asked = ask(index, name, world=world)
     study = asked.study
-    several = study is not None and len(study.worlds) > 1
-    label = f"{asked.name} in {WORLDS[world].title}" if several and world else asked.name
-    words = shlex.join(spec.asked_words(study) if study else [asked.name])
+    label = f"{study.name} in {WORLDS[world].title}" if len(study.worlds) > 1 and world else study.name
+    words = shlex.join(spec.asked_words(study))
     part = Part(label, words, f"In {WORLDS[world].title}" if world else "")
-    part.fix = spec.run_command(study) if study else ""
+    part.fix = spec.run_command(study) if study.path else ""
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
     environments = dict.fromkeys(str(fields.get("env")) for fields in asked.fields.values())
     part.where = ", ".join(titles.get(env, env) for env in environments)

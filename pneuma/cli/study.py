@@ -78,33 +78,34 @@ def show(name: str = opt.STUDY, world: opt.Text = opt.WORLD, results: Path = opt
 
     asked = ask(RunIndex(Store(results)), name, world=world)
     study = asked.study
-    about = {key: getattr(study, key) for key in ("section", "about", "world", "worlds")} if study else {}
-    presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()} if study else {}
-    head = {"study": asked.name, "title": asked.title, "baseline": asked.baseline}
+    keys = ("section", "about", "world", "worlds") if study.path else ()
+    about = {key: getattr(study, key) for key in keys}
+    presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()}
+    head = {"study": study.name, "title": study.title, "baseline": study.baseline}
     return Result({**head, **about, "conditions": asked.fields, "presets": presets}, _show(asked))
 
 
 def _show(asked: Asked) -> Iterator[str | Table]:
     study, fields = asked.study, asked.fields
     several, differing = len(fields) > 1, plan.differing_fields(fields)
-    yield asked.title + (f" (thesis section {study.section})" if study and study.section else "")
-    if study:
+    yield study.title + (f" (thesis section {study.section})" if study.section else "")
+    if study.path:
         yield study.about
     if several:
         yield ""
         yield "The conditions differ in:" if differing else "The conditions do not differ: this is A/A."
     yield from (f"  {key}: {_who_has(values)}" for key, values in differing.items())
     if several:
-        yield f"Compared with: {asked.baseline}"
+        yield f"Compared with: {study.baseline}"
     yield ""
     yield "All conditions share:" if several else "The one condition has:"
     for key, value in next(iter(fields.values()), {}).items():
         if key not in (*differing, "seed", "steps"):
             yield f"  {key} = {shown_value(value)}"
-    if study is None:
+    if study.path is None:
         yield f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}"
         return
-    from pneuma.analysis.claims_preset import fixed_amounts
+    from pneuma.analysis.claims import fixed_amounts
 
     yield ""
     yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
@@ -162,7 +163,7 @@ def status(
         table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
     queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
     told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
-    return Result({"study": shown.asked.name, "runs": runs, "jobs": queued}, told)
+    return Result({"study": shown.asked.study.name, "runs": runs, "jobs": queued}, told)
 
 
 def _every_status(index: RunIndex, world: str | None) -> Result:

@@ -142,7 +142,7 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     for deed in (deed for deed in named_code if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)
     if chosen.selection.preset == spec.CLAIMS:
-        from pneuma.analysis.claims_preset import with_claims
+        from pneuma.analysis.claims import with_claims
 
         study = with_claims(study, chosen.selection.steps)
     planned = plan.make_plan(study, chosen.selection)

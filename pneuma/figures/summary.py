@@ -66,9 +66,8 @@ class Outcomes:
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
         """The finite outcomes of the runs of each condition that has runs."""
-        step = common_step(self.data)
         every = {
-            name: outcome_values(self.data, name, self.outcome, step)
+            name: outcome_values(self.data, name, self.outcome)
             for name in self.data.conditions
             if self.data.of_condition(name)
         }

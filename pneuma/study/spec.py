@@ -26,7 +26,7 @@ from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
-"""The preset that comes from claims (`analysis/claims_preset.py`) and not from a study's file."""
+"""The preset that comes from claims (`analysis/claims.py`) and not from a study's file."""
 CLAIMS_FILE = "claims.toml"
 """The file of claims, in the folder of studies."""
 

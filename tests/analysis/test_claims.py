@@ -12,8 +12,7 @@ import pytest
 
 from pneuma.analysis import claims as claims_module
 from pneuma.analysis.claim_table import plan_contrasts
-from pneuma.analysis.claims import load_claims
-from pneuma.analysis.claims_preset import with_claims
+from pneuma.analysis.claims import load_claims, with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study

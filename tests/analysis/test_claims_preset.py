@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims_preset import with_claims
+from pneuma.analysis.claims import with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Preset, Study, load_study

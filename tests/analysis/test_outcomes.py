@@ -188,7 +188,7 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
     data = open_study(RunIndex(store), "logs")
     at_step = common_step(data)
     assert at_step == 980
-    found = outcome_values(data, "a", "final-return", at_step)
+    found = outcome_values(data, "a", "final-return")
     np.testing.assert_allclose(found, [1000, 1001, 1002, 983, np.nan, np.nan], atol=1)  # in steps of 2
     assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
     assert step_words(data).endswith("(left out, as they end before: a 4, a 5)")
