@@ -106,7 +106,8 @@ def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None =
 
 
 def _ask_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) -> Asked:
-    name, every = listing["study"], dict.fromkeys((run["condition"] for run in listing["runs"]), {})
+    name = listing["study"]
+    every: dict[str, dict[str, Any]] = {run["condition"]: {} for run in listing["runs"]}
     for condition in picked.conditions:
         if condition not in every:
             raise unknown_name(f"condition of study {name}", condition, every)
