@@ -257,7 +257,9 @@ def _changed(index: RunIndex, asked: Asked) -> list[str]:
         row = index.row(finished.run_id) if finished else None
         kept = _without_amount(row.fields) if row else {}
         for fields in asked.fields.values() if row else ():
-            unlike = [key for key in {**fields, **kept} if fields.get(key) != as_tuple(kept.get(key))]
+            unlike = [
+                key for key in {**fields, **kept} if as_tuple(fields.get(key)) != as_tuple(kept.get(key))
+            ]
             if len(unlike) == 1:
                 option = f"--set {unlike[0]}={shown_value(kept.get(unlike[0]))}"
                 counts[option] = counts.get(option, 0) + len(entries)
