@@ -107,12 +107,15 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     ## Arguments
 
-    Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0.
+    Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0. PneumaEasy-v0 is the arena with
+    `classes = tank` and `perceive = nearest:5`; PneumaHard-v0 with `level = random:train:0`,
+    `monsters = mixed`, `random_levels = 200`, `perceive = rays:32`, `slow = 1` and `episode_steps = 300`.
 
     | argument | default | meaning |
     | --- | --- | --- |
     | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
     | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
+    | `monsters` | bamboo | on random levels: that kind, or `mixed`: eight of it, two of each other |
     | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
     | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
     | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
