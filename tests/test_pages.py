@@ -97,6 +97,16 @@ def test_a_block_that_trains_or_fails_is_refused(tmp_path: Path, command: str, t
         rewrite([page])
 
 
+def test_a_block_holds_a_section_of_a_docstring(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- docstring pneuma.env.gym.PneumaEnv Starting and ending -->\n<!-- end -->\n")
+    rewrite([page])
+    assert "\n\nAn episode starts at " in page.read_text() and "##" not in page.read_text()
+    page.write_text("<!-- docstring pneuma.env.gym.PneumaEnv Weather -->\n<!-- end -->\n")
+    with pytest.raises(UserError, match="Weather -->: there is no such heading"):
+        rewrite([page])
+
+
 def test_a_block_without_an_end_takes_nothing_with_it(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     whole = "<!-- pneuma study list --json -->\n<!-- end -->\n"

@@ -1,8 +1,13 @@
-"""Pages hold what commands print. `make figures` writes such blocks anew, and a test refuses stale ones.
+"""Pages hold what commands print and docstrings say. `make figures` writes it anew, and a test compares it.
 
     <!-- pneuma study verify --format markdown -->
 
     the command's output
+
+    <!-- end -->
+    <!-- docstring pneuma.env.gym.PneumaEnv Actions -->
+
+    what stands in the docstring under this heading
 
     <!-- end -->
 
@@ -22,7 +27,9 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache, partial
+from inspect import getdoc
 from pathlib import Path
+from pydoc import locate
 from tempfile import TemporaryDirectory
 
 from pneuma.cli import main
@@ -37,9 +44,10 @@ READING = (
 WRITING = ("--out", "--plot", "--fork", "--trust", "--results")
 """Their options that write, train, run a user's code, or read other results."""
 RESULTS = "PNEUMA_RESULTS"
-_BEGIN = re.compile(r"^<!-- pneuma ", re.MULTILINE)
+_BEGIN = re.compile(r"^<!-- (?:pneuma|docstring) ", re.MULTILINE)
 _BLOCK = re.compile(
-    r"^<!-- pneuma ([^\n]+) -->\n((?:(?!^<!-- pneuma ).)*?)^<!-- end -->$", re.MULTILINE | re.DOTALL
+    r"^<!-- ((?:pneuma|docstring) [^\n]+) -->\n(?:(?!^<!-- (?:pneuma|docstring) ).)*?^<!-- end -->$",
+    re.MULTILINE | re.DOTALL,
 )
 
 
@@ -69,7 +77,7 @@ def renewed(pages: Sequence[Path]) -> Iterator[tuple[Path, str]]:
 
 
 def _filled(run: Callable[[str], str], block: re.Match[str]) -> str:
-    return f"<!-- pneuma {block[1]} -->\n\n{run(block[1])}\n<!-- end -->"
+    return f"<!-- {block[1]} -->\n\n{run(block[1])}\n<!-- end -->"
 
 
 @contextmanager
@@ -86,7 +94,10 @@ def _published_alone() -> Iterator[None]:
             os.environ |= {RESULTS: before} if before else {}
 
 
-def _output(command: str) -> str:
+def _output(block: str) -> str:
+    kind, _, command = block.partition(" ")
+    if kind == "docstring":
+        return _section(*command.split(" ", 1))
     words = shlex.split(command)
     if " ".join(words[:2]) not in READING or any(word.partition("=")[0] in WRITING for word in words):
         raise UserError(f"<!-- pneuma {command} -->: pages hold what {', '.join(READING)} print")
@@ -96,6 +107,14 @@ def _output(command: str) -> str:
     if code:
         raise UserError(f"<!-- pneuma {command} -->: {err.getvalue().strip()}")
     return out.getvalue()
+
+
+def _section(place: str, heading: str = "") -> str:
+    """Return what a docstring has under a heading."""
+    found = re.search(rf"^## {heading}\n+(.*?\n)\n*(?=## |Raises:)", getdoc(locate(place)) or "", re.M | re.S)
+    if not found:
+        raise UserError(f"<!-- docstring {place} {heading} -->: there is no such heading")
+    return found[1]
 
 
 if __name__ == "__main__":

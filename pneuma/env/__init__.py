@@ -48,8 +48,8 @@ def register_environments() -> None:
         # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
         gymnasium.register(
             mo_name,
-            entry_point="pneuma.env.gym:PneumaMOEnv",
-            vector_entry_point="pneuma.env.gym:PneumaMOVectorEnv",
+            entry_point="pneuma.env.mo:PneumaMOEnv",
+            vector_entry_point="pneuma.env.mo:PneumaMOVectorEnv",
             disable_env_checker=True,
             kwargs={"env_id": name},
             **limit,

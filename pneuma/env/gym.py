@@ -1,11 +1,10 @@
-"""Gymnasium's faces: one world, N worlds as one environment, both also with vector rewards; and its recorder.
+"""Gymnasium's faces: one world, and N worlds as one environment; and its recorder.
 
 Both give the same bits for the same seeds and actions. A slot of several players' worlds is as in `Slots`.
 """
 
 from __future__ import annotations
 
-import numbers
 import operator
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,15 +13,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces, wrappers
+from gymnasium import wrappers
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pneuma.env.characters import TICKS_PER_STEP
 from pneuma.env.kernel import announce_compiling
-from pneuma.env.layouts import MOST_XP, most_hp
-from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering, write_video
 from pneuma.env.worlds import Worlds
@@ -35,38 +31,124 @@ announce_compiling()
 class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     """PneumaRL: one player against the monsters of a level.
 
-    ## Description
-    A top-down island of snow, field and desert. Monsters notice a player within 300 pixels, chase
-    and bite; the player kills them with a sword for experience points (XP). `pneuma/Pneuma-v0` is the
-    thesis's text, well posed; `pneuma/PneumaGodot-v0` its published code, with its quirks;
-    `pneuma/PneumaArena-v0` is the text's with another reward.
+    A top-down island of snow, field and desert (thesis chapter 5). Monsters notice a player within 300
+    pixels, chase and bite it; the player kills them with a sword for experience points (XP) and HP. A step
+    lasts 8 ticks of 1/60 s. `copy.deepcopy` and `pickle` copy all, the random stream included.
 
-    ## Action space
-    `Discrete(5)`: 0 walk down, 1 left, 2 up, 3 right, 4 attack towards the last direction walked.
-    With `magic` also 5 flame and 6 heal. An action lasts 8 ticks of 1/60 s; an attack 24, during
-    which further actions do nothing. `info["action_mask"]` is 0 where an action would do nothing.
+    ## Actions
 
-    ## Observation space
-    A `Box` of float32; `pneuma.env.observe` lists what stands where.
+    `Discrete(5)`, or up to `Discrete(8)`:
 
-    ## Reward
-    By formula; `pneuma.env.reward` lists them. That of Pneuma-v0: XP so far minus HP over full HP, at
-    every step (thesis section 5.3).
+    | action | | with |
+    | --- | --- | --- |
+    | 0, 1, 2, 3 | walk down, left, up, right, 40 px | |
+    | 4 | attack towards the last direction walked, for 24 ticks | |
+    | 5 | flame: 5 damage plus the class's magic in a box of 320 x 64 px ahead; 20 energy | `magic` |
+    | 6 | heal: 20 HP up to full; 10 energy | `magic` |
+    | the last, 5 or 7 | dash: 8 ticks ahead at three times the pace; 60 ticks of rest | `dash` |
 
-    ## Start
-    One of the level's start places, at random, or with `start = "first"` always the first;
-    `reset(options={"start": i})` chooses the i-th.
+    `info["action_mask"]` is 0 for actions without effect: into terrain, a spell without enough energy, a dash
+    too early, and all but attack while an attack or spell lasts for the whole step. Attack is always 1.
 
-    ## End
-    Terminates when the player's HP are gone, and with `end_on_clear` when every monster is dead;
-    truncates after `episode_steps` steps, or terminates with `time_limit = "terminate"`. `info` then
-    holds `ending`, `kills`, `xp` and `hp`.
+    ## Observations
 
-    ## Saving
-    `copy.deepcopy` and `pickle` copy the environment, its random stream included.
+    A `Box` of float32. The 64 numbers of `pneuma/PneumaArena-v0`, with i from 0 to 13:
+
+    | number | what | from | to |
+    | --- | --- | --- | --- |
+    | 0, 1 | x and y, over the land | -1 | 1 |
+    | 2 | HP over full HP; kills heal, also above it | 0 | 1.98 |
+    | 3 | XP over that of all monsters | 0 | 1.07 |
+    | 4, 5, 6, 7 | whether it faces down, left, up, right | 0 | 1 |
+    | 8 + 4i | distance to the nearest living monster, the next, ...; in its notice radii | 0 | 16.2 |
+    | 9 + 4i, 10 + 4i | direction to it, x and y | -1 | 1 |
+    | 11 + 4i | its HP over its full HP | 0 | 1 |
+
+    Rows of the dead are zeros, at the end. `pneuma/Pneuma-v0` has 60 numbers, without the facing, and
+    `pneuma/PneumaGodot-v0` 74, by `observation`, the layout:
+
+    | `observation` | the player | each monster | unless told otherwise |
+    | --- | --- | --- | --- |
+    | `thesis` | x, y, HP, XP | distance, direction x and y, HP | all, nearest first, unit: 60 |
+    | `pygame` | x, y, facing x and y, HP, energy | the same, XP it is worth | the 5 nearest, map: 31 |
+    | `godot` | x, y, HP, XP | x, y, HP, direction x and y to the player | all, fixed order, raw: 74 |
+
+    `scale` is `unit` in the first table; the land of random levels is the whole grid. With `map` positions
+    are 0 to 1 over the grid, and distances over its longer side; with `raw` all is in pixels and points.
+
+    With `perceive = "rays:16"` each ray has a row in place of each monster: the distance to the first thing
+    that it meets (in the largest notice radius), then 1 for what that is, else 0: terrain, another player,
+    each kind of monster of the level. The first ray leads to the right, the others follow clockwise. They
+    end at living bodies, at terrain that stops players, and at the sea; HP are not seen.
+
+    ## Rewards
+
+    xp and hp are the values after the step, hp0 is full HP, and Δ is the change in the step:
+
+    | `reward` | formula | source |
+    | --- | --- | --- |
+    | `thesis` | xp - hp / hp0 | section 5.3, as printed |
+    | `pygame` | xp + hp / hp0 | the PyGame version |
+    | `godot` | by events, below | the Godot version |
+    | `kills` | Δxp - HP lost / hp0 | what section 5.3's words ask for |
+    | `distance-sigmoid` | Δxp + S, below | after footnote 4 |
+    | `module:function` | a function of yours | |
+
+    `godot`: +1 for entering a notice circle, +1 for an attack circle; a kill with credit for the player, and
+    an ending that costs XP, set what the step has paid so far to its XP. S is an algebraic sigmoid,
+    1/2 + z / (2 sqrt(1 + z^2)) with z = (150 - distance to the nearest living monster) / 50; 0 without one.
+
+    ## Starting and ending
+
+    An episode starts at one of the level's start places; `reset(options={"start": i})` chooses the i-th. It
+    terminates when the player's HP are gone, and with `end_on_clear` when every monster is dead. It is
+    truncated after `episode_steps` steps, or terminated with `time_limit = "terminate"`. `info` then holds
+    `ending` (killed, cleared or time-limit), `kills`, `xp` and `hp`.
 
     ## Arguments
-    The fields of `pneuma.config.EnvConfig`.
+
+    Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0. PneumaEasy-v0 is the arena with
+    `classes = tank` and `perceive = nearest:5`; PneumaHard-v0 with `level = random:train:0`,
+    `monsters = mixed`, `random_levels = 200`, `perceive = rays:32`, `slow = 1` and `episode_steps = 300`.
+
+    | argument | default | meaning |
+    | --- | --- | --- |
+    | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
+    | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
+    | `monsters` | bamboo | on random levels: that kind, or `mixed`: eight of it, two of each other |
+    | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
+    | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
+    | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
+    | `weapons` | own | `own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list |
+    | `magic` | false | whether there are the actions flame and heal |
+    | `dash` | false | whether there is the action dash (thesis chapter 7) |
+    | `reward` | thesis, godot, kills | a formula, or a list of one per player |
+    | `observation` | thesis, godot, thesis | the layout |
+    | `perceive` | all | `all`, `nearest:K`, `kind:NAME,...`, or `rays:N`, 1 to 64 |
+    | `order` | nearest, fixed, nearest | dead monsters are left out, or rows of zeros (HP 0 in `godot`) |
+    | `scale` | unit, raw, unit | of what is observed |
+    | `observe_facing` | false, false, true | whether a player observes its facing: four numbers |
+    | `start` | random, first, random | a random start place of the level, or always the first |
+    | `bodies` | block | whether living bodies stop each other, or `pass` |
+    | `coast` | wall | or `deadly`: who is over the sea drowns, at no cost of XP |
+    | `trees` | wall, pass, wall | whether trees and other obstacles stop bodies |
+    | `terrain_stops` | all, players, all | whom trees and coast stop |
+    | `slow` | none | codes of the ground that slows bodies: 1 snow, 2 grass, 3 sand |
+    | `slow_factor` | 0.5 | of their speed there |
+    | `bite_while_knocked` | false | whether a monster bites while it is knocked back |
+    | `healing_cap` | false | whether healing by a kill stops at full HP |
+    | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |
+    | `xp_scope` | episode, forever, episode | `forever`: XP is kept until `reset(seed=...)` |
+    | `ending_cost` | 0, 1, 0 | XP lost by death from bites, clearing the level and the time limit |
+    | `episode_steps` | 1000, 7500, 1000 | the time limit, which Gymnasium calls `max_episode_steps` |
+    | `time_limit` | truncate, terminate, truncate | whether it truncates or terminates |
+    | `end_on_clear` | false, true, false | whether the last kill ends the episode |
+    | `render_mode` | none | `rgb_array`, or `human` for a window |
+    | `camera` | map | `follow` shows the player's surroundings |
+
+    ## Versions
+
+    v0 alone. A change of what equal seeds and actions give raises `pneuma.config.RULES_VERSION`.
 
     Raises:
         UserError: at construction, for an argument out of range or a level that cannot be played.
@@ -81,10 +163,8 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     ) -> None:
         config = make_env_config(settings, env_id)
         if config.players != 1:
-            raise UserError(
-                f"players = {config.players}: this face has one player; make the vector environment, or "
-                "pneuma.env.pettingzoo.parallel_env"
-            )
+            others = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
+            raise UserError(f"players = {config.players}: this face has one player; {others}")
         self._env_id = env_id
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
@@ -154,9 +234,9 @@ def without_time_limit(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
 class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N worlds as one environment; see `PneumaEnv` for each.
 
-    World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With
-    several players to a world, each is a slot: slot i is player i % players of world i // players. A
-    slot whose player dies before its world ends idles until then (`pneuma.env.worlds.Slots`).
+    World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With several
+    players to a world, each is a slot: slot i is player i % players of world i // players. A slot whose
+    player dies before its world ends idles until then (`pneuma.env.slots.Slots`).
 
     Args:
         num_envs: number of slots, a multiple of the players in a world.
@@ -180,9 +260,8 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> None:
         config = limited(make_env_config(settings, env_id), env_id, max_episode_steps)
         if num_envs < 1 or num_envs % config.players:
-            raise UserError(
-                f"num_envs = {num_envs} is not allowed: a multiple of the {config.players} players in a world"
-            )
+            allowed = f"a multiple of the {config.players} players in a world"
+            raise UserError(f"num_envs = {num_envs} is not allowed: {allowed}")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
@@ -196,16 +275,12 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._note_over(np.zeros(len(self.state), np.bool_))
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
         `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset;
-        those with None go on.
-        `options["start"]` is the index of a start place, or one for each world.
+        those with None go on. `options["start"]` is the index of a start place, or one for each world.
 
         Raises:
             ResetNeeded: when the first reset leaves out some worlds.
@@ -216,25 +291,23 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         mask = self._reset_mask(given.get("reset_mask"))
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
-        super().reset(seed=None if seeds is None else seeds[0])
-        if not self.slots.begun and (seeds is None or None in seeds):
-            first, asked = int(self.np_random.integers(2**62)), seeds or [None] * len(self.state)
-            seeds = [first + i if own is None else own for i, own in enumerate(asked)]
-        if seeds:
-            self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
-            self.slots.begun = True
+        super().reset(seed=seeds[0])
+        if not self.slots.begun and None in seeds:
+            first = int(self.np_random.integers(2**62))
+            seeds = [first + i if own is None else own for i, own in enumerate(seeds)]
+        self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
+        self.slots.begun = True
         self.state.reset(mask, starts)
         self._note_over(self._over & ~mask)
         self._show()
         return self.slots.observations, self._infos()
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return a seed for each world, None where its random stream goes on."""
-        if seed is None:
-            return None
-        if isinstance(seed, numbers.Integral):
+        if isinstance(seed, int | np.integer):
             return [int(seed) + i for i in range(len(self.state))]
-        seeds = [None if own is None else operator.index(own) for own in seed]  # type: ignore[union-attr]
+        given: Any = [None] * len(self.state) if seed is None else seed
+        seeds = [None if own is None else operator.index(own) for own in given]
         if len(seeds) != len(self.state):
             raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
         return seeds
@@ -265,8 +338,8 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if ended or self._waiting:
             self._note_over(slots.world_over.copy())
         self._show()
-        seen = slots.observations
-        return seen, rewards, slots.terminated.copy(), slots.truncated.copy(), self._infos(infos)
+        over = slots.terminated.copy(), slots.truncated.copy()
+        return slots.observations, rewards, *over, self._infos(infos)
 
     def _note_over(self, over: np.ndarray) -> None:
         """Record which worlds are over, and reset them if the ending step does so."""
@@ -297,59 +370,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 info = {"final_obs": final, "final_info": {"action_mask": mask, **info}}
             infos = self._add_info(infos, info, int(slot))
         return infos
-
-
-# --- Vector rewards -------------------------------------------------------------------------------
-
-
-class VectorRewards:
-    """A mixin for vector rewards; it comes before the environment among the bases."""
-
-    state: Worlds
-
-    def __init__(self, *arguments: Any, **settings: Any) -> None:
-        if "reward" in settings:
-            raise UserError(
-                f"reward = {settings['reward']!r} is not allowed: vector rewards are always the same parts; "
-                "weigh them, or choose a reward for an id without mo-"
-            )
-        super().__init__(*arguments, **settings)
-        self.reward_space = parts_space(self.state)
-        self.reward_dim = len(PARTS)
-
-    def _parts(self) -> np.ndarray:
-        return reward_parts(self.state.events, self.state.players, self.state.player_stats)
-
-
-class PneumaMOEnv(VectorRewards, PneumaEnv):
-    """The same world with a vector reward, in MO-Gymnasium's convention.
-
-    `step` returns an array of `pneuma.env.reward.PARTS`: XP and HP share after the step, XP gained, HP
-    share lost, notice and attack circles entered. The thesis's reward is the first minus the second,
-    the reward `kills` the third minus the fourth. There is no `reward` to choose.
-    """
-
-    def _reward(self) -> Any:
-        return self._parts()[0, 0]
-
-
-class PneumaMOVectorEnv(VectorRewards, PneumaVectorEnv):
-    """The same with vector rewards, (slots, 6), in MO-Gymnasium's convention; see `PneumaMOEnv`."""
-
-    def _rewards(self) -> np.ndarray:
-        return self._parts().reshape(self.num_envs, -1)
-
-
-def parts_space(state: Worlds) -> spaces.Box:
-    """Return the finite bounds of a vector reward."""
-    config = state.config
-    worth = float(state.monster_stats["xp"].sum(axis=-1).max(initial=0.0))
-    least, most = (-MOST_XP, MOST_XP) if config.xp_scope == "forever" else (-config.ending_cost, worth)
-    circles = float(state.monsters.shape[1] * TICKS_PER_STEP)
-    hp = max(most_hp(row, state.monster_stats, config) / float(row["hp"]) for row in state.player_stats)
-    lost = hp * TICKS_PER_STEP  # a player that is healed in between may lose all HP in every tick
-    low = np.array([least, 0.0, -config.ending_cost, 0.0, 0.0, 0.0], np.float32)
-    return spaces.Box(low, np.array([most, hp, worth, lost, circles, circles], np.float32), dtype=np.float32)
 
 
 # --- Videos ---------------------------------------------------------------------------------------

@@ -1,32 +1,8 @@
-"""What a player perceives: layouts, bounds and scales of an observation.
+"""What a player perceives: layouts, bounds and scales of an observation; `PneumaEnv` tells what they mean.
 
-Three layouts, each a few numbers about the player, then a row for each monster perceived:
-
-    thesis  x, y, HP, XP                      distance, direction x, direction y, HP
-    pygame  x, y, facing x, facing y, HP,     distance, direction x, direction y, HP, XP it is worth
-            energy
-    godot   x, y, HP, XP                      x, y, HP, direction x, direction y (monster to player)
-
-With `observe_facing` four numbers follow on those about the player: 1 for the way faced, else 0.
-
-With `perceive = "rays:N"` there is a row for each of N rays instead of one for each monster: how far off
-the first thing is that it meets, then 1 for what that is, else 0: terrain, another player, or a monster
-of one of the level's kinds, by name. Rays begin at the player's place, the first to the right, the others
-clockwise. They end at living bodies, and at terrain that stops or drowns players.
-
-`perceive` says which monsters, `order` how they are ordered (nearest first, the dead left out and the
-rest zeros; or fixed, a dead one's row zeros but in layout godot), `scale` the units:
-
-    unit    x and y from -1 to 1 over the land, HP, energy and XP as shares, distances in the
-            monster's notice radii, along rays in the largest one: what matters is of order one
-    map     x, y and distances over the map's size, the rest as shares
-    raw     pixels and points
-
-The map is the whole grid of tiles. So is the land of random levels: each sees the same place as the
-same numbers, whichever are played together.
-
-`pneuma/Pneuma-v0` has layout thesis, all monsters, nearest first, unit scale: the quantities of the
-thesis's section 5.1. A layout's own choices are in `pneuma.env_fields.OBSERVATION_FIELDS`.
+An observation has a few numbers about the player, then a row for each monster perceived, or for each ray. A
+layout's own choices are in `pneuma.env_fields.OBSERVATION_FIELDS`. The land of random levels is the whole
+grid, so that each sees the same place as the same numbers, whichever are played together.
 """
 
 from __future__ import annotations

@@ -52,44 +52,30 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
             length = math.sqrt(x * x + y * y)
             nearest = min(nearest, length)
         if s.monster_stats[level, m].perceived and (fixed or length < math.inf):
-            _insert(s.scratch, count, m, length)
+            _insert(s.scratch, count, m, length, False)
             count += 1
     if tell:
         s.events[w, p].distance = nearest
     count = min(count, s.settings[0].perceived)
     if fixed:
-        _sort_by_index(s.scratch, count)
+        for i in range(count):
+            _insert(s.scratch, i, s.scratch[i].order, s.scratch[i].distance, True)
     return count
 
 
 @part
-def _insert(scratch: Array, count: int, order: int, distance: float) -> None:
-    """Insert into the first `count` of `scratch`, nearest first, behind equals.
+def _insert(scratch: Array, count: int, order: int, distance: float, by_index: bool) -> None:
+    """Insert into the first `count` of `scratch`, nearest first, behind equals; or by index.
 
     An insertion sort: for 14 items it is several times faster than numpy.argsort.
     """
     i = count
-    while i > 0 and scratch[i - 1].distance > distance:
+    while i > 0 and (scratch[i - 1].order > order if by_index else scratch[i - 1].distance > distance):
         scratch[i].order = scratch[i - 1].order
         scratch[i].distance = scratch[i - 1].distance
         i -= 1
     scratch[i].order = order
     scratch[i].distance = distance
-
-
-@part
-def _sort_by_index(scratch: Array, count: int) -> None:
-    """Sort the first `count` of `scratch` by index."""
-    for last in range(1, count):
-        order = scratch[last].order
-        distance = scratch[last].distance
-        i = last
-        while i > 0 and scratch[i - 1].order > order:
-            scratch[i].order = scratch[i - 1].order
-            scratch[i].distance = scratch[i - 1].distance
-            i -= 1
-        scratch[i].order = order
-        scratch[i].distance = distance
 
 
 @part

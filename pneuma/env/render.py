@@ -212,8 +212,7 @@ class Renderer:
                 yield from self._ghosts(index, player, stats)
             yield from self._standing(_player_picture(index, player, flash), player, stats)
             if player["busy"] > 0 and player["armed"] == rules.BLADE:
-                yield self._slash(player, stats)
-                yield self._sword(player, stats)
+                yield from self._blow(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
         """Return which players a living monster has just bitten, (players,)."""
@@ -225,32 +224,23 @@ class Renderer:
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         """Yield a picture with its feet at the lower edge of a body, and its shadow."""
-        x, y = self._place(body["x"], _foot(body, stats))
-        height, width = picture.shape[:2]
-        shadow = sprites.shadow_picture(width - 2)
-        yield Item(y - 0.5, shadow, x - (width - 2) // 2, y + 2 - shadow.shape[0])
-        yield Item(y, picture, x - width // 2, y + 1 - height)
+        return _upright(picture, *self._place(body["x"], _foot(body, stats)))
 
-    def _sword(self, player: Any, stats: Any) -> Item:
+    def _blow(self, player: Any, stats: Any) -> Iterator[Item]:
+        """Yield a sword, and the arc over the box that it strikes."""
         way, facing = player["facing"], FACINGS[player["facing"]]
         moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
-        picture = sprites.sword_picture(facing, moment)
-        x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
-        _, foot = self._place(0.0, _foot(player, stats))
-        height, width = picture.shape[:2]
-        return Item(foot + (-0.2 if facing == "up" else 0.2), picture, x - width // 2, y - height // 2)
-
-    def _slash(self, player: Any, stats: Any) -> Item:
-        """Return the arc over the box that a sword strikes."""
-        way, facing = player["facing"], FACINGS[player["facing"]]
         half_width, half_height = stats["sword_half_width"][way], stats["sword_half_height"][way]
         x, y = player["x"] + stats["sword_x"][way], player["y"] + stats["sword_y"][way]
         left, top = self._place(x - half_width, y - half_height)
         right, bottom = self._place(x + half_width, y + half_height)
-        moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
-        picture = sprites.slash_picture(right - left + 1, bottom - top + 1, facing, moment)
+        arc = sprites.slash_picture(right - left + 1, bottom - top + 1, facing, moment)
         _, foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
-        return Item(foot + 0.1, picture, left, top)
+        yield Item(foot + 0.1, arc, left, top)
+        x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
+        _, foot = self._place(0.0, _foot(player, stats))
+        sword = sprites.sword_picture(facing, moment)
+        yield _centred(foot + (-0.2 if facing == "up" else 0.2), sword, x, y)
 
     def _ghosts(self, index: int, player: Any, stats: Any) -> Iterator[Item]:
         """Yield pale pictures of who dashes along the way it came."""
@@ -262,8 +252,7 @@ class Renderer:
             if back <= gone:
                 x, y = self._place(player["x"] - way_x * back, _foot(player, stats) - way_y * back)
                 picture = sprites.faded(_player_picture(index, player, ""), opaque)
-                height, width = picture.shape[:2]
-                yield Item(y - 0.4, picture, x - width // 2, y + 1 - height)
+                yield _above(y - 0.4, picture, x, y + 1)
 
     # --- What has just happened ------------------------------------------------------------------
 
@@ -289,8 +278,7 @@ class Renderer:
                 effect.y + effect.height * ((row + 1) / rows - 0.5),
             )
             picture = sprites.flame_picture(age // 4 + row + column, max(left_over, 3))
-            height, width = picture.shape[:2]
-            yield Item(y, picture, x - width // 2, y - height)
+            yield _above(y, picture, x, y)
 
     def _rising(self, effect: Effect, age: int) -> Iterator[Item]:
         """Yield a cloud, signs of healing, or XP gained, which rise over a body."""
@@ -303,22 +291,20 @@ class Renderer:
             plus = sprites.plus_picture()
             pictures = [(plus, across, rise + age // 3) for across, rise in PLUSES]
         for picture, across, rise in pictures:
-            height, width = picture.shape[:2]
-            yield Item(0.0, picture, x + across - width // 2, y - rise - height // 2)
+            yield _centred(0.0, picture, x + across, y - rise)
 
     def _bars(self, world: int) -> Iterator[Item]:
         level = int(self.worlds.worlds["level"][world])
         groups = (
-            (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 17),
-            (self.worlds.players, self.worlds.player_stats, sprites.GOLD, 16),
+            (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 20),
+            (self.worlds.players, self.worlds.player_stats, sprites.GOLD, 19),
         )
         for bodies, all_stats, colour, height in groups:
             for body, stats in zip(bodies[world], all_stats, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
-                    filled = _filled_part(body["hp"], stats["hp"], BAR_WIDTH)
-                    bar = sprites.bar_picture(filled, BAR_WIDTH, colour)
+                    bar = _gauge(body["hp"], stats["hp"], colour, BAR_WIDTH)
                     x, y = self._place(body["x"], _foot(body, stats))
-                    yield Item(0.0, bar, x - bar.shape[1] // 2, y - (height + 3))
+                    yield Item(0.0, bar, x - bar.shape[1] // 2, y - height)
 
     # --- The strip above -------------------------------------------------------------------------
 
@@ -337,7 +323,6 @@ class Renderer:
         worlds = self.worlds
         row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
-        filled = _filled_part(row["hp"], stats["hp"], PANEL_BAR[0])
         texts = [  # rounded up, so that only the dead have 0 HP
             f"HP {ceil(row['hp'])}/{ceil(stats['hp'])}",
             f"XP {ceil(row['xp'])}",
@@ -349,32 +334,44 @@ class Renderer:
         if worlds.config.magic:
             texts.insert(1, f"EN {int(row['energy'])}/{ceil(stats['energy'])}")
         pictures = [sprites.text_picture(text) for text in texts]
-        bar = sprites.bar_picture(filled, PANEL_BAR[0], sprites.GOLD, height=PANEL_BAR[1])
+        bar = _gauge(row["hp"], stats["hp"], sprites.GOLD, *PANEL_BAR)
         if worlds.config.magic:
-            filled = _filled_part(row["energy"], max(stats["energy"], 1.0), PANEL_BAR[0])
-            energy = sprites.bar_picture(filled, PANEL_BAR[0], sprites.BLUE, height=PANEL_BAR[1])
-            pictures.insert(1, energy)
+            pictures.insert(1, _gauge(row["energy"], max(stats["energy"], 1.0), sprites.BLUE, *PANEL_BAR))
         named = [sprites.text_picture(f"P{player + 1}")] if worlds.players.shape[1] > 1 else []
         return [*named, bar, *pictures]
 
 
-def _filled_part(hp: float, full: float, width: int) -> int:
-    return min(max(round(width * float(hp) / float(full)), int(hp > 0)), width)
+def _gauge(left: float, full: float, colour: str, width: int, height: int = 1) -> np.ndarray:
+    """Return a bar of what is left; it is empty only when nothing is."""
+    filled = min(max(round(width * float(left) / float(full)), int(left > 0)), width)
+    return sprites.bar_picture(filled, width, colour, height)
 
 
 def _foot(body: Any, stats: Any) -> float:
     return float(body["y"] + stats["body_y"] + stats["half_height"])
 
 
+def _above(foot: float, picture: np.ndarray, x: int, y: int) -> Item:
+    """Return a picture whose lower edge is centred on a place."""
+    return Item(foot, picture, x - picture.shape[1] // 2, y - picture.shape[0])
+
+
+def _centred(foot: float, picture: np.ndarray, x: int, y: int) -> Item:
+    return Item(foot, picture, x - picture.shape[1] // 2, y - picture.shape[0] // 2)
+
+
+def _upright(picture: np.ndarray, x: int, foot: int) -> Iterator[Item]:
+    """Yield what stands somewhere, and its shadow."""
+    yield _above(foot - 0.5, sprites.shadow_picture(picture.shape[1] - 2), x, foot + 2)
+    yield _above(foot, picture, x, foot + 1)
+
+
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
     kinds = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
-    shadow = sprites.shadow_picture(14)
     for row, column in np.argwhere(solid).tolist():
         names = kinds.get(int(ground[row, column]), ("rock",))
         picture = sprites.obstacle_picture(names[int(tile_hash(row, column)) % len(names)])
-        foot, left = (row + 1) * sprites.TILE - 2, column * sprites.TILE
-        yield Item(foot - 0.5, shadow, left + 1, foot + 2 - shadow.shape[0])
-        yield Item(foot, picture, left, foot + 1 - picture.shape[0])
+        yield from _upright(picture, column * sprites.TILE + sprites.TILE // 2, (row + 1) * sprites.TILE - 2)
 
 
 def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:

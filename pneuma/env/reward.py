@@ -1,16 +1,4 @@
-"""Rewards: named formulas, users' own functions, and vector rewards of the same parts.
-
-With xp and hp after the step, hp0 full HP, and Δ for what the step itself brought:
-
-    thesis            xp - hp / hp0                        thesis section 5.3, as printed
-    pygame            xp + hp / hp0                        the PyGame version
-    godot             event by event: +1 on entering a monster's notice circle, +1 on entering its
-                      attack circle; at every kill, and at every ending that costs XP, what the step
-                      has paid so far is replaced by the current XP      the Godot version
-    kills             Δxp - HP lost / hp0                  what the thesis's words ask for
-    distance-sigmoid  Δxp + S(d)                           after thesis section 5.3, footnote 4
-                      d is the distance to the nearest living monster in pixels, S an algebraic
-                      sigmoid: S = 1/2 + z / (2 sqrt(1 + z²)), z = (150 - d) / 50; 0 without one
+"""Rewards: named formulas (`PneumaEnv` tells them), users' own functions, and vectors of the same parts.
 
 `module:function` names a user's own reward. It is called after every step as
 

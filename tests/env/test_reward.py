@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS
-from pneuma.env.gym import PneumaEnv, PneumaMOEnv
+from pneuma.env.gym import PneumaEnv
+from pneuma.env.mo import PneumaMOEnv
 from pneuma.env.reward import PARTS
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config

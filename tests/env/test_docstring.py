@@ -1,0 +1,54 @@
+"""What the environment's docstring tells is so: every argument's default, every number's bounds."""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+import numpy as np
+
+from pneuma.env.gym import PneumaEnv
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
+
+from .arena import ARENA, begin
+
+
+def table(heading: str) -> dict[str, list[str]]:
+    """Return the rows of a section's tables: the other cells by the first."""
+    section = str(inspect.getdoc(PneumaEnv)).partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    rows = (line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| "))
+    return {cells[0].strip("`"): cells[1:] for cells in rows}
+
+
+def shown(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    value = value[0] if isinstance(value, tuple) and value else value or 0
+    return f"{value:g}" if isinstance(value, float | int) else str(value)
+
+
+def test_it_has_every_argument_with_its_defaults() -> None:
+    told = table("Arguments")
+    *worlds, easy, hard = (vars(make_env_config({}, env_id)) for env_id in ENVIRONMENTS)
+    assert [*told] == ["argument", "---", *worlds[0], "render_mode", "camera"]
+    for name in worlds[0]:
+        defaults = [shown(world[name]) for world in worlds]
+        told_of = told[name][0].replace("none", "0").split(", ")
+        assert told_of == (defaults if len({*defaults}) > 1 else defaults[:1]), name
+    said = re.findall(r"`(\w+) = (\S+)`", " ".join(str(inspect.getdoc(PneumaEnv)).split()))
+    arena = worlds[-1]
+    differs = {
+        (name, shown(task[name])) for task in (easy, hard) for name in task if task[name] != arena[name]
+    }
+    assert {(name, value) for name, value in said if name in arena} >= differs
+
+
+def test_it_has_every_number_of_the_arena_with_its_bounds() -> None:
+    bounds = np.full((2, 64), np.nan)
+    for numbers, cells in table("Observations").items():
+        if numbers[0].isdigit():
+            for number in numbers.split(", "):
+                first, _, each = number.partition(" + ")
+                bounds[:, int(first) :: 4 if each else 64] = np.array(cells[1:], float)[:, None]
+    space = begin(1, env_id=ARENA).space
+    np.testing.assert_allclose(bounds, [space.low, space.high], rtol=0.003)
