@@ -106,7 +106,7 @@ def _worlds() -> Figure:
     page, panels = _page(frames, PLOT)
     for panel, paid in zip(panels, rewards, strict=True):
         left = round(panel.get_position().x0 * page.get_figwidth() * DOTS)
-        axes = _panel(page, left + 80, 100, 390, PLOT - 130)
+        axes = _panel(page, left + 80, 100, 375, PLOT - 130)
         axes.plot(range(1, HUNTED + 1), paid, color=COLOURS[0])
         axes.set(xlabel="step", ylabel="reward", xlim=(0, HUNTED))
     return page
