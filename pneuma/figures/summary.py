@@ -82,14 +82,15 @@ class Outcomes:
     def colours(self) -> dict[str, str]:
         return {name: look["color"] for name, look in styles_of(self.data).items()}
 
-    def panel(self, names: list[str], short: Mapping[str, str], mark: float, title: str) -> Panel:
-        """Return the panel with a row for each name, which `short` has if they are shown."""
+    def panel(self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, title: str) -> Panel:
+        """Return the panel with a row for each name, in its colour; `short` has the names that are shown."""
+        names = list(colours)
         killed = self.outcome == PRIMARY
         labels = [
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
-            partial(_draw_runs, found=self, names=names, mark=mark),
+            partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
             "Share killed" if killed else "Return of an episode",
             x_ticks=grid.shares if killed else grid.few,
@@ -119,13 +120,16 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     """Return what every run of a study came to; or its runs in each world, by the title of a column."""
     columns = {"Every run": studies} if isinstance(studies, StudyData) else studies
     drawn = {title: Outcomes(data) for title, data in columns.items() if data}
-    names = list(dict.fromkeys(name for found in drawn.values() for name in found.values))
+    colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
+    for found in drawn.values():
+        colours |= {name: found.colours[name] for name in found.values if name not in colours}
+    names = list(colours)
     short, parts = style.short_names(names)
     pitch = min(max(LONGEST_INCHES / len(names), LEAST_ROW_INCHES), ROW_INCHES)
     mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
     alone = next(iter(drawn.values()))
     panels = [
-        drawn[title].panel(names, short if drawn[title] is alone else {}, mark, title)
+        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, title)
         if title in drawn else grid.no_runs(title)
         for title in columns
     ]  # fmt: skip
@@ -144,11 +148,11 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     )
 
 
-def _draw_runs(axes: Axes, found: Outcomes, names: list[str], mark: float) -> None:
+def _draw_runs(axes: Axes, found: Outcomes, colours: Mapping[str, str], mark: float) -> None:
     """Draw each run of a condition as a dot, and its means with intervals."""
     reach = float(np.ptp(np.concatenate([*found.values.values(), [0.0]])))
     for condition, runs in found.values.items():
-        place, colour = names.index(condition), found.colours[condition]
+        place, colour = list(colours).index(condition), colours[condition]
         (dots,) = axes.plot(
             runs, place + _beside(runs, reach), "o", color=colour, markersize=0.6 * mark,
             markeredgewidth=0, alpha=0.7 if len(runs) < 20 else 0.4, clip_on=False, zorder=2.6,
