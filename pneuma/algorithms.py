@@ -28,7 +28,7 @@ TABULAR = ("q-learning", "double-q-learning")
 _NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots", "learning_rate_schedule")
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
 _GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
-_PPO = ("first_layer_scale", "normalize_advantage", "clip_range_schedule")
+_PPO = ("learners", "first_layer_scale", "normalize_advantage", "clip_range_schedule")
 _EXPLORATION = ("exploration", "exploration_fraction")
 _DQN = (
     *_NETWORK, *_EXPLORATION, "minibatch", "gradient_limit", "buffer_size", "learning_starts", "train_every",

@@ -52,6 +52,7 @@ ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
 
+LEARNERS = ("shared", "independent")
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 CLIPPINGS = ("joint", "separate")
 SCHEDULES = ("constant", "linear")
@@ -159,6 +160,8 @@ class Run(EnvConfig):
     """Budget in agent steps, summed over slots."""
     slots: Annotated[int, Interval(ge=1, le=MAX_SLOTS)] = 1
     """Worlds that collect a rollout in parallel."""
+    learners: Annotated[str, OneOf(LEARNERS)] = LEARNERS[0]
+    """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
 
     actor: Layers = (128,)
     critic: Layers = (256,)
@@ -249,6 +252,11 @@ class Run(EnvConfig):
         return self.horizon * self.slots * self.players
 
     @property
+    def policies(self) -> int:
+        """Number of policies that learn."""
+        return self.players if self.learners == "independent" else 1
+
+    @property
     def updates(self) -> int:
         return self.steps // self.steps_per_update
 
@@ -263,7 +271,6 @@ def make_run(given: Mapping[str, object]) -> Run:
     Raises:
         UserError: for an unknown key, a value out of range, or two values that exclude each other.
     """
-    given = {key: value for key, value in given.items() if (key, value) not in _GONE.items()}
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, with_environment(env, given))
     values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
@@ -307,8 +314,13 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
         )
-    if run.algorithm in ("ppo", "trpo") and run.minibatch > run.steps_per_update:
-        most = f"at most horizon x slots x players = {run.steps_per_update}"
+    if run.learners == "independent" and run.engine != ENGINES[0]:
+        raise UserError(
+            f"learners = independent is not allowed: {run.engine} trains one policy for all players"
+        )
+    samples = run.steps_per_update // run.policies
+    if run.algorithm in ("ppo", "trpo") and run.minibatch > samples:
+        most = f"at most horizon x slots{' x players' if run.policies == 1 else ''} = {samples}"
         raise UserError(f"minibatch = {run.minibatch} is not allowed: {most}")
     if run.train_every and run.horizon % run.train_every:
         whole = f"horizon = {run.horizon} is no multiple of it"
@@ -335,9 +347,6 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     return (frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL) - {*unread}
 
 
-_GONE = {"learners": "shared"}
-"""Fields of older versions, with the values at which they changed nothing; a run with them is the same
-run."""
 _LEFT_OPEN = {*OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
 """Fields for which None means the default."""
 _READ_BY_SOME = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS}
@@ -350,6 +359,8 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
+    if values.get("players", 1) == 1:
+        values.pop("learners", None)  # one player alone has but one policy
     if values.get("momentum") == 0 and values.get("dampening") is not None:
         values["dampening"] = 0.0  # torch reads it only beside a momentum
     if values.get("gradient_limit", 0.5) is None:

@@ -23,7 +23,8 @@ SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 DASH = "dash"
-KINDS_OF_MONSTERS = ("bamboo", "mixed")
+SWITCH = "switch"
+KINDS_OF_MONSTERS = ("bamboo", "mixed", "golems")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
 """Most agent steps of an episode."""
@@ -57,7 +58,8 @@ class EnvConfig:
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
     """Number of random levels, from number N on; each episode draws one of them."""
     monsters: Annotated[str, OneOf(KINDS_OF_MONSTERS)] = "bamboo"
-    """On random levels: the thesis's kind, or mixed: eight of these and two of each other kind."""
+    """On random levels: the thesis's kind; mixed: eight of these and two of each other kind of the PyGame
+    version; golems: six of these, and eight that fall to two players only."""
     characters: str = ""
     """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
     players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
@@ -67,12 +69,18 @@ class EnvConfig:
     weapons: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a weapon, or a list of one a player")] = (
         "own",
     )
+    second_weapon: Annotated[str, matching(r"|[\w-]+", "a weapon")] = ""
+    """A weapon that every player has too; one more action changes to it and back."""
     magic: bool = False
     """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
     dash: bool = False
     """Whether there is one more action, the last: a burst straight ahead (thesis chapter 7)."""
+    tokens: Annotated[int, Interval(ge=0, le=8)] = 0
+    """Number of last actions that say a token, which the other players observe at the next step."""
     reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
     """A formula, or a list with one per player."""
+    shared_reward: bool = False
+    """Whether each player gets the mean of all players' rewards."""
     observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
     """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
     perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
@@ -92,6 +100,10 @@ class EnvConfig:
     """Codes of the ground where bodies are slow; in shipped and random levels 1 snow, 2 grass, 3 sand."""
     slow_factor: Annotated[float, Interval(gt=0, le=1)] = 0.5
     """Factor on the speed of a body whose centre is on slow ground."""
+    attack_ticks: Annotated[int, Interval(ge=0, le=3600)] = 0
+    """Ticks that every attack lasts; 0: as long as the weapon says."""
+    blow: Annotated[str, OneOf(("attack", "entry"))] = "attack"
+    """When a sword hits a monster: once an attack, or whenever it enters the sword's box."""
     bite_while_knocked: bool = False
     healing_cap: bool = False
     """Whether healing by a kill stops at full HP."""
@@ -147,8 +159,11 @@ OBSERVATION_FIELDS = {
 """What each layout perceives by default."""
 
 
-def action_names(magic: bool, dash: bool) -> tuple[str, ...]:
-    return ACTION_NAMES + (SPELL_NAMES if magic else ()) + ((DASH,) if dash else ())
+def action_names(config: EnvConfig) -> tuple[str, ...]:
+    """Return the names of a world's actions, in order."""
+    names = ACTION_NAMES + (SPELL_NAMES if config.magic else ()) + ((DASH,) if config.dash else ())
+    names += (SWITCH,) if config.second_weapon else ()
+    return names + tuple(f"say_{token}" for token in range(1, config.tokens + 1))
 
 
 # --- Resolving -----------------------------------------------------------------------------------

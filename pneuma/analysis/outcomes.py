@@ -317,6 +317,15 @@ OUTCOMES: dict[str, Outcome] = {
     "final-length": _trained("episode length at the end", "steps", "", POSITIVE, "length"),
     "final-hp": _trained("HP at the end of an episode", "points", UP, POSITIVE, "hp"),
     "final-died": _evaluated("evaluation episodes that ended in death", "share", DOWN, SHARE, "died"),
+    "steps-to-clear": _evaluated(
+        "steps until no monster is left, or the time limit, mean of the last five evaluations", "steps", DOWN,
+        POSITIVE, "steps_to_clear", _late),
+    "hp-lost": _evaluated(
+        "HP that a player loses in an episode, mean of the last five evaluations", "points", DOWN, POSITIVE,
+        "hp_lost", _late),
+    "kill-evenness": _evaluated(
+        "how evenly players share the kills (0 one has all, 1 alike), mean of the last five evaluations", "",
+        UP, SHARE, "kill_evenness", _late),
     "final-entropy": _trained("entropy of the policy at the end", "nats", "", POSITIVE, "entropy"),
     "least-entropy": Outcome(
         "least entropy of any update", "nats", "", POSITIVE, "entropy", _peak("entropy")),

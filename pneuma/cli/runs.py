@@ -9,8 +9,8 @@ from typing import Any
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, write_file
 from pneuma.cli.study_run import train
-from pneuma.config import FORK_RESETS, make_run
-from pneuma.env_fields import ENVIRONMENTS
+from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
+from pneuma.env_fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
 from pneuma.study import stored_runs
@@ -149,14 +149,20 @@ def export(
 
 def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
     from pneuma.engines import export as exports
+    from pneuma.engines import mailman
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     if POLICY_FILE not in store.checksums(run.run_id) or not run.settings:
         raise UserError(f"is {run.status.name}: it has no policy to export")
     settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
+    if policy.players > 1:
+        raise UserError(
+            f"has a policy for each of {policy.players} players: a file for other programs holds one"
+        )
     if suffix == ".zip":
         return exports.to_sb3(policy, settings, exports.observation_space(policy, settings, trust))
     about = {"run_id": run.run_id, "env": settings.env}
     if settings.env in ENVIRONMENTS:
         about["observation"] = settings.observation
-    return exports.to_onnx(policy, about)
+        return exports.to_onnx(policy, about, action_names(env_config(settings)))
+    return exports.to_onnx(policy, about, () if is_gymnasium_id(settings.env) else mailman.ACTION_NAMES)

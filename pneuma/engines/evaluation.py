@@ -33,6 +33,9 @@ STEPS_AT_ONCE = 128
 WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
 
+TALLY = np.dtype([("hp_lost", "f8"), ("cleared", "i8")])
+"""Of an episode: HP that players lost, their mean; and the step that left no monster, 0 so far."""
+
 kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -89,6 +92,7 @@ class Evaluation:
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
+        self._tally = np.zeros(len(self.worlds), TALLY)
         self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
@@ -98,7 +102,8 @@ class Evaluation:
         For a policy of action values it has `q_estimate` and `q_true` too.
         """
         returns = self._play_policy(policy, step)
-        share = self.worlds.players["kills"].sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
+        kills = self.worlds.players["kills"]
+        share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
         values: dict[str, float] = {}
@@ -118,7 +123,15 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             **values,
+            "steps_to_clear": float(self._steps_to_clear()[sampled].mean()),
+            "hp_lost": float(self._tally["hp_lost"][sampled].mean()),
+            **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
         }
+
+    def _steps_to_clear(self) -> np.ndarray:
+        """Return after how many steps no monster was left, (N,); the time limit where one was."""
+        cleared = self._tally["cleared"]
+        return np.where(cleared > 0, cleared, self.run.episode_steps)
 
     def _score(self, share: np.ndarray) -> float:
         """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.
@@ -150,7 +163,7 @@ class Evaluation:
             returns, running = self._begin(), len(self.worlds)
             while running:
                 draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
-                running -= _play_on(self.worlds.handle, *network, draws, returns)
+                running -= _play_on(self.worlds.handle, *network, draws, returns, self._tally)
             return returns
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
@@ -182,21 +195,43 @@ class Evaluation:
         while running:
             running -= self.worlds.step(act(self.worlds))
             returns += sum(rewards) / len(rewards)  # player by player: `mean` adds eight in another order
+            self._tally["hp_lost"] += self.worlds.events["hp_lost"].sum(axis=1) / len(rewards)
+            first = (self.worlds.worlds["monsters_left"] == 0) & (self._tally["cleared"] == 0)
+            self._tally["cleared"][first] = self.worlds.worlds["steps"][first]
         return returns
 
     def _begin(self) -> np.ndarray:
         """Start the episodes, always the same ones; return their returns so far, (N,) zeros."""
         self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
+        self._tally[:] = 0
         return np.zeros(len(self.worlds))
 
 
+def evenness(kills: np.ndarray) -> float:
+    """Return how evenly players share an episode's kills, a mean over those with any: 0 one has all, 1 alike.
+
+    It is the entropy of their shares over its greatest value (Pielou 1966).
+
+    Args:
+        kills: (episodes, players), at least two.
+    """
+    kills = kills[kills.any(axis=1)]
+    if not len(kills):
+        return math.nan
+    shares = kills / kills.sum(axis=1, keepdims=True)
+    entropy = -(shares * np.log(np.where(shares > 0, shares, 1.0))).sum(axis=1)
+    return float(entropy.mean() / math.log(kills.shape[1]))
+
+
 @kernel
-def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any) -> int:
+def _play_on(
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any, tally: Any
+) -> int:
     """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
 
     The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
-    mean rewards are added to `returns`, (N,).
+    mean rewards are added to `returns`, (N,), and the rest to `tally`, (N,) `TALLY`.
     """
     s = open_state(handle)
     worlds, players = s.players.shape
@@ -212,10 +247,14 @@ def _play_on(handle: Any, weights: Any, widths: Any, activation: int, draws: Any
         choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
         ended += run_worlds(handle, actions, True)
         for w in range(worlds):
-            rewards = 0.0
+            rewards = hp_lost = 0.0
             for p in range(players):
                 rewards += s.events[w, p].reward
+                hp_lost += s.events[w, p].hp_lost
             returns[w] += rewards / players
+            tally[w].hp_lost += hp_lost / players
+            if s.worlds[w].monsters_left == 0 and tally[w].cleared == 0:
+                tally[w].cleared = s.worlds[w].steps
     return ended
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from zipfile import ZipFile
@@ -20,16 +20,14 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from pneuma.algorithms import MAILMAN
 from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
-from pneuma.engines import mailman
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import REWARDS, action_names, are_own_characters, is_own_level
+from pneuma.env_fields import REWARDS, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 from pneuma.files import MADE_BY
 
@@ -139,14 +137,14 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
 # --- ONNX ------------------------------------------------------------------------------------------
 
 
-def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
+def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ()) -> bytes:
     """Return an ONNX model: observation (batch, features) → logits (batch, actions), value (batch,).
 
     For a network of action values, the only output is action_values (batch, actions). In place of logits
     a policy of continuous actions has mean_action (batch, …), the mean clipped to the action space.
 
     The graph is written layer by layer. `torch.onnx.export` takes seconds and would add a trace of its calls,
-    with local paths, to every node. `about` goes into the model's metadata.
+    with local paths, to every node. `about` goes into the model's metadata, with the names of the actions.
 
     Raises:
         UserError: when the extra `onnx` is not installed.
@@ -176,9 +174,7 @@ def to_onnx(policy: Policy, about: Mapping[str, str]) -> bytes:
     graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
     made = {"producer_name": "pneuma", "doc_string": MADE_BY, "ir_version": ONNX_IR_VERSION}
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
-    known = action_names(magic=actions >= 7, dash=actions % 2 == 0)  # a world of Pneuma's has 5 to 8
-    known = mailman.ACTION_NAMES if about.get("env") == MAILMAN else known
-    named = {} if is_gymnasium_id(about.get("env")) else {"actions": json.dumps(known)}
+    named = {"actions": json.dumps(names)} if names else {}
     if policy.choices is not None:  # whose logits stand one after another
         named = {"choices": json.dumps(policy.choices.tolist())}
     helper.set_model_props(model, {**about, **named})

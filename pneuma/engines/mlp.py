@@ -102,7 +102,7 @@ def choose(
     """Choose an action in every row that plays: a drawn one in the first rows, else the most probable.
 
     Args:
-        weights: of the actor, as in `forward`.
+        weights: (policies, numbers), of each actor, as in `forward`; row i is of policy i % policies.
         widths: of its layers.
         activation: of its hidden layers; its code.
         observations: (rows, features).
@@ -110,11 +110,13 @@ def choose(
         plays: (rows,) booleans; the other rows cost nothing.
         chosen: (rows,) int64, into which the actions are written.
     """
-    rows = np.flatnonzero(plays)
-    scratch = np.empty((2, len(rows), widths.max()), np.float32)
-    for k in range(len(rows)):
-        scratch[0, k, : widths[0]] = observations[rows[k]]
-    logits = forward(weights, widths, activation, len(rows), scratch)
-    for k in range(len(rows)):
-        row = rows[k]
-        chosen[row] = sample(logits[k], draws[row]) if row < len(draws) else np.argmax(logits[k])
+    policies = len(weights)
+    for own in range(policies):
+        rows = own + policies * np.flatnonzero(plays[own::policies])
+        scratch = np.empty((2, len(rows), widths.max()), np.float32)
+        for k in range(len(rows)):
+            scratch[0, k, : widths[0]] = observations[rows[k]]
+        logits = forward(weights[own], widths, activation, len(rows), scratch)
+        for k in range(len(rows)):
+            row = rows[k]
+            chosen[row] = sample(logits[k], draws[row]) if row < len(draws) else np.argmax(logits[k])

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 POLICY_FILE = "policy.safetensors"
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
-"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32."""
+"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
+
+Where each player of a world has a policy of its own, (players, inputs, outputs) and (players, outputs).
+"""
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,20 @@ class Policy:
 
     @property
     def features(self) -> int:
-        return len(self.actor[0][0])
+        return int(self.actor[0][0].shape[-2])
 
     @property
     def actions(self) -> int:
         """How many actions there are to choose from, or numbers in one."""
-        return len(self.actor[-1][1])
+        return int(self.actor[-1][1].shape[-1])
+
+    @property
+    def players(self) -> int:
+        """How many players have a policy of their own; 1 if all share one.
+
+        Then row i of observations is player i % players of world i // players.
+        """
+        return len(self.actor[0][0]) if self.actor[0][0].ndim == 3 else 1
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
@@ -186,11 +197,13 @@ def read_sound_policy(data: bytes) -> Policy:
 
 def _is_sound(policy: Policy) -> bool:
     networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
-    inputs = {len(layers[0][0]) for layers in networks}
-    fits = policy.activation in ACTIVATIONS and len(inputs) == 1
+    inputs = {layers[0][0].shape[-2] for layers in networks}
+    players = {weight.shape[:-2] for layers in networks for weight, _ in layers}
+    fits = policy.activation in ACTIVATIONS and len(inputs) == len(players) == 1 and len(min(players)) <= 1
+    fits &= policy.players == 1 or (policy.exploration, policy.scaling) == (None, None)
     for layers in networks:
-        fits &= all(weight.ndim == 2 and bias.shape == weight.shape[1:] for weight, bias in layers)
-        fits &= all(len(before[1]) == len(after[0]) for before, after in pairwise(layers))
+        fits &= all(bias.shape == (*weight.shape[:-2], weight.shape[-1]) for weight, bias in layers)
+        fits &= all(before[1].shape[-1] == after[0].shape[-2] for before, after in pairwise(layers))
     fits &= (policy.deviation is None) == (policy.bounds is None)
     if policy.deviation is not None and policy.bounds is not None:
         low, high = policy.bounds
@@ -206,7 +219,7 @@ def _is_sound(policy: Policy) -> bool:
         fits &= bool((policy.scaling.variance >= 0).all())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
-    return fits and policy.critic[-1][1].shape == (1,)
+    return fits and policy.critic[-1][1].shape[-1] == 1
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
@@ -224,30 +237,34 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
     for what, trained, asked in (
         ("features", policy.features, worlds.observations.shape[2]),
         ("actions", policy.actions, int(worlds.action_space.n)),
+        ("players", policy.players, worlds.players.shape[1] if policy.players > 1 else 1),
     ):
         if trained != asked:
             raise UserError(f"was trained on {trained} {what}; these settings make {asked}")
 
 
 def flat(layers: Layers) -> np.ndarray:
-    """Return all weights and biases, layer by layer, in one float32 array, for compiled play."""
-    return np.concatenate([part.ravel() for layer in layers for part in layer])
+    """Return all weights and biases, layer by layer, for compiled play: (policies, numbers) float32."""
+    policies = len(layers[0][0]) if layers[0][0].ndim == 3 else 1
+    return np.concatenate([part.reshape(policies, -1) for layer in layers for part in layer], axis=1)
 
 
 def sizes(layers: Layers) -> np.ndarray:
     """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
-    return np.array([layers[0][0].shape[0], *(weight.shape[1] for weight, _ in layers)], np.int64)
+    return np.array([layers[0][0].shape[-2], *(weight.shape[-1] for weight, _ in layers)], np.int64)
 
 
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
     """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
     outputs = []
-    x = observations
+    x, several = observations, layers[0][0].ndim == 3
+    if several:
+        x = x.reshape(-1, len(layers[0][0]), x.shape[-1]).swapaxes(0, 1)  # (players, worlds, features)
     for i, (weight, bias) in enumerate(layers):
-        x = x @ weight + bias
+        x = x @ weight + (bias[:, None] if several else bias)
         if i < len(layers) - 1:
             x = activate(activation, x)
-        outputs.append(x)
+        outputs.append(x.swapaxes(0, 1).reshape(len(observations), -1) if several else x)
     return outputs
 
 

@@ -96,13 +96,18 @@ class Weapon(Table):
     hilt: Reach | None = None
 
 
-class Heal(Table):
+class Spell(Table):
     strength: _Points
     cost: _Points
     cast: _Lasting
 
 
-class Flame(Heal):
+class Heal(Spell):
+    reach: _Points = 0.0
+    """Distance within which the other players are healed too."""
+
+
+class Flame(Spell):
     """The spell that burns a box ahead of the player."""
 
     length: _Side
@@ -127,6 +132,8 @@ class Monster(_Body):
     heal: _Points
     knock_back: _Speed | None = None
     knock_back_time: _Seconds | None = None
+    pair_time: _Seconds = 0.0
+    """If not 0, only a blow within this time of another player's, from another side, wounds it."""
 
     @model_validator(mode="after")
     def _whole_knock_back(self) -> Monster:
@@ -273,6 +280,7 @@ def _fill_player(row: Any, character: Player, weapon: Weapon, spells: Spells) ->
         heal_ticks=_ticks(heal.cast),
         heal=heal.strength,
         heal_cost=heal.cost,
+        heal_reach=heal.reach,
     )
     row["hilt_x"], row["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
     ahead = Reach(**dict.fromkeys(FACINGS, flame.length / 2))
@@ -298,6 +306,7 @@ def _fill_monster(row: Any, kind: Monster) -> None:
         bite_ticks=_ticks(kind.bite_time),
         knock_ticks=-1 if kind.knock_back_time is None else _ticks(kind.knock_back_time),
         knock_speed=(kind.knock_back or 0.0) / TICKS_PER_SECOND,
+        pair_ticks=_ticks(kind.pair_time),
     )
 
 

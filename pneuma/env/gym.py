@@ -37,7 +37,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     ## Actions
 
-    `Discrete(5)`, or up to `Discrete(8)`:
+    `Discrete(5)`, or more:
 
     | action | | with |
     | --- | --- | --- |
@@ -45,10 +45,13 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | 4 | attack towards the last direction walked, for 24 ticks | |
     | 5 | flame: 5 damage plus the class's magic in a box of 320 x 64 px ahead; 20 energy | `magic` |
     | 6 | heal: 20 HP up to full; 10 energy | `magic` |
-    | the last, 5 or 7 | dash: 8 ticks ahead at three times the pace; 60 ticks of rest | `dash` |
+    | then | dash: 8 ticks ahead at three times the pace; 60 ticks of rest | `dash` |
+    | then | change to the second weapon, or back; takes the step | `second_weapon` |
+    | the last ones | say a token; takes the step | `tokens` |
 
     `info["action_mask"]` is 0 for actions without effect: into terrain, a spell without enough energy, a dash
-    too early, and all but attack while an attack or spell lasts for the whole step. Attack is always 1.
+    too early, and all but attack and tokens while an attack or spell lasts for the whole step, which are
+    always 1.
 
     ## Observations
 
@@ -63,6 +66,9 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | 8 + 4i | distance to the nearest living monster, the next, ...; in its notice radii | 0 | 16.2 |
     | 9 + 4i, 10 + 4i | direction to it, x and y | -1 | 1 |
     | 11 + 4i | its HP over its full HP | 0 | 1 |
+
+    Before the monsters come, where there are such: whether the second weapon is held; and for each other
+    player and each token, whether it said it in the last step, starting with the next player.
 
     Rows of the dead are zeros, at the end. `pneuma/Pneuma-v0` has 60 numbers, without the facing, and
     `pneuma/PneumaGodot-v0` 74, by `observation`, the layout:
@@ -115,14 +121,17 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | --- | --- | --- |
     | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
     | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
-    | `monsters` | bamboo | on random levels: that kind, or `mixed`: eight of it, two of each other |
+    | `monsters` | bamboo | on random levels: `bamboo`; `mixed`: 8 of it, 2 of each other; `golems`: 6 and 8 |
     | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
     | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
     | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
     | `weapons` | own | `own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list |
+    | `second_weapon` | none | one that every player has too, with an action that changes to it and back |
     | `magic` | false | whether there are the actions flame and heal |
     | `dash` | false | whether there is the action dash (thesis chapter 7) |
+    | `tokens` | 0 | so many last actions say a token, which the other players observe next; up to 8 |
     | `reward` | thesis, godot, kills | a formula, or a list of one per player |
+    | `shared_reward` | false | whether each player gets the mean of all players' rewards |
     | `observation` | thesis, godot, thesis | the layout |
     | `perceive` | all | `all`, `nearest:K`, `kind:NAME,...`, or `rays:N`, 1 to 64 |
     | `order` | nearest, fixed, nearest | dead monsters are left out, or rows of zeros (HP 0 in `godot`) |
@@ -135,6 +144,8 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | `terrain_stops` | all, players, all | whom trees and coast stop |
     | `slow` | none | codes of the ground that slows bodies: 1 snow, 2 grass, 3 sand |
     | `slow_factor` | 0.5 | of their speed there |
+    | `attack_ticks` | 0 | that every attack lasts; 0: the weapon's, 24 for `blade` |
+    | `blow` | attack | a sword hits a monster once an attack; or on each `entry` into its box |
     | `bite_while_knocked` | false | whether a monster bites while it is knocked back |
     | `healing_cap` | false | whether healing by a kill stops at full HP |
     | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |

@@ -10,7 +10,7 @@ from typing import Any
 from numba.core import event
 
 from pneuma.env.observe import observe_player
-from pneuma.env.reward import write_reward
+from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, step_world
 from pneuma.env.state import Array, entry, open_state, part
 
@@ -50,6 +50,8 @@ def run_worlds(handle: Array, actions: Array, steps: bool) -> int:
             for p in range(s.players.shape[1]):
                 if s.events[w, p].present or s.events[w, p].died:
                     write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
+            if s.settings[0].shared_reward:
+                share_reward(s.events[w])
     return ended
 
 

@@ -30,13 +30,21 @@ MONSTER_FEATURES = {
     "godot": ("x", "y", "hp", "direction_x", "direction_y"),
 }
 FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
+SECOND_WEAPON = "second_weapon"
 MOST_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
 
 def player_features(config: EnvConfig) -> tuple[str, ...]:
     """Return the names of the numbers that a player observes of itself, in order."""
-    return PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
+    names = PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
+    names += (SECOND_WEAPON,) if config.second_weapon else ()
+    heard = [
+        f"hears_{other}_say_{token}"
+        for other in range(1, config.players)
+        for token in range(1, config.tokens + 1)
+    ]
+    return names + tuple(heard)
 
 
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
@@ -128,7 +136,7 @@ def observation_space(
         "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
         "facing_x": (-1.0, 1.0),
         "facing_y": (-1.0, 1.0),
-        **dict.fromkeys(FACING_FEATURES, (0.0, 1.0)),
+        **dict.fromkeys(player_features(config)[len(PLAYER_FEATURES[config.observation]) :], (0.0, 1.0)),
     }
     seen = bounds | {
         "distance": (0.0, diagonal * monsters["distance_scale"].max(initial=0.0)),

@@ -100,6 +100,15 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
         for facing in range(4):
             out[at + facing] = player.facing == facing
         at += 4
+    if settings.switch >= 0:
+        out[at] = player.second
+        at += 1
+    players = s.players.shape[1]
+    for other in range(1, players):
+        token = s.players[w, (p + other) % players].token
+        for said in range(settings.tokens):
+            out[at + said] = token == said + 1
+        at += settings.tokens
     return at
 
 
@@ -225,7 +234,8 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 
     While an attack lasts through the whole step no action does anything; then only attack counts as allowed.
     Also without effect are walking or dashing against a wall that the player already faces, a spell without
-    enough energy, and a dash too soon after the last one.
+    enough energy, a dash too soon after the last one, and a change of weapon by who is busy. A token can
+    always be said.
     """
     player = s.players[w, p]
     stats = s.player_stats[p]
@@ -238,7 +248,12 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     dash = s.settings[0].dash
     if dash >= 0:
         s.masks[w, p, dash] = ahead and player.rest < s.settings[0].ticks  # up to the step's last tick
-    if s.masks.shape[2] > rules.HEAL:
+    actions = s.masks.shape[2]
+    for a in range(actions - s.settings[0].tokens, actions):
+        s.masks[w, p, a] = 1
+    if s.settings[0].switch >= 0:
+        s.masks[w, p, s.settings[0].switch] = player.busy == 0
+    if s.settings[0].magic:
         energy = player.energy
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick
             energy = min(energy + stats.energy_gain, stats.energy)

@@ -129,6 +129,17 @@ def write_reward(player: Array, stats: Array, event: Array) -> None:
 
 
 @part
+def share_reward(events: Array) -> None:
+    """Give each player who was there the mean of all players' rewards."""
+    total = 0.0
+    for p in range(len(events)):
+        total += events[p].reward
+    for p in range(len(events)):
+        if events[p].present or events[p].died:
+            events[p].reward = total / len(events)
+
+
+@part
 def _closeness(distance: float) -> float:
     """Return an algebraic sigmoid of the distance: 1 at a monster, 1/2 in the middle, 0 far away."""
     if distance == math.inf:

@@ -91,6 +91,8 @@ def _place_player(player: Array, stats: Array, settings: Array) -> None:
     player.safe = 0
     player.kills = 0
     player.rest = 0
+    player.second = 0
+    player.token = 0
 
 
 @part
@@ -101,6 +103,10 @@ def _place_monster(monster: Array, kind: Array, players: int) -> None:
     monster.knocked = 0
     monster.safe = 0
     monster.noticed = 0
+    monster.inside = 0
+    monster.opened = 0
+    monster.first_by = 0
+    monster.first_facing = 0
     for p in range(players):
         monster.bite[p] = 0
         monster.struck_by[p] = 0
@@ -115,6 +121,8 @@ def step_world(s: State, w: int, actions: Array) -> bool:
     world = s.worlds[w]
     settings = s.settings[0]
     count = _gather_active(s, w)
+    for p in range(s.players.shape[1]):
+        _say_or_switch(s.players[w, p], settings, s.masks.shape[2], actions[w, p])
     for _ in range(settings.ticks):
         for p in range(s.players.shape[1]):
             _begin_tick(s, w, p, actions[w, p])
@@ -140,6 +148,15 @@ def step_world(s: State, w: int, actions: Array) -> bool:
             if s.players[w, p].hp > 0.0:
                 _charge(s.players[w, p], s.events[w, p], settings.ending_cost)
     return world.ending != RUNNING
+
+
+@part
+def _say_or_switch(player: Array, settings: Array, actions: int, action: int) -> None:
+    """Say a token, or change the weapon, once a step; who is busy when it begins keeps its weapon."""
+    first = actions - settings.tokens
+    player.token = max(action - first + 1, 0) if player.hp > 0.0 else 0
+    if action == settings.switch and player.busy == 0:
+        player.second = 1 - player.second
 
 
 @part
@@ -173,6 +190,8 @@ def _may_stir(s: State, w: int, m: int) -> bool:
     kind = s.monster_stats[s.worlds[w].level, m]
     if monster.knocked > 0 or monster.safe > 0 or monster.noticed:
         return True
+    if monster.inside or monster.opened > 0:
+        return True
     for p in range(s.players.shape[1]):
         if monster.bite[p] > 0:
             return True
@@ -197,7 +216,7 @@ def _gap(x: float, y: float, player: Array, stats: Array) -> float:
 def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     """Let a living player act, and record what it strikes."""
     player = s.players[w, p]
-    stats = s.player_stats[p]
+    stats = s.player_stats[p + s.players.shape[1] * player.second]
     settings = s.settings[0]
     tick = s.tick[p]
     tick.there = player.hp > 0.0
@@ -228,7 +247,12 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
 
 @part
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
-    """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for."""
+    """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for.
+
+    Who says a token or changes its weapon stands still.
+    """
+    if action == s.settings[0].switch or action >= s.masks.shape[2] - s.settings[0].tokens:
+        return
     if action == s.settings[0].dash:
         if player.rest == 0:
             player.busy = s.settings[0].dash_ticks
@@ -238,7 +262,7 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
         player.busy = stats.swing
         player.armed = BLADE
         player.attack += 1
-    elif action == FLAME:
+    elif action == FLAME:  # with a dash or another weapon in place of spells these are the same numbers
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
@@ -249,12 +273,27 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
             player.energy -= stats.heal_cost
             player.busy = stats.heal_ticks
             player.armed = 0
-            hp = max(player.hp, min(player.hp + stats.heal, stats.hp))
-            s.events[w, p].hp_gained += hp - player.hp
-            player.hp = hp
+            for other in range(s.players.shape[1]):
+                if other == p or _within_heal(s.players[w, other], player, stats.heal_reach):
+                    _heal(s.players[w, other], s.player_stats[other], s.events[w, other], stats.heal)
     else:
         player.facing = action
         _walk(s, w, p, stats.speed)
+
+
+@part
+def _within_heal(other: Array, player: Array, reach: float) -> bool:
+    x = other.x - player.x
+    y = other.y - player.y
+    return reach > 0.0 and other.hp > 0.0 and x * x + y * y <= reach * reach
+
+
+@part
+def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
+    """Give a player HP by a spell, up to full HP."""
+    hp = max(player.hp, min(player.hp + most, stats.hp))
+    event.hp_gained += hp - player.hp
+    player.hp = hp
 
 
 @kernel
@@ -321,12 +360,21 @@ def _live(s: State, w: int, m: int) -> None:
     kind = s.monster_stats[s.worlds[w].level, m]
     if monster.safe > 0:
         monster.safe -= 1
+    if monster.opened > 0:
+        monster.opened -= 1
     for p in range(s.players.shape[1]):
+        bit = np.uint8(1 << p)
+        struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s.tick[p], monster, kind)
         if not s.tick[p].there:
-            monster.noticed &= ~np.uint8(1 << p)
+            monster.noticed &= ~bit
             monster.bite[p] = 0
-        elif s.tick[p].strikes and _is_struck(s.tick[p], monster, kind):
+        elif struck and not s.settings[0].blow_on_entry:
             _suffer(s, w, m, p)
+        elif struck and not monster.inside & bit:
+            monster.struck_by[p] = 0  # one that comes back is hit again by the same attack
+            _suffer(s, w, m, p)
+        if s.settings[0].blow_on_entry:
+            monster.inside = monster.inside | bit if struck else monster.inside & ~bit
     if monster.hp <= 0.0:
         return
     target = -1
@@ -365,6 +413,8 @@ def _suffer(s: State, w: int, m: int, p: int) -> None:
     kind = s.monster_stats[s.worlds[w].level, m]
     tick = s.tick[p]
     monster.struck_by[p] = s.players[w, p].attack
+    if kind.pair_ticks > 0 and not _is_wounded(monster, kind, p, s.players[w, p].facing):
+        return
     monster.safe = kind.safe
     monster.hp = max(monster.hp - tick.damage, 0.0)
     s.events[w, p].hits += 1
@@ -372,6 +422,16 @@ def _suffer(s: State, w: int, m: int, p: int) -> None:
         _pay(s, w, m, p)
     elif tick.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, kind, tick)
+
+
+@part
+def _is_wounded(monster: Array, kind: Array, p: int, facing: int) -> bool:
+    """Return whether a blow wounds a monster that falls to two: after another player's, from another side."""
+    wounds = monster.opened > 0 and monster.first_by != p and monster.first_facing != facing
+    monster.opened = kind.pair_ticks
+    monster.first_by = p
+    monster.first_facing = facing
+    return wounds
 
 
 @part

@@ -61,6 +61,8 @@ PLAYER = _record(
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),
     ("rest", "i4"),  # ticks until the player can dash again
+    ("second", "i2"),  # whether it holds its second weapon
+    ("token", "i2"),  # said in this step, from 1; 0: none
 )
 MONSTER = _record(  # what every step looks at comes first: it shares a line of cache
     ("x", "f8"),
@@ -70,6 +72,10 @@ MONSTER = _record(  # what every step looks at comes first: it shares a line of 
     ("safe", "i4"),  # ticks in which blows do nothing
     ("noticed", "u1"),  # bit p: player p is inside the notice circle
     ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next bite of player p; 0: out of reach
+    ("inside", "u1"),  # bit p: player p struck where it stood in the last tick
+    ("first_by", "u1"),  # who struck first a monster that falls to two
+    ("opened", "i2"),  # ticks in which another player can wound it
+    ("first_facing", "u1"),  # of who struck first
     ("knock_x", "f8"),  # pixels a tick
     ("knock_y", "f8"),
     ("struck_by", "i4", (MAX_PLAYERS,)),  # the last attack of player p that hit it
@@ -111,6 +117,7 @@ PLAYER_STATS = _record(
     ("flame_half_height", "f8", (4,)),
     ("heal", "f8"),
     ("heal_cost", "f8"),
+    ("heal_reach", "f8"),  # other players within it are healed too; 0: none
     ("dash_speed", "f8"),  # 0 where nobody dashes
     ("reward", "i4"),  # which formula
     ("hp_scale", "f8"),  # of an observation
@@ -134,6 +141,7 @@ MONSTER_STATS = _record(
     ("safe", "i4"),  # ticks after a blow in which further ones do nothing
     ("knock_ticks", "i4"),  # below 0: as the striker's
     ("knock_speed", "f8"),
+    ("pair_ticks", "i4"),  # within which two players must strike it from two sides; 0: one is enough
     ("xp", "f8"),  # for the kill
     ("heal", "f8"),
     ("reach_squared", "f8"),  # beyond this distance nothing can happen to it within one step
@@ -158,6 +166,11 @@ SETTINGS = _record(
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
     ("dash_rest", "i4"),  # ticks from its end until the next one may begin
+    ("magic", "i4"),  # whether there are spells
+    ("switch", "i4"),  # number of the action that changes the weapon; -1: there is none
+    ("tokens", "i4"),  # that players can say, by the last actions
+    ("shared_reward", "i4"),  # whether players get the mean of all their rewards
+    ("blow_on_entry", "i4"),  # whether a monster is hit when it enters the sword's box, not once an attack
     ("bite_while_knocked", "i4"),
     ("healing_cap", "i4"),  # whether the HP of a kill stop at full HP
     ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
@@ -230,7 +243,7 @@ class State(NamedTuple):
     worlds: Array  # (N,) WORLD
     players: Array  # (N, P) PLAYER
     monsters: Array  # (N, M) MONSTER
-    player_stats: Array  # (P,) PLAYER_STATS
+    player_stats: Array  # (2 P,) PLAYER_STATS: of players, then with their second weapon
     monster_stats: Array  # (L, M) MONSTER_STATS
     settings: Array  # (1,) SETTINGS
     terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID, COAST or SLOW

@@ -23,7 +23,7 @@ from pneuma.env import characters, kernel, rules, state
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, load_levels, refuse_bad_places
 from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_reward, present
-from pneuma.env_fields import DASH, EnvConfig, action_names, make_env_config
+from pneuma.env_fields import DASH, SWITCH, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
 LEAST_WORLDS = 128
@@ -55,27 +55,25 @@ class Worlds:
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
         config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
-        self.player_stats = characters.player_stats(
-            cast, _one_each(config.classes, config), _one_each(config.weapons, config)
-        )
-        if config.dash:
-            self.player_stats["dash_speed"] = characters.DASH_PACE * self.player_stats["speed"]
-        self.action_names = action_names(config.magic, config.dash)
+        self._stats = _both_weapons(cast, config)
+        self.player_stats = self._stats[: config.players]
+        self.action_names = action_names(config)
         self.levels = load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
-        self.player_stats["reward"] = [REWARD_CODES.get(name, REWARD_CUSTOM) for name in rewards]
+        self._stats["reward"] = 2 * [REWARD_CODES.get(name, REWARD_CUSTOM) for name in rewards]
         self._custom = [
             (name, load_reward(name), [p for p, reward in enumerate(rewards) if reward == name])
             for name in dict.fromkeys(rewards)
             if ":" in name
         ]
         self.monster_stats = np.stack(
-            [characters.monster_stats(cast, level, self.player_stats, config.magic) for level in self.levels]
+            [characters.monster_stats(cast, level, self._stats, config.magic) for level in self.levels]
         )
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
             refuse_bad_places(level, self.player_stats, kinds, config)
+        self._refuse_lonely(config)
         self.settings = self._settings(config)
-        fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
+        fill_scales(self.settings[0], self._stats, self.monster_stats, config, self.levels)
         self.spaces = [
             observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
             for player in self.player_stats
@@ -100,7 +98,7 @@ class Worlds:
             self.worlds,
             self.players,
             self.monsters,
-            self.player_stats,
+            self._stats,
             self.monster_stats,
             self.settings,
             np.ascontiguousarray([level.terrain for level in self.levels]),
@@ -169,6 +167,11 @@ class Worlds:
         row["slow_factor"] = config.slow_factor if slow else 1.0
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
+        row["magic"] = config.magic
+        row["switch"] = self.action_names.index(SWITCH) if config.second_weapon else -1
+        row["tokens"] = config.tokens
+        row["shared_reward"] = config.shared_reward and not self._custom
+        row["blow_on_entry"] = config.blow == "entry"
         row["bite_while_knocked"] = config.bite_while_knocked
         row["healing_cap"] = config.healing_cap
         row["credit_near"] = config.kill_credit == "near"
@@ -179,6 +182,16 @@ class Worlds:
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
+
+    def _refuse_lonely(self, config: EnvConfig) -> None:
+        for level, stats in zip(self.levels, self.monster_stats, strict=True):
+            if config.players == 1 and (stats["pair_ticks"] > 0).any():
+                kind = level.monsters[int((stats["pair_ticks"] > 0).argmax())][0]
+                raise UserError(
+                    f"players = 1 is not allowed: on level {level.name} a {kind} falls to two players only"
+                )
+        if config.players == 1 and config.tokens:
+            raise UserError(f"tokens = {config.tokens} is not allowed: with players = 1 nobody hears them")
 
     def _largest_body(self) -> float:
         """Return how far a body reaches from its position, on x or y, in pixels."""
@@ -238,6 +251,9 @@ class Worlds:
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
+        if self._custom and self.config.shared_reward:
+            mean = self.events["reward"].sum(axis=1) / self.players.shape[1]
+            self.events["reward"] = np.where(self.present, mean[:, None], 0.0)
         return ended
 
     def _begin(self, places: Any) -> None:
@@ -344,6 +360,18 @@ def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -
         of = "booleans" if kinds == "b" else "whole numbers"
         raise ValueError(f"{what}: must be {of} of shape {shape}, not {array.dtype} of {array.shape}")
     return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
+
+
+def _both_weapons(cast: characters.Characters, config: EnvConfig) -> np.ndarray:
+    """Return the stats of all players, and then with their second weapon, (2 P,) `state.PLAYER_STATS`."""
+    classes, weapons = _one_each(config.classes, config), _one_each(config.weapons, config)
+    seconds = (config.second_weapon,) * config.players if config.second_weapon else weapons
+    stats = characters.player_stats(cast, classes * 2, weapons + seconds)
+    if config.dash:
+        stats["dash_speed"] = characters.DASH_PACE * stats["speed"]
+    if config.attack_ticks:
+        stats["swing"] = config.attack_ticks
+    return stats
 
 
 def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:

@@ -233,7 +233,7 @@ def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(monkeypatch: pyte
     small = {**SMALL, "horizon": 64, "epochs": 1, "activation": "leaky-relu"}
     run = make_run({**small, "steps": 128})
     trainer, records = BatchedTrainer(run), Records()
-    monkeypatch.setattr(trainer.learner, "learn_from", _with_huge_weights(trainer.learner))
+    monkeypatch.setattr(trainer.learners[0], "learn_from", _with_huge_weights(trainer.learners[0]))
     half = run.steps_per_update
     assert run.updates == 2
     assert trainer.update(0, half, records) and not trainer.update(half, 2 * half, records)

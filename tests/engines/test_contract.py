@@ -61,4 +61,6 @@ def test_one_update_of_every_network(size: str, activation: str, engine: str) ->
     assert 0 <= row["dead_units"] < 0.9
     assert [(own["step"], own["length"]) for own in result.records.episodes] == [(30, 30), (60, 30)]
     assert set(result.records.episodes[0]) == set(EPISODE_COLUMNS)
-    assert [set(own) for own in result.records.evaluations] == [set(EVALUATION_COLUMNS)]
+    assert [set(own) for own in result.records.evaluations] == [
+        {*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost"}
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 from pneuma.config import BASES, Run, make_run
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.evaluation import ActionValues, Evaluation
+from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.loop import evaluation_updates
 from pneuma.engines.policy import Policy
+from pneuma.env.players import Hunter
 
 
 def run_of(**settings: object) -> Run:
@@ -80,6 +82,33 @@ def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
     assert updates[-1] == 196
     assert len(updates) == 20
     assert evaluation_updates(run_of(steps=256 * 3)) == {1, 2, 3}
+
+
+def test_evenness_is_the_entropy_of_the_players_shares() -> None:
+    none, one, both, uneven = (0, 0), (14, 0), (7, 7), (3, 1)
+    assert evenness(np.array([one])) == 0
+    assert evenness(np.array([both])) == pytest.approx(1)
+    assert evenness(np.array([uneven])) == pytest.approx(0.811278)  # (3 log2 4/3 + log2 4) / 4 bits
+    assert evenness(np.array([none, one, both])) == pytest.approx(0.5)  # where nobody kills there is none
+    assert math.isnan(evenness(np.array([none])))
+
+
+def test_steps_to_clear_and_hp_lost_are_those_of_the_episodes() -> None:
+    """A hunter who knows all clears the level; every bite costs a bamboo's 7 HP."""
+    run = make_run({"reward": "kills", "evaluation_episodes": 4, "end_on_clear": True})
+    evaluation = Evaluation(run)
+    hunter = Hunter(evaluation.worlds)
+    lost = np.zeros(len(evaluation.worlds))
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        lost[:] += evaluation.worlds.events["hp_lost"].sum(axis=1)
+        return hunter.act(evaluation.worlds).reshape(-1)[:4]
+
+    row = evaluation.evaluate(OwnAgent(act, None, 5), 0)
+    lost += evaluation.worlds.events["hp_lost"].sum(axis=1)
+    assert row["share_killed"] == 1.0
+    assert row["steps_to_clear"] == pytest.approx(row["length"])
+    assert row["hp_lost"] == pytest.approx(lost[:4].mean()) and row["hp_lost"] % (7 / 4) == pytest.approx(0)
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu", "leaky-relu"])

@@ -19,6 +19,7 @@ from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy, read_sound_policy
+from pneuma.env_fields import action_names, make_env_config
 from pneuma.errors import UserError
 
 FEATURES = 60
@@ -155,8 +156,9 @@ def test_onnx_computes_what_the_policy_computes(case: str) -> None:
 def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     onnx = pytest.importorskip("onnx")
     policy = random_policy(make_run({}), FEATURES, actions=7)
-    data = to_onnx(policy, {"run_id": "0123456789abcdef"})
-    assert data == to_onnx(policy, {"run_id": "0123456789abcdef"})
+    names = action_names(make_env_config({"magic": True}))
+    data = to_onnx(policy, {"run_id": "0123456789abcdef"}, names)
+    assert data == to_onnx(policy, {"run_id": "0123456789abcdef"}, names)
     model = onnx.load_from_string(data)
     about = {each.key: each.value for each in model.metadata_props}
     assert about["run_id"] == "0123456789abcdef"

@@ -1,4 +1,4 @@
-"""Several players in one world, and one policy for all, as Stable-Baselines3's slots have it."""
+"""Several players in one world: one policy for all, as Stable-Baselines3's slots have it, or one for each."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.engines.batched.learner import initial_networks
+from pneuma.engines.batched.learner import Learner, initial_networks
 from pneuma.engines.batched.rollout import Collector, Rollout
+from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.records import EPISODE_COLUMNS
+from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.policy import read_sound_policy
+from pneuma.engines.records import EPISODE_COLUMNS, Records
+from pneuma.errors import UserError
 
 from .trained import train
 
@@ -79,3 +83,96 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
     assert built_in.records == own.records and built_in.records.episodes
     assert built_in.policy and own.policy
     assert built_in.policy.to_bytes() == own.policy.to_bytes()
+
+
+# --- A policy for each player ----------------------------------------------------------------------
+
+TEAM: dict[str, Any] = {**SMALL, "players": 2, "learners": "independent", "steps": 1600, "episode_steps": 60}
+
+
+def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
+    run = make_run(TEAM)
+    trainer, records = BatchedTrainer(run), Records()
+    alone = [Learner(run, trainer.collector.features, 5, player) for player in range(2)]
+    collect = trainer.collector.collect
+    seen: list[Rollout] = []
+    trainer.collector.collect = lambda actor: seen.append(collect(actor)) or seen[-1]  # type: ignore[assignment, func-returns-value]
+    for update in range(2):
+        trainer.update(update * 800, (update + 1) * 800, records)
+    for update, rollout in enumerate(seen):
+        for player, learner in enumerate(alone):
+            own = Rollout(*(np.array(array) for array in rollout))._replace(
+                **{
+                    name: getattr(rollout, name)[player::2].copy()
+                    for name in (
+                        "observations",
+                        "actions",
+                        "rewards",
+                        "starts",
+                        "last_observations",
+                        "last_ends",
+                    )
+                }
+            )
+            mine = rollout.ended["slot"] % 2 == player
+            ended = rollout.ended[mine]
+            ended["slot"] = ended["slot"] // 2
+            own = own._replace(ended=ended, terminal_observations=rollout.terminal_observations[mine])
+            learner.learn_from(own, left=1 - (update + 1) * 800 / run.steps)
+    policy = trainer.policy()
+    assert policy.players == 2
+    for player, learner in enumerate(alone):
+        for part in ("actor", "critic"):
+            for (weight, bias), layer in zip(learner.networks[part], getattr(policy, part), strict=True):
+                assert np.array_equal(layer[0][player], weight) and np.array_equal(layer[1][player], bias)
+
+
+def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run(TEAM)
+    result, _ = train(run)
+    assert result.policy
+    policy = read_sound_policy(result.policy.to_bytes())
+    observations = np.random.default_rng(0).normal(size=(10, policy.features)).astype(np.float32)
+    for player in range(2):
+        own = [(weight[player], bias[player]) for weight, bias in policy.actor]
+        hidden = np.tanh(observations[player::2] @ own[0][0] + own[0][1])
+        np.testing.assert_allclose(
+            policy.logits(observations)[player::2], hidden @ own[1][0] + own[1][1], 1e-4
+        )
+    compiled = Evaluation(run).evaluate(policy, 0)
+    monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
+    other = Evaluation(run).evaluate(policy, 0)
+    assert compiled["argmax_share_killed"] == pytest.approx(other["argmax_share_killed"])
+    assert compiled["length"] == pytest.approx(other["length"], rel=0.5)
+
+
+def test_it_goes_on_from_a_checkpoint_with_the_same_bits() -> None:
+    run = make_run(TEAM)
+    trainer, records = BatchedTrainer(run), Records()
+    trainer.update(0, 800, records)
+    kept = trainer.checkpoint(800, records)
+    trainer.update(800, 1600, records)
+    other = BatchedTrainer(run)
+    other.restore(kept)
+    again = kept.records.copy()
+    other.update(800, 1600, again)
+    assert other.policy().to_bytes() == trainer.policy().to_bytes()
+    assert again == records
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"engine": "sb3"}, "sb3 trains one policy for all players"),
+        ({"minibatch": 500}, "at most horizon x slots = 400"),
+    ],
+)
+def test_what_cannot_learn_apart_is_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        make_run({**TEAM, **fields})
+
+
+def test_one_player_alone_has_one_policy() -> None:
+    assert make_run({**TEAM, "players": 1}) == make_run(
+        {**SMALL, "players": 1, "steps": 1600, "episode_steps": 60}
+    )

@@ -61,6 +61,7 @@ from .oracle_parts import (
     heal,
     knock_back,
     sword_blow,
+    wounds,
 )
 
 # --- The world -------------------------------------------------------------------------------------
@@ -76,7 +77,7 @@ class Oracle:
         self.monsters_left = self.players_left = 0
         self.ending = RUNNING
         count = len(book.stats)
-        self.players = [Player(stats) for stats in book.stats]
+        self.players = [Player(*both) for both in zip(book.stats, book.stats_of_second_weapons, strict=True)]
         self.monsters = [Monster(kind, [0] * count, [0] * count) for kind in book.kinds[0]]
 
     @property
@@ -105,11 +106,13 @@ class Oracle:
                 player.xp = 0.0
             player.facing = DOWN
             player.busy = player.armed = player.attack = player.safe = player.kills = player.rest = 0
+            player.second = player.token = 0
         for monster, kind in zip(self.monsters, book.kinds[self.level], strict=True):
             monster.kind = kind
             monster.x, monster.y, monster.hp = kind.home_x, kind.home_y, kind.hp
             monster.knocked = monster.safe = 0
-            monster.noticed = set()
+            monster.noticed, monster.inside = set(), set()
+            monster.opened = monster.first_by = monster.first_facing = 0
             monster.bite = [0] * len(self.players)
             monster.struck_by = [0] * len(self.players)
 
@@ -119,6 +122,10 @@ class Oracle:
             player.events = Events()
         if self.ending != RUNNING:
             return False
+        for player, action in zip(self.players, actions, strict=True):
+            player.token = self._token(action) if player.hp > 0.0 else 0
+            if action == self.book.settings.switch and player.busy == 0:
+                player.second = int(not player.second)
         for _ in range(self.book.settings.ticks):
             self._tick(actions)
         self.steps += 1
@@ -131,6 +138,16 @@ class Oracle:
             events = player.events
             if events.present or events.died:
                 events.reward = _formula(player)
+        if self.book.settings.shared_reward:
+            mean = sum(player.events.reward for player in self.players) / len(self.players)
+            for player in self.players:
+                if player.events.present or player.events.died:
+                    player.events.reward = mean
+
+    def _token(self, action: int) -> int:
+        """Return what an action says: the last actions are the tokens 1, 2, ..."""
+        settings = self.book.settings
+        return max(action - (settings.actions - settings.tokens) + 1, 0)
 
     # --- Random numbers --------------------------------------------------------------------------
 
@@ -193,10 +210,12 @@ class Oracle:
 
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
-        stats, settings = player.stats, self.book.settings
+        stats, settings = player.weapon, self.book.settings
         blow = None
         if player.busy == 0:
-            if action == settings.dash:
+            if action == settings.switch or self._token(action):
+                pass  # stands still
+            elif action == settings.dash:
                 if player.rest == 0:  # 8 ticks of dashing, then 60 before the next
                     player.busy, player.rest, player.armed = 8, 68, 2
             elif action == ATTACK:
@@ -210,7 +229,13 @@ class Oracle:
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
                 player.busy, player.armed = stats.heal_ticks, 0
-                heal(player, stats.heal, capped=True)
+                for other in self.players:
+                    apart = (other.x - player.x) * (other.x - player.x) + (other.y - player.y) * (
+                        other.y - player.y
+                    )
+                    near = apart <= stats.heal_reach * stats.heal_reach and stats.heal_reach > 0.0
+                    if other is player or (near and other.hp > 0.0):
+                        heal(other, stats.heal, capped=True)
             elif action in WAYS:
                 self._walk(player, action)
         if player.busy > 0:
@@ -251,12 +276,24 @@ class Oracle:
     def _live(self, monster: Monster, there: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
         """Let a monster live one tick among the players who are `there`."""
         monster.safe = max(monster.safe - 1, 0)
+        monster.opened = max(monster.opened - 1, 0)
         for p in range(len(self.players)):
             if p not in there:
                 monster.noticed.discard(p)
                 monster.bite[p] = 0
-        for p in blows:
-            self._strike(monster, p, blows[p], there, gains)
+        met = {p for p in blows if monster.box.meets(blows[p].box)}
+        for p in sorted(met):
+            number = blows[p].number
+            if self.book.settings.blow_on_entry:
+                hit = p not in monster.inside
+            else:
+                hit = monster.struck_by[p] != number
+            if hit and monster.hp > 0.0 and monster.safe == 0:
+                self._strike(monster, p, blows[p], there, gains)
+            elif hit and self.book.settings.blow_on_entry:
+                monster.struck_by[p] = 0
+        if self.book.settings.blow_on_entry:
+            monster.inside = met
         if monster.hp <= 0.0:
             return
         target = self._sense(monster, there, gains)
@@ -273,12 +310,11 @@ class Oracle:
         monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, stops, others)
 
     def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
-        """Strike a monster that a blow meets, unless it is dead or safe or this one has hit it before."""
+        """Strike a living monster that a blow meets for the first time."""
         kind = monster.kind
-        struck = monster.struck_by[p] == blow.number
-        if not monster.box.meets(blow.box) or monster.hp <= 0.0 or monster.safe > 0 or struck:
-            return
         monster.struck_by[p] = blow.number
+        if not wounds(monster, p, blow.facing):
+            return
         monster.safe = kind.safe
         monster.hp = max(monster.hp - blow.damage, 0.0)
         gains[p].hits += 1

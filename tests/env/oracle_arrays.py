@@ -7,6 +7,7 @@ float32. Of the eight places that a monster keeps for players, those of existing
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,12 +33,21 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     row = worlds.settings[0]
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
     return Rulebook(
-        settings=_read_row(row, magic=worlds.config.magic),
+        settings=_read_row(row, actions=int(worlds.action_space.n)),
         stats=[_read_row(stats) for stats in worlds.player_stats],
+        stats_of_second_weapons=[_read_row(stats) for stats in _armed_otherwise(worlds)],
         kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
     )
+
+
+def _armed_otherwise(worlds: Worlds) -> np.ndarray:
+    """Return the stats of players whose usual weapon is what the others have as their second."""
+    config = worlds.config
+    if not config.second_weapon:
+        return worlds.player_stats
+    return Worlds(1, replace(config, weapons=(config.second_weapon,), second_weapon="")).player_stats
 
 
 def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
@@ -49,10 +59,11 @@ def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
     for monster, kind, row in zip(
         world.monsters, world.book.kinds[world.level], worlds.monsters[index], strict=True
     ):
-        _read_fields(monster, row, ("noticed", "bite", "struck_by"))
+        _read_fields(monster, row, ("noticed", "bite", "struck_by", "inside"))
         count = len(world.players)
         monster.kind = kind
         monster.noticed = {p for p in range(count) if int(row["noticed"]) >> p & 1}
+        monster.inside = {p for p in range(count) if int(row["inside"]) >> p & 1}
         monster.bite, monster.struck_by = row["bite"].tolist()[:count], row["struck_by"].tolist()[:count]
     worlds.events[index] = np.zeros((), worlds.events.dtype)
     worlds.events["distance"][index] = np.inf
@@ -149,8 +160,15 @@ class Pair:
             if allowed != worlds.masks[index, p].tolist():
                 yield f"masks{place}: {worlds.masks[index, p].tolist()}, {allowed}"
         for m, monster in enumerate(world.monsters):
-            told = {**vars(monster), "noticed": sum(1 << p for p in monster.noticed)}
+            told = {
+                **vars(monster),
+                **{name: _as_bits(getattr(monster, name)) for name in ("noticed", "inside")},
+            }
             yield from _unlike(f"monsters[{index}, {m}]", worlds.monsters[index, m], told)
+
+
+def _as_bits(players: set[int]) -> int:
+    return sum(1 << p for p in players)
 
 
 def _unlike(name: str, row: Any, told: dict[str, Any]) -> Iterator[str]:

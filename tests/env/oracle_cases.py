@@ -68,10 +68,11 @@ _FLIGHTS = ((1200, 0.05), (333.3, 0.4), (0, 0.2), (600, 0))
 
 
 @st.composite
-def character_files(draw: st.DrawFn) -> str:
+def character_files(draw: st.DrawFn, pairs: bool) -> str:
     """Draw the text of a file of characters that overrides some numbers of the shipped ones.
 
-    Every second time all players are frail: a bite or two kill them.
+    Every second time all players are frail: a bite or two kill them. With `pairs` some monsters fall to two
+    players only.
     """
     frail = {"hp": draw(st.sampled_from(_POOLS["players"]["hp"][:2]))} if draw(st.booleans()) else {}
     lines = []
@@ -88,6 +89,9 @@ def character_files(draw: st.DrawFn) -> str:
                 values |= frail
             if name == "heal":  # it strikes no box
                 values = {key: value for key, value in values.items() if key not in ("length", "width")}
+                values["reach"] = draw(st.sampled_from((0, 40.3, 500)))
+            if group == "monsters" and pairs:
+                values["pair_time"] = draw(st.sampled_from((0, 0.3, 1)))
             if group == "monsters" and draw(st.booleans()):
                 values["knock_back"], values["knock_back_time"] = draw(st.sampled_from(_FLIGHTS))
             lines += [f"[{group}.{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
@@ -125,6 +129,11 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         "weapons": one_each(WEAPONS),
         "magic": draw(st.booleans()),
         "dash": draw(st.booleans()),
+        "second_weapon": draw(st.sampled_from(["", "", *WEAPONS[1:]])),
+        "tokens": draw(st.sampled_from([0, 0, 1, 3])) if players > 1 else 0,
+        "shared_reward": draw(st.booleans()),
+        "attack_ticks": draw(st.sampled_from([0, 0, 1, 25])),
+        "blow": draw(st.sampled_from(["attack", "attack", "entry"])),
         "reward": one_each(REWARDS),
         "observation": draw(st.sampled_from(OBSERVATIONS)),
         "perceive": draw(perceive),
@@ -180,7 +189,7 @@ def cases(draw: st.DrawFn) -> Case:
     """Draw a case of 32 to 80 steps."""
     level = draw(maps())
     settings = draw(configurations(level))
-    characters = draw(st.one_of(character_files(), st.sampled_from(["", "pygame"])))
+    characters = draw(st.one_of(character_files(settings["players"] > 1), st.sampled_from(["", "pygame"])))
     count, length = draw(st.integers(1, 2)), draw(st.integers(8, 20))
     size = length * settings["players"] * count
     moods, breaks = (
@@ -239,7 +248,7 @@ def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
         return dash if dash >= 0 else mood % 4
     if mood < 200:
         return mood % 4
-    return (mood >> step % STEPS_OF_A_MOOD) % (HEAL + 1 if magic else ATTACK + 1)
+    return (mood >> step % STEPS_OF_A_MOOD) % world.book.settings.actions
 
 
 def hunt(world: Oracle, player: Player, strike: int) -> int:

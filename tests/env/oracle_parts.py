@@ -31,6 +31,7 @@ class Rulebook:
 
     settings: Row
     stats: list[Row]
+    stats_of_second_weapons: list[Row]
     kinds: list[list[Row]]
     grounds: list[Ground]
     starts: list[list[tuple[float, float]]]
@@ -61,6 +62,7 @@ class Player:
     """A player; dead without HP."""
 
     stats: Row
+    armed_otherwise: Row  # the same with its second weapon
     x: float = 0.0
     y: float = 0.0
     hp: float = 0.0
@@ -73,7 +75,14 @@ class Player:
     safe: int = 0
     kills: int = 0
     rest: int = 0
+    second: int = 0
+    token: int = 0
     events: Events = field(default_factory=Events)
+
+    @property
+    def weapon(self) -> Row:
+        """What it holds; only what is of a weapon differs."""
+        return self.armed_otherwise if self.second else self.stats
 
     @property
     def box(self) -> Box:
@@ -97,6 +106,10 @@ class Monster:
     knock_y: float = 0.0
     knocked: int = 0
     safe: int = 0
+    inside: set[int] = field(default_factory=set)  # whose strikes met it in the last tick
+    opened: int = 0
+    first_by: int = 0
+    first_facing: int = 0
 
     @property
     def box(self) -> Box:
@@ -111,6 +124,7 @@ class Blow:
 
     number: int
     box: Box
+    facing: int  # of who strikes
     hilt: tuple[float, float]  # what it knocks away from
     damage: float
     knock_speed: float
@@ -151,13 +165,14 @@ def heal(player: Player, hp: float, capped: bool) -> None:
 
 def sword_blow(player: Player) -> Blow:
     """Return the blow of a swing that lasts; all its ticks bear the number of the attack."""
-    stats, facing = player.stats, player.facing
+    stats, facing = player.weapon, player.facing
     return Blow(
         number=player.attack,
         box=Box(
             (player.x + stats.sword_x[facing], player.y + stats.sword_y[facing]),
             (stats.sword_half_width[facing], stats.sword_half_height[facing]),
         ),
+        facing=facing,
         hilt=(player.x + stats.hilt_x[facing], player.y + stats.hilt_y[facing]),
         damage=stats.damage,
         knock_speed=stats.knock_speed,
@@ -174,11 +189,23 @@ def flame_blow(player: Player) -> Blow:
             (player.x + stats.flame_x[facing], player.y + stats.flame_y[facing]),
             (stats.flame_half_width[facing], stats.flame_half_height[facing]),
         ),
+        facing=facing,
         hilt=(player.x, player.y),
         damage=stats.flame_damage,
         knock_speed=0.0,
         knock_ticks=-1,
     )
+
+
+def wounds(monster: Monster, p: int, facing: int) -> bool:
+    """Tell whether a player's blow wounds; a monster that falls to two opens with every blow, for a time."""
+    time = monster.kind.pair_ticks
+    if time == 0:
+        return True
+    partner, way = monster.first_by, monster.first_facing
+    was_open = monster.opened > 0
+    monster.opened, monster.first_by, monster.first_facing = time, p, facing
+    return was_open and p != partner and facing != way
 
 
 def knock_back(monster: Monster, blow: Blow) -> None:

@@ -37,6 +37,11 @@ def observe(world: Oracle, player: Player) -> list[float]:
     about = _about_player(world, player)
     if settings.observe_facing:
         about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
+    if settings.switch >= 0:
+        about.append(float(player.second))
+    at = world.players.index(player)
+    for other in world.players[at + 1 :] + world.players[:at]:
+        about += [float(other.token == token) for token in range(1, settings.tokens + 1)]
     size = len(about) + settings.perceived * ROW[settings.layout]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
@@ -71,6 +76,9 @@ def mask(world: Oracle, player: Player) -> list[int]:
             allowed[FLAME] = int(energy >= stats.flame_cost)
             allowed[HEAL] = int(energy >= stats.heal_cost)
     allowed[ATTACK] = 1
+    if settings.switch >= 0:
+        allowed[settings.switch] = int(player.busy == 0)
+    allowed |= dict.fromkeys(range(settings.actions - settings.tokens, settings.actions), 1)
     return [allowed[action] for action in sorted(allowed)]
 
 

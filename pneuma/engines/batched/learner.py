@@ -24,9 +24,9 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 """Of the orthogonal initial weights, as Stable-Baselines3 has them."""
 
 
-def initial_networks(run: Run, features: int, actions: int) -> Networks:
+def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
     """Return orthogonal weights and zero biases, from the run's random stream for weights."""
-    generator = np.random.default_rng(stream_seed(run.stream, "weights"))
+    generator = np.random.default_rng(stream_seed(run.stream, "weights", player))
     scale = run.first_layer_scale
     return {
         "actor": _layers(generator, (features, *run.actor, actions), scale, ACTOR_GAIN),
@@ -41,6 +41,7 @@ class Learner:
         run: the run.
         features: the length of an observation.
         actions: the number of actions.
+        player: whose policy it is, where each player has its own.
 
     Attributes:
         networks: actor and critic, NumPy arrays.
@@ -48,13 +49,17 @@ class Learner:
         generator: draws the order of minibatches.
     """
 
-    def __init__(self, run: Run, features: int, actions: int) -> None:
+    def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
         self.run = run
-        self.networks: Networks = initial_networks(run, features, actions)
+        self.networks: Networks = initial_networks(run, features, actions, player)
         self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
-        self.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
+        self.generator = self.fresh_order(player)
         self._actions = actions
-        self._numbers = run_numbers(run)
+        self._numbers = run_numbers(run, player)
+
+    def fresh_order(self, player: int) -> np.random.Generator:
+        """Return a generator of the order of minibatches as at a run's begin."""
+        return np.random.default_rng(stream_seed(self.run.stream, "minibatches", player))
 
     def policy(self) -> Policy:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])

@@ -76,6 +76,15 @@ class Rollout(NamedTuple):
     ended: np.ndarray
     terminal_observations: np.ndarray
 
+    def of_player(self, player: int, players: int) -> Rollout:
+        """Return the part of one of the players of each world, as a rollout of its own."""
+        own = slice(player, None, players)
+        mine = self.ended["slot"] % players == player
+        ended = self.ended[mine]
+        ended["slot"] //= players
+        parts = {name: np.ascontiguousarray(array[own]) for name, array in self._asdict().items()}
+        return Rollout(**parts | {"ended": ended, "terminal_observations": self.terminal_observations[mine]})
+
     def cut(self, count: int) -> Rollout:
         """Return the rollout without room for more endings."""
         ended, terminal = self.ended[:count], self.terminal_observations[:count]
@@ -202,7 +211,7 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
     widths, count = sizes(critic), len(observations)
     scratch = np.zeros((2, count, int(widths.max())), np.float32)
     scratch[0, :, : widths[0]] = observations
-    return np.array(forward(flat(critic), widths, ACTIVATION_CODES[activation], count, scratch)[:, 0])
+    return np.array(forward(flat(critic)[0], widths, ACTIVATION_CODES[activation], count, scratch)[:, 0])
 
 
 @kernel
@@ -234,10 +243,15 @@ def _choose(
         if not episodes.idle[i]:
             rollout.observations[i, step] = s.observations[i // players, i % players]
         rollout.starts[i, step] = episodes.begins[i]
-        scratch[0, i, : widths[0]] = rollout.observations[i, step]
-    logits = forward(weights, widths, activation, len(draws), scratch)
-    for i in range(len(draws)):
-        chosen[i // players, i % players] = rollout.actions[i, step] = sample(logits[i], draws[i])
+    policies = len(weights)
+    count = len(draws) // policies
+    for own in range(policies):
+        for k in range(count):
+            scratch[0, k, : widths[0]] = rollout.observations[own + k * policies, step]
+        logits = forward(weights[own], widths, activation, count, scratch)
+        for k in range(count):
+            i = own + k * policies
+            chosen[i // players, i % players] = rollout.actions[i, step] = sample(logits[k], draws[i])
 
 
 @kernel

@@ -24,7 +24,7 @@ class BatchedTrainer(Trainer):
 
     Attributes:
         collector: the worlds, and the random stream of actions.
-        learner: the learner of the policy that all players share.
+        learners: one, of the policy that all players share; or one for each player.
     """
 
     def __init__(self, run: Run) -> None:
@@ -32,20 +32,39 @@ class BatchedTrainer(Trainer):
         self.collector: Collector | GymnasiumCollector = (
             GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
         )
-        self.learner = Learner(run, self.collector.features, self.collector.actions)
+        self.learners = [
+            Learner(run, self.collector.features, self.collector.actions, player)
+            for player in range(run.policies)
+        ]
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        rollout = self.collector.collect(self.learner.networks["actor"])
-        metrics = self.learner.learn_from(rollout, left=1 - after / self.run.steps)
-        records.metrics.append({"step": after, **metrics})
+        rollout = self.collector.collect(self._joined().actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
-        if not self.learner.is_finite(metrics):
+        left, several = 1 - after / self.run.steps, len(self.learners)
+        parts = (
+            [rollout.of_player(player, several) for player in range(several)] if several > 1 else [rollout]
+        )
+        metrics = [learner.learn_from(part, left) for learner, part in zip(self.learners, parts, strict=True)]
+        means = {name: sum(own[name] for own in metrics) / several for name in metrics[0]}
+        records.metrics.append({"step": after, **means})
+        if not all(learner.is_finite(own) for learner, own in zip(self.learners, metrics, strict=True)):
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
-        return not (is_last and overflows(self.learner.policy(), self.collector.observations))
+        return not (is_last and overflows(self._joined(), self.collector.observations))
 
     def policy(self) -> Policy:
-        return replace(self.learner.policy(), scaling=self.collector.scaling)
+        return replace(self._joined(), scaling=self.collector.scaling)
+
+    def _joined(self) -> Policy:
+        """Return the policy that all share; or the players' own, as one."""
+        policies = [learner.policy() for learner in self.learners]
+        if len(policies) == 1:
+            return policies[0]
+        actor, critic = (
+            jax.tree.map(lambda *own: np.stack(own), *part)
+            for part in zip(*((policy.actor, policy.critic) for policy in policies), strict=True)
+        )
+        return Policy(self.run.activation, actor, critic)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         arrays = {name: array.copy() for name, array in self.collector.saved_state().items()}
@@ -53,11 +72,12 @@ class BatchedTrainer(Trainer):
             "layout": self.collector.layout,
             "optimizer": self.run.optimizer,
             "actions": self.collector.generator.bit_generator.state,
-            "minibatches": self.learner.generator.bit_generator.state,
+            "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
         }
-        for part in ("networks", "optimizer"):
-            leaves = jax.tree.leaves_with_path(getattr(self.learner, part))
-            arrays |= {_array_name(part, path): np.array(leaf) for path, leaf in leaves}
+        for player, learner in enumerate(self.learners):
+            for part in ("networks", "optimizer"):
+                leaves = jax.tree.leaves_with_path(getattr(learner, part))
+                arrays |= {_array_name(player, part, path): np.array(leaf) for path, leaf in leaves}
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -74,21 +94,23 @@ class BatchedTrainer(Trainer):
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
         self.collector.restore_state(checkpoint.arrays)
         self.collector.generator.bit_generator.state = numbers["actions"]
-        _restore_learner(self.learner, checkpoint, reset)
+        for player, learner in enumerate(self.learners):
+            _restore_learner(learner, player, checkpoint, reset)
         if begins:
             self.collector.fork()
             self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-            self.learner.generator = np.random.default_rng(stream_seed(run.stream, "minibatches"))
+            for player, learner in enumerate(self.learners):
+                learner.generator = learner.fresh_order(player)
 
 
-def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> None:
+def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint, reset: str) -> None:
     """Take over everything but what a fork resets: the optimizer, or the critic with its moments."""
 
     def restored(part: str) -> Any:
         return jax.tree.map_with_path(partial(saved, part), getattr(learner, part))
 
     def saved(part: str, path: Any, fresh: Any) -> np.ndarray:
-        name = _array_name(part, path)
+        name = _array_name(player, part, path)
         if reset and reset in re.split(r"[/.]", name):
             return np.array(fresh)  # a copy, as an optimizer's moments may begin as one array
         array = checkpoint.arrays[name]
@@ -97,9 +119,10 @@ def _restore_learner(learner: Learner, checkpoint: Checkpoint, reset: str) -> No
         return np.array(array)
 
     learner.networks, learner.optimizer = restored("networks"), restored("optimizer")
-    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"]
+    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
 
 
-def _array_name(part: str, path: Any) -> str:
-    """Return the name of an array in a checkpoint: networks/actor.0.1, optimizer/mean.critic.1.0."""
-    return f"{part}/{jax.tree_util.keystr(path, simple=True, separator='.')}"
+def _array_name(player: int, part: str, path: Any) -> str:
+    """Return the name of an array in a checkpoint: networks/actor.0.1, player-2/optimizer/mean.critic.1.0."""
+    whose = f"player-{player}/" if player else ""
+    return f"{whose}{part}/{jax.tree_util.keystr(path, simple=True, separator='.')}"

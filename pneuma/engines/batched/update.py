@@ -41,7 +41,7 @@ METRICS = (
 """What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
 
 
-def run_numbers(run: Run) -> dict[str, Any]:
+def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
     """Return the run's numeric fields, float32; an absent limit is infinite.
 
     They include the key of UPGD's noise, (2,) uint32.
@@ -69,7 +69,7 @@ def run_numbers(run: Run) -> dict[str, Any]:
         "log_utility_decay": math.log(run.utility_decay) if run.utility_decay else -math.inf,
         "noise": run.noise or 0.0,
     }
-    key = np.array([stream_seed(run.stream, "upgd-noise")], np.uint64).view(np.uint32)
+    key = np.array([stream_seed(run.stream, "upgd-noise", player)], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
 
 
