@@ -325,4 +325,5 @@ def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyD
         narrowed=asked.narrowed,
         world=study.world if len(study.worlds) > 1 else "",
         changed=study.settings,
+        outcomes=study.outcomes,
     )

@@ -92,6 +92,7 @@ class StudyData:
         narrowed: conditions and seeds that were asked for, if not all; and steps, if any were.
         world: its world; empty if it has a single one.
         changed: fields that `--set` changed.
+        outcomes: those that the study asks about, in place of the usual ones.
         steps: agent steps of each run, as `--steps` takes them; None for a study that lists its runs.
         budget: at which curves end: the largest of the runs.
     """
@@ -107,6 +108,7 @@ class StudyData:
     narrowed: Sequence[str] = ()
     world: str = ""
     changed: Mapping[str, Any] = field(default_factory=dict)
+    outcomes: Sequence[str] = ()
     steps: int | None = None
     budget: int = 0
 

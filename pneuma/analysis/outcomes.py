@@ -317,7 +317,7 @@ OUTCOMES: dict[str, Outcome] = {
     "final-length": _trained("episode length at the end", "steps", "", POSITIVE, "length"),
     "final-hp": _trained("HP at the end of an episode", "points", UP, POSITIVE, "hp"),
     "final-died": _evaluated("evaluation episodes that ended in death", "share", DOWN, SHARE, "died"),
-    "steps-to-clear": _evaluated(
+    "time-to-clear": _evaluated(
         "steps until no monster is left, or the time limit, mean of the last five evaluations", "steps", DOWN,
         POSITIVE, "steps_to_clear", _late),
     "hp-lost": _evaluated(

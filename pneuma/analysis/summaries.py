@@ -61,7 +61,7 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     The shares of runs that diverged and collapsed are included, whichever outcomes are named.
     """
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
-    asked = (outcomes,) if isinstance(outcomes, str) else outcomes or usual
+    asked = (outcomes,) if isinstance(outcomes, str) else outcomes or data.outcomes or usual
     names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
     for name in names:
         find_outcome(name)
@@ -190,7 +190,9 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
     usual = (primary(data), *COMPARED)
     unlike = not have_one_return(data, (a, b))
-    outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
+    outcomes = (
+        outcomes or data.outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
+    )
     for name in outcomes:
         refuse_unlike_returns(data, name, (a, b))
     return pd.DataFrame(_compared(data, a, b, outcomes), columns=list(COMPARISON_COLUMNS))

@@ -81,7 +81,7 @@ def plot(
 
     def page(name: str, picked: opt.Picked) -> tuple[Page, str]:
         data = picked.open(name)
-        of_curves = quantity or band or window or beside or fits_panel(data)
+        of_curves = quantity or band or window or beside or fits_panel(data) and not data.outcomes
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
         if kind == "summary":
             return summary_page(data), picked.again(data, "plot", name, figure=[kind], format=formats)

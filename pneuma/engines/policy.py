@@ -257,7 +257,7 @@ def sizes(layers: Layers) -> np.ndarray:
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
     """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
     outputs = []
-    x, several = observations, layers[0][0].ndim == 3
+    x, several = observations, bool(layers) and layers[0][0].ndim == 3
     if several:
         x = x.reshape(-1, len(layers[0][0]), x.shape[-1]).swapaxes(0, 1)  # (players, worlds, features)
     for i, (weight, bias) in enumerate(layers):

@@ -6,7 +6,7 @@ They show the share of monsters killed at the end, or the return if there are no
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -56,9 +56,12 @@ class Outcomes:
     """What the runs of a study came to, as its figure shows them in rows."""
 
     data: StudyData
+    named: str = ""
 
     @cached_property
     def outcome(self) -> str:
+        if self.named:
+            return self.named
         if is_foreign(self.data) and self.data.evaluated:
             return primary(self.data)
         return PRIMARY if "share_killed" in curve_names(self.data) else WITHOUT_EVALUATIONS
@@ -92,7 +95,11 @@ class Outcomes:
         return Panel(
             partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
-            "Share killed" if killed else "Return of an episode",
+            "Share killed"
+            if killed
+            else find_outcome(self.named).unit
+            if self.named
+            else "Return of an episode",
             x_ticks=grid.shares if killed else grid.few,
             rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
         )
@@ -117,9 +124,14 @@ class Outcomes:
 
 
 def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: str = "") -> Page:
-    """Return what every run of a study came to; or its runs in each world, by the title of a column."""
-    columns = {"Every run": studies} if isinstance(studies, StudyData) else studies
-    drawn = {title: Outcomes(data) for title, data in columns.items() if data}
+    """Return what every run of a study came to, in all outcomes that it names; or in each world, by title."""
+    columns: Mapping[str, StudyData | None]
+    if isinstance(studies, StudyData):
+        named = {_shown(name): name for name in studies.outcomes}
+        columns = dict.fromkeys(named, studies) or {"Every run": studies}
+    else:
+        named, columns = {}, studies
+    drawn = {title: Outcomes(data, named.get(title, "")) for title, data in columns.items() if data}
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
     for found in drawn.values():
         colours |= {name: found.colours[name] for name in found.values if name not in colours}
@@ -133,6 +145,8 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         if title in drawn else grid.no_runs(title)
         for title in columns
     ]  # fmt: skip
+    if named:  # the same runs in all panels
+        panels = [panels[0], *(replace(panel, rows=[""] * len(names)) for panel in panels[1:])]
     notes = merge_notes({title: (found.data, found.notes) for title, found in drawn.items()})
     step = common_step(alone.data)
     shown = f"at {step:,} steps" if step else "at the end of training"
@@ -140,12 +154,16 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         basename or figure_basename(alone.data, "summary"),
         [panels],
         max(pitch * len(names) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline_of(alone.data, shown) if len(columns) == 1 else f"{alone.data.title}: {shown}",
+        headline_of(alone.data, shown) if isinstance(studies, StudyData) else f"{alone.data.title}: {shown}",
         samples_of(*(found.data for found in drawn.values())),
         _marks([*drawn.values()]),
         [*notes, parts and f"Rows: {parts}."],
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
     )
+
+
+def _shown(outcome: str) -> str:
+    return outcome.replace("-", " ").capitalize().replace("Hp", "HP")
 
 
 def _draw_runs(axes: Axes, found: Outcomes, colours: Mapping[str, str], mark: float) -> None:

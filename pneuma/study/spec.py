@@ -58,6 +58,7 @@ class Study:
         title, section, about: shown to users.
         figure: file stem of its figure.
         baseline: the condition that the others are compared with.
+        outcomes: what it asks about, in place of the usual ones.
         base: name of the fields to start from.
         shared: fields of every condition on top of the base.
         conditions: what each condition sets on top.
@@ -86,6 +87,7 @@ class Study:
     world: str = TEXT
     worlds: tuple[str, ...] = tuple(WORLDS)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    outcomes: tuple[str, ...] = ()
 
     def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""

@@ -126,6 +126,7 @@ class StudyFile(Table):
     figure: Annotated[str, matching(r"([\w-][\w.-]*)?", "a file name without folders and ending")] = ""
     base: Annotated[str, OneOf(tuple(BASES))]
     baseline: str = ""
+    outcomes: tuple[str, ...] = ()
     keep_checkpoints: Annotated[int, Interval(ge=0, le=1000)] = 0
     worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] | None = None
     run: Fields = {}
@@ -186,6 +187,7 @@ def read_study(path: Path) -> Study:
         about=" ".join(said.about.split()),
         figure=said.figure or f"study-{path.stem}",
         baseline=baseline,
+        outcomes=said.outcomes,
         base=said.base,
         shared=files_beside(path, said.run),
         conditions={name: files_beside(path, fields) for name, fields in conditions.items()},

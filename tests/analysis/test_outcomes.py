@@ -178,13 +178,14 @@ def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "column"),
-    [("steps-to-clear", "steps_to_clear"), ("hp-lost", "hp_lost"), ("kill-evenness", "kill_evenness")],
+    [("time-to-clear", "steps_to_clear"), ("hp-lost", "hp_lost"), ("kill-evenness", "kill_evenness")],
 )
 def test_what_a_team_does_is_a_mean_of_the_last_five_evaluations(
     tmp_path: Path, name: str, column: str
 ) -> None:
     store = Store(tmp_path / "results")
-    save(store, "a0" * 8, (0.1,) * 6, 600, step=range(100, 700, 100), **{column: (9, 0.5, 0.5, 0, 1, 0.5)})
+    values: dict[str, Any] = {column: (9, 0.5, 0.5, 0, 1, 0.5)}
+    save(store, "a0" * 8, (0.1,) * 6, 600, step=range(100, 700, 100), **values)
     data = study_of(store, {("a", 0): "a0" * 8})
     assert outcome(data, data.runs[0], name) == 0.5
 
@@ -213,7 +214,7 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has = {"collapse-step", "relearned"}  # of healthy runs
     none_has |= {"q-overestimation", "final-success"}  # of runs that estimate no values, in Pneuma's worlds
-    none_has |= {"steps-to-clear", "hp-lost", "kill-evenness"}  # of older runs
+    none_has |= {"time-to-clear", "hp-lost", "kill-evenness"}  # of older runs
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(data, run, name) for run in data.runs]

@@ -96,7 +96,7 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     alone = [Learner(run, trainer.collector.features, 5, player) for player in range(2)]
     collect = trainer.collector.collect
     seen: list[Rollout] = []
-    trainer.collector.collect = lambda actor: seen.append(collect(actor)) or seen[-1]  # type: ignore[assignment, func-returns-value]
+    trainer.collector.collect = lambda actor: seen.append(collect(actor)) or seen[-1]  # type: ignore[method-assign, func-returns-value]
     for update in range(2):
         trainer.update(update * 800, (update + 1) * 800, records)
     for update, rollout in enumerate(seen):

@@ -11,7 +11,6 @@ import pytest
 from pneuma.config import OF_GYMNASIUM, Run, make_run
 from pneuma.engines.environment import check_environment
 from pneuma.env.level import LEVELS
-from pneuma.errors import UserError
 from pneuma.study import identity
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Cell, Selection, make_plan
@@ -53,12 +52,6 @@ def test_every_field_that_is_read_changes_the_name() -> None:
         assert run_id(make_run({key: shipped})) != run_id(run), key
     for key, value in UNREAD.items():
         assert run_id(make_run({key: value})) == run_id(run), key
-
-
-def test_a_run_of_an_older_version_is_the_same_run_still() -> None:
-    assert run_id(make_run({"learners": "shared"})) == run_id(make_run({}))
-    with pytest.raises(UserError, match="learners"):
-        make_run({"learners": "independent"})
 
 
 def test_a_raised_version_changes_the_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,7 +91,7 @@ def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, li
 
 ELSEWHERE = {
     "actor", "critic", "activation", "optimizer", "weight_decay", "slots", "clip", "value_baseline",
-    "first_layer_scale", "learning_rate_schedule", "clip_range_schedule",
+    "first_layer_scale", "learners", "learning_rate_schedule", "clip_range_schedule",
 }  # fmt: skip
 
 
