@@ -15,7 +15,7 @@ from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claim_table import ClaimContrast
+from pneuma.analysis.claim_table import Arms, ClaimContrast
 from pneuma.analysis.claims import MINUS, Claim
 from pneuma.analysis.intervals import MOST, decimals, shown
 from pneuma.analysis.judgement import (
@@ -51,8 +51,8 @@ _PLAIN_REASONS = {
     "too few seeds": "too few runs",
     "arm at floor": "the agents learned nothing there",
     "arms at floor": "the agents learned nothing there",
-    "both arms are at the floor": "all runs are alike",
-    "both arms are at the ceiling": "all runs are alike",
+    "both arms are at the floor": "all runs end alike",
+    "both arms are at the ceiling": "all runs end alike",
     "A/A": "what is compared is the same",
     "engines are mixed": "trained by different engines",
 }
@@ -144,7 +144,7 @@ def told(verdict: Verdict) -> str:
 def why(verdict: Verdict) -> str:
     """Return in a few words why a claim is not tested, or what its word does not say; mostly empty."""
     if verdict.lacks_runs:
-        return "not all runs yet" if verdict.run_ids else "no runs yet"
+        return "not all of its runs are trained" if verdict.run_ids else "its runs are not trained yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     reason = verdict.reason.partition(":")[0]
@@ -152,9 +152,9 @@ def why(verdict: Verdict) -> str:
 
 
 def effect(row: ClaimContrast) -> str:
-    """Return an effect in plain units, as 'kills 85 % against 83 %: 2 points more (−1 to 5)'.
+    """Return an effect in plain units, as 'kills: tanh 85 %, relu 83 %; +2 points (−1 to 5)'.
 
-    The interval is the one that holds together with all others of the world.
+    It is the first less the second. The interval is the one that holds together with all others of the world.
     """
     contrast, alone = row.contrast, not row.b and row.value == 0
     numbers = [*contrast.means, contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high]
@@ -165,16 +165,18 @@ def effect(row: ClaimContrast) -> str:
     else:
         if row.claim.event or _unit(row.outcome) == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
-        less = not alone and (numbers[2] < 0 or (numbers[2] == 0 and row.claim.direction == "less"))
-        if less:
-            numbers[2:] = [-number for number in (numbers[2], numbers[4], numbers[3])]
         places = _places(*numbers[2:])
         a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
-        difference += " less" if less else " more"
+        size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
     between = f" ({low} to {high})" if contrast.simultaneous.exists else ""
     if alone:
-        return f"{_said(row)} {size}{unit}{between}"
-    return f"{_said(row)} {a}{unit} against {b}{unit}: {size}{difference}{between}"
+        return f"{_said(row)}: {_arm(row.a)} {size}{unit}{between}"
+    other = _arm(row.b) if row.b else "threshold"
+    return f"{_said(row)}: {_arm(row.a)} {a}{unit}, {other} {b}{unit}; {size}{difference}{between}"
+
+
+def _arm(conditions: Arms) -> str:
+    return conditions[0] + " …" * (len(conditions) > 1)
 
 
 def _said(row: ClaimContrast) -> str:

@@ -143,10 +143,10 @@ class _Row:
 
 
 def _cell_lines(cell: str, column: float) -> list[str]:
-    """Return a verdict's word, and below it the effect; no line begins with a number."""
+    """Return a verdict's word, and below it the effect; the difference begins a line."""
     word, _, effect = cell.partition("\n")
-    together = effect.replace(" against ", " against\xa0").replace(" to ", "\xa0to\xa0")
-    lines = [line for part in re.split("(?<=:) ", together) for line in wrap(part, characters(SMALL, column))]
+    together = effect.replace(" to ", "\xa0to\xa0").replace(" %", "\xa0%")
+    lines = [line for part in re.split("(?<=;) ", together) for line in wrap(part, characters(SMALL, column))]
     return [word, *(line.replace("\xa0", " ") for line in lines)]
 
 

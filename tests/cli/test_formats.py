@@ -66,7 +66,7 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     """0.735 against 0.235: a difference of one half in every run."""
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     asked = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
-    effect = "kills 74 % against 24 %: 50 points more"
+    effect = "kills: high 74 %, low 24 %; +50 points"
     lines = printed(*asked, "--format", "markdown").splitlines()
     assert lines[0] == "| Section | The thesis's sentence | text |"
     assert lines[2].startswith(f"| 6 | “a quote” | holds<br>{effect} (")
@@ -76,4 +76,4 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
     told = call(*asked, "better").out
     assert told.startswith("better (section 6)\n  “a quote”\n    text            holds           kills")
-    assert "high against low, 8 and 8 runs: kills" in told
+    assert "high against low, 8 and 8 runs: kills: high" in told

@@ -19,7 +19,7 @@ from pneuma.figures.verdicts import SMALL, draw_verdicts
 from .hand_made_verdicts import claim, comparison, judged
 
 Numbers = tuple[tuple[float, float], tuple[float, float]]
-KILLS = "kills 85 % against 83 %: 2 points more (−1 to 5)"
+KILLS = "kills: tanh 85 %, relu 83 %; +2 points (−1 to 5)"
 MEANS = (0.85, 0.83), (-0.012, 0.052)
 
 
@@ -30,37 +30,37 @@ MEANS = (0.85, 0.83), (-0.012, 0.052)
         (
             {"outcome": "final-return"},
             ((8.6, 7.5), (0.3, 2.0)),
-            "return 8.6 against 7.5: 1.1 more (0.3 to 2.0)",
+            "return: tanh 8.6, relu 7.5; +1.1 (0.3 to 2.0)",
         ),
         (
             {"outcome": "final-return", "direction": "less"},
             ((3401, 3902), (-900, -101)),
-            "return 3,400 against 3,900: 500 less (100 to 900)",
+            "return: tanh 3,400, relu 3,900; −500 (−900 to −100)",
         ),
         (
             {"kind": "spread"},
             ((0.025, 0.04), (-0.037, 0.007)),
-            "spread of kills 2 % against 4 %: 2 points less (−1 to 4)",
+            "spread of kills: tanh 2 %, relu 4 %; −2 points (−4 to 1)",
         ),
         (
             {"kind": "range", "a": ("x", "y"), "b": ("y", "z")},
             ((0.4, 0.1), (0.1, 0.5)),
-            "range of kills 40 % against 10 %: 30 points more (10 to 50)",
+            "range of kills: x … 40 %, y … 10 %; +30 points (10 to 50)",
         ),
         (
             {"kind": "incidence", "b": (), "value": 0.2, "outcome": "one-action", "above": 0.9},
             ((1, 0.2), (0.7, 0.8)),
-            "runs with one action 100 % against 20 %: 80 points more (70 to 80)",
+            "runs with one action: tanh 100 %, threshold 20 %; +80 points (70 to 80)",
         ),
         (
             {"outcome": "log-max-grad-norm"},
             ((4.605, 3.912), (0.0, 1.386)),  # 100, 50; 1 to 4
-            "greatest gradient norm 100 against 50: 2.0 times as much (1.0 to 4.0)",
+            "greatest gradient norm: tanh 100, relu 50; 2.0 times as much (1.0 to 4.0)",
         ),
         (
             {"outcome": "late-slope", "b": (), "value": 0},
             ((-0.01, 0), (-0.05, 0.03)),
-            "late rise of kills −1 % (−5 to 3)",
+            "late rise of kills: tanh −1 % (−5 to 3)",
         ),
     ],
 )
@@ -81,7 +81,7 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], numbers: Number
             f"undecided\n{KILLS}; its two measures disagree",
         ),
         ("inconclusive", "", f"undecided\n{KILLS}"),
-        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nno runs yet"),
+        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nits runs are not trained yet"),
         ("untestable", "arms at floor: none of tanh, relu", "not tested\nthe agents learned nothing there"),
         ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
         ("untestable", "nothing to cure: 4 of 8 runs", "not tested\nnothing to cure"),
@@ -149,4 +149,4 @@ def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
     texts = drawn[0].axes[0].texts
     assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
     assert [text.get_text() for text in texts].count("holds") == 2
-    assert "kills 85 % against 83 %:\n2 points more (−1 to 5)" in [text.get_text() for text in texts]
+    assert "kills: tanh 85 %, relu 83 %;\n+2 points (−1 to 5)" in [text.get_text() for text in texts]
