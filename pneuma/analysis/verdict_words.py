@@ -144,7 +144,7 @@ def told(verdict: Verdict) -> str:
 def why(verdict: Verdict) -> str:
     """Return in a few words why a claim is not tested, or what its word does not say; mostly empty."""
     if verdict.lacks_runs:
-        return "not all of its runs are trained" if verdict.run_ids else "its runs are not trained yet"
+        return "partly trained" if verdict.run_ids else "not trained yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     reason = verdict.reason.partition(":")[0]

@@ -81,7 +81,7 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], numbers: Number
             f"undecided\n{KILLS}; its two measures disagree",
         ),
         ("inconclusive", "", f"undecided\n{KILLS}"),
-        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nits runs are not trained yet"),
+        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nnot trained yet"),
         ("untestable", "arms at floor: none of tanh, relu", "not tested\nthe agents learned nothing there"),
         ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
         ("untestable", "nothing to cure: 4 of 8 runs", "not tested\nnothing to cure"),
