@@ -23,7 +23,7 @@ PACKAGES = (
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable with the version and commit of code that was sent to another machine."""
 SOURCE = Path(__file__).parents[2]
-"""The source tree of this code."""
+"""The folder of this code, from which child processes import it even if it is not installed."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
