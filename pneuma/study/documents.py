@@ -62,8 +62,9 @@ def matches_schema(document: Mapping[str, Any], kind: type) -> bool:
 
 def sound_listing(document: Mapping[str, Any] | None, study: str) -> dict[str, Any] | None:
     """Return a document if it is the record of this study; None if not."""
-    whole = document and matches_schema(document, Listing) and document["study"] == study
-    return dict(document) if document and whole else None
+    if document and matches_schema(document, Listing) and document["study"] == study:
+        return dict(document)
+    return None
 
 
 _adapter = cache(TypeAdapter)

@@ -50,11 +50,7 @@ def prepare(
 ) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
 
-    Args:
-        plan: the plan.
-        store: the results folder.
-        retry_failed: whether runs that failed are trained again.
-        until: the only runs to train, with the step that each is to reach, or 0 for its end.
+    `until` has the only runs to train, with the step that each is to reach, or 0 for its end.
 
     Raises:
         UserError: before anything is written, if an environment cannot be made or the results folder cannot
@@ -110,11 +106,8 @@ def cell_results(
 ) -> list[CellResult]:
     """Return the state of a plan's cells, without those that are only published.
 
-    Args:
-        plan: the plan.
-        store: where its runs are.
-        todo: the runs that were to be trained; of those without a final event, the finished ones were.
-        ended: the final event of each run that ended; it holds where the end could not be stored.
+    The final event of a run, in `ended`, counts where the end could not be stored. Of the runs in `todo` that
+    have none, the finished ones were trained.
     """
     results = []
     for cell in plan.cells:

@@ -24,12 +24,9 @@ from pneuma.study.tables import from_parquet
 def encode_published(
     rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
 ) -> bytes:
-    """Return rows as a published table; the same rows give the same bytes.
+    """Return rows as a published table with the curves of some quantities, or all.
 
-    Args:
-        rows: one or more.
-        about: what `Published.about` gives back.
-        curves: quantities whose curves are kept; default: all.
+    The same rows give the same bytes. `Published.about` gives `about` back.
     """
     parts = [row.table for row in rows]
     table = _without_folders(pa.concat_tables(parts, promote_options="permissive").combine_chunks())
