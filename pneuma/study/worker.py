@@ -21,7 +21,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
@@ -190,8 +190,9 @@ def _train_once(
         if log:
             with suppress(OSError):
                 log.close()
-    status = Status(result.status, result.step, identity=run_identity(run))
+    status = Status(result.status, result.step)
     if status.name != "stopped":
+        status = replace(status, identity=run_identity(run))
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
         about |= {"warning": warned[0]} if warned else {}
         files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
