@@ -109,7 +109,7 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    return Plan(asked.study, cells, tuple(_notes(runs, steps, asked.same, asked.engine_left_open)))
+    return Plan(asked.study, cells, tuple(_notes(asked, runs, steps)))
 
 
 def _able_engines() -> Callable[[Run], str]:
@@ -283,20 +283,15 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
 
 
-def _notes(
-    runs: Mapping[str, Run],
-    steps: Mapping[str, int],
-    same: Sequence[Sequence[str]],
-    engine_left_open: Sequence[str],
-) -> Iterator[str]:
+def _notes(asked: Configurations, runs: Mapping[str, Run], steps: Mapping[str, int]) -> Iterator[str]:
     """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
     budgets = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
     for requested, planned, update in dict.fromkeys(budgets):
         if requested != planned:
             yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"
-    for names in same:
+    for names in asked.same:
         yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
-    for name in engine_left_open:
+    for name in asked.engine_left_open:
         if runs[name].engine != ENGINES[0]:
             reason = beyond_engine(runs[name]) or "such actions"
             yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"
