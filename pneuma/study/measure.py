@@ -235,11 +235,7 @@ def _wide(scalars: pd.DataFrame) -> pd.DataFrame:
 
 
 def row_cells(
-    run_id: str,
-    status: Status,
-    fields: Mapping[str, Any],
-    recorded: Recorded,
-    provenance: Mapping[str, Any],
+    run_id: str, status: Status, fields: Mapping[str, Any], recorded: Recorded, provenance: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])

@@ -92,11 +92,7 @@ class Executor(Protocol):
         """
 
     def run_groups(
-        self,
-        groups: Iterable[Mapping[str, Run]],
-        store: Store,
-        how: ExecutorConfig,
-        on_event: OnEvent,
+        self, groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
     ) -> None:
         """Train all groups of runs and pass their events to `on_event`.
 
