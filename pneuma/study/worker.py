@@ -3,7 +3,7 @@
     python -m pneuma.study.worker < job
 
 The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out as
-lines of JSON: `step` at the start and now and then, `note` for users, `passing` for those who watch, `busy`
+lines of JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy`
 if another process holds a run, `end` for every run. Standard input stays open: after a line `stop` the worker
 goes on to a checkpoint and ends. When it closes, because the parent has ended, the worker ends at once.
 """
