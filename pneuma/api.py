@@ -255,7 +255,7 @@ def _selection(
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
     names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
-    return plan.Selection(preset, read, count, names, None if settings is None else plain(dict(settings)))
+    return plan.Selection(preset, read, count, names, plain(dict(settings or {})))
 
 
 def _count(name: str, value: object) -> int | None:

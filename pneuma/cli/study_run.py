@@ -137,7 +137,7 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(name, chosen.world)
-    fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
+    fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
     named_code = dict.fromkeys(deed for settings in fields for deed in describe_user_code(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)

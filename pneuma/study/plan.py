@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -53,7 +53,7 @@ class Selection:
     seeds: tuple[int, ...] | None = None
     steps: int | None = None
     conditions: tuple[str, ...] = ()
-    settings: Mapping[str, Any] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
     wanted = selection.conditions or tuple(amounts)
-    asked = configure(study, selection.settings or {}, wanted, engine or _able_engines())
+    asked = configure(study, selection.settings, wanted, engine or _able_engines())
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
     runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
@@ -210,8 +210,8 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     """
 
     def read(key: str, value: Any) -> Any:
-        field = {key: read_field(Run, key, value)}
-        return (files_beside(study.path, field) if study.path else field)[key]
+        one = {key: read_field(Run, key, value)}
+        return (files_beside(study.path, one) if study.path else one)[key]
 
     from pneuma.study.study_file import short
 
