@@ -28,7 +28,7 @@ from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import stored_run
+from pneuma.study.stored_runs import find_run, stored_settings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,25 +73,15 @@ def run_study(
         UserError: for an unknown study, selection or world, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
-    steps, workers, settings = map(plain, (steps, workers, None if settings is None else dict(settings)))
-    _check_counts(steps=steps, workers=workers)
-    selection = plan.Selection(
-        preset=preset,
-        seeds=None if seeds is None else _seeds(seeds),
-        steps=steps,
-        conditions=(conditions,) if isinstance(conditions, str) else tuple(conditions),
-        settings=settings,
-    )
+    selection = _selection(seeds, steps, conditions, settings, preset)
+    most = _count("workers", workers) or available_cores()
     asked = spec.load_study(os.fspath(study), world)
     if preset == spec.CLAIMS:
         from pneuma.analysis.claims import with_claims
 
-        asked = with_claims(asked, steps)
+        asked = with_claims(asked, selection.steps)
     planned, store = plan.make_plan(asked, selection), _store(results)
-    how = ExecutorConfig(
-        workers=workers or available_cores(),
-        keep_checkpoints=planned.study.keep_checkpoints,
-    )
+    how = ExecutorConfig(workers=most, keep_checkpoints=planned.study.keep_checkpoints)
     todo, _ = execute.prepare(planned, store)
     with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:
         outcomes = execute.execute(planned, todo, store, how, on_progress or display.update)
@@ -102,7 +92,7 @@ def run_study(
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     seeds = sorted({cell.seed for cell in planned.cells})
-    steps = steps or max(cell.run.steps for cell in planned.cells)
+    steps = selection.steps or max(cell.run.steps for cell in planned.cells)
     return open_data(
         study, results, steps=steps, seeds=seeds, conditions=conditions, settings=settings, world=world
     )
@@ -135,10 +125,7 @@ def open_data(
     from pneuma.analysis.asked import open_study
     from pneuma.analysis.run_index import RunIndex
 
-    steps, settings = map(plain, (steps, None if settings is None else dict(settings)))
-    _check_counts(steps=steps)
-    conditions = (conditions,) if isinstance(conditions, str) else tuple(conditions)
-    picked = plan.Selection(None, None if seeds is None else _seeds(seeds), steps, conditions, settings)
+    picked = _selection(seeds, steps, conditions, settings)
     return open_study(RunIndex(_store(results)), os.fspath(study), picked, world)
 
 
@@ -188,8 +175,8 @@ def load_policy(
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     store = _store(results)
-    stored = stored_run(store, run_id)
-    found, run = stored.run_id, stored.settings
+    found = find_run(store, run_id)
+    run = stored_settings(store, found)
     if POLICY_FILE not in store.checksums(found):
         raise UserError(f"run {found} left no policy")
     env = str(run.get("env"))
@@ -254,15 +241,25 @@ def _store(results: Where | None) -> Store:
     return Store(os.environ.get("PNEUMA_RESULTS", "results") if results is None else results)
 
 
-def _check_counts(**counts: object) -> None:
-    for name, count in counts.items():
-        if count is not None and not (isinstance(count, int) and count >= 1):
-            raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
-
-
-def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+def _selection(
+    seeds: int | Sequence[int] | None,
+    steps: int | None,
+    conditions: Sequence[str],
+    settings: Mapping[str, Any] | None,
+    preset: str | None = None,
+) -> plan.Selection:
+    count, seeds = _count("steps", steps), plain(seeds)
     try:
-        seeds = plain(seeds)
-        return spec.read_seeds(seeds if isinstance(seeds, int) else plain([*seeds]))
-    except (ValueError, TypeError, UserError):
+        listed = seeds if seeds is None or isinstance(seeds, int) else plain([*seeds])
+        read = None if listed is None else spec.read_seeds(listed)
+    except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
+    names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
+    return plan.Selection(preset, read, count, names, plain(dict(settings or {})))
+
+
+def _count(name: str, value: object) -> int | None:
+    count: int | None = plain(value)
+    if count is not None and not (isinstance(count, int) and count >= 1):
+        raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
+    return count

@@ -212,12 +212,7 @@ def read_model(
 ) -> Model:
     """Check a table of a file, the whole file by default.
 
-    Args:
-        model: the model of the table.
-        file: the file.
-        where: the table.
-        usual: defaults for missing keys.
-        fixed: values that replace those of the table.
+    `usual` has values of missing keys, `fixed` those that replace what the table says.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.

@@ -20,7 +20,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.env_fields import make_env_config
 from pneuma.files import to_json
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import stored_run
+from pneuma.study.stored_runs import find_run, stored_settings
 
 SEED = 0
 
@@ -36,7 +36,8 @@ def record(run_id: str, results: str) -> dict[str, Any]:
         chosen = act(worlds)
         actions += str(chosen[0, 0])
         worlds.step(chosen)
-    steps = stored_run(Store(results), run_id).settings["steps"]
+    store = Store(results)
+    steps = stored_settings(store, find_run(store, run_id))["steps"]
     return {"run": run_id, "steps": steps, "env": env, "seed": SEED, "actions": actions}
 
 

@@ -99,7 +99,7 @@ def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None =
     if not of_file and (listing := index.listing(name)) is not None:
         return _ask_listed(index, listing, picked)
     study = load_study(name, world, () if of_file else index.listings())
-    found = configure(study, picked.settings or {}, picked.conditions, index.engine_of)
+    found = configure(study, picked.settings, picked.conditions, index.engine_of)
     fields = {name: _without_amount(as_fields(run)) for name, run in found.runs.items()}
     narrowed = picked.conditions if {*found.origins} < {*found.study.conditions} else ()
     return Asked(found.study, fields, found.runs, same=found.same, narrowed=narrowed)

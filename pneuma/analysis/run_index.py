@@ -107,10 +107,9 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
-            from pneuma.study.documents import Listing, matches_schema  # pydantic: not for `--help`
+            from pneuma.study.documents import sound_listing  # pydantic: not for `--help`
 
-            published = self.tables[name].about.get("listing") or {}
-            listing = published if matches_schema(published, Listing) and published["study"] == name else None
+            listing = sound_listing(self.tables[name].about.get("listing"), name)
         return listing
 
     def listings(self) -> list[str]:

@@ -15,8 +15,8 @@ from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claim_table import Arms, ClaimContrast
-from pneuma.analysis.claims import MINUS, Claim
+from pneuma.analysis.claim_table import ClaimContrast
+from pneuma.analysis.claims import MINUS, Arms, Claim
 from pneuma.analysis.intervals import MOST, decimals, shown
 from pneuma.analysis.judgement import (
     INCONCLUSIVE,

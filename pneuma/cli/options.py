@@ -315,7 +315,7 @@ def selecting_words(selection: Selection) -> list[str]:
         words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
     words += ["--steps", str(selection.steps)] if selection.steps is not None else []
     words += [word for name in selection.conditions for word in ("--condition", name)]
-    return words + setting_words(selection.settings or {})
+    return words + setting_words(selection.settings)
 
 
 # --- Commands --------------------------------------------------------------------------------------

@@ -13,11 +13,10 @@ from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
 from pneuma.env_fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
-from pneuma.study import stored_runs
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import StoredRun
+from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings
 from pneuma.values import shown_value
 
 app = opt.Commands("Look at single runs and take them along.")
@@ -57,24 +56,25 @@ def show(
 ) -> Result:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
-    run = stored_runs.stored_run(store, name)
+    run_id = find_run(store, name)
+    status, settings = store.status(run_id), stored_settings(store, run_id)
     from pneuma.analysis.held import holders
     from pneuma.analysis.run_index import RunIndex
 
-    held = holders(RunIndex(store)).get(run.run_id, [])
-    usual = stored_runs.default_settings(run.settings)
-    differing = {key: value for key, value in run.settings.items() if value != usual.get(key)}
-    provenance = store.read_document(run.run_id, "provenance.json")
-    defaults, files = {key: usual.get(key) for key in differing}, run.files()
+    held = holders(RunIndex(store)).get(run_id, [])
+    usual = default_settings(settings)
+    differing = {key: value for key, value in settings.items() if value != usual.get(key)}
+    provenance = store.read_document(run_id, "provenance.json")
+    defaults, files = {key: usual.get(key) for key in differing}, run_files(store, run_id)
 
     def shown() -> Iterator[str | Table]:
-        detail = f" ({run.status.detail})" if run.status.detail else ""
-        yield f"run {run.run_id}: {run.status.name}{detail}, {run.status.step:,} steps trained"
+        detail = f" ({status.detail})" if status.detail else ""
+        yield f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
         for study in held:
             yield f"study {study['study']}, condition {study['condition']}, seed {study['seed']}"
         yield ""
         yield "Fields" if all_ else "Fields that are not at their defaults (--all shows the others)"
-        for key, value in (run.settings if all_ else differing).items():
+        for key, value in (settings if all_ else differing).items():
             default = f"   (default {shown_value(defaults[key])})" if key in defaults else ""
             yield f"  {key} = {shown_value(value)}{default}"
         yield ""
@@ -85,8 +85,8 @@ def show(
         rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in files]
         yield Table([""] * 3, rows)
 
-    head = {"run_id": run.run_id, "status": run.status.name, "step": run.status.step, "studies": held}
-    about = {"settings": run.settings, "defaults": defaults, "provenance": provenance}
+    head = {"run_id": run_id, "status": status.name, "step": status.step, "studies": held}
+    about = {"settings": settings, "defaults": defaults, "provenance": provenance}
     return Result({**head, **about, "files": files}, shown())
 
 
@@ -117,7 +117,7 @@ def fork(
     `export` take its name.
     """
     store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
-    plan = plan_fork(store, stored_runs.find_run(store, name), at, change, seeds, trust)
+    plan = plan_fork(store, find_run(store, name), at, change, seeds, trust)
     return train(plan, store, ExecutorConfig(workers=opt.most_workers(workers)), True, quiet)
 
 
@@ -137,31 +137,33 @@ def export(
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"), force)
     store = Store(results)
-    run = stored_runs.stored_run(store, name)
+    run_id = find_run(store, name)
+    status = store.status(run_id)
     try:
-        data = _exported(store, run, out.suffix.lower(), trust)
+        data = _exported(store, run_id, status.name, out.suffix.lower(), trust)
     except UserError as error:
-        raise UserError(f"run {run.run_id}: {error}") from None
+        raise UserError(f"run {run_id}: {error}") from None
     write_file(out, data)
-    told = f"wrote {out}: {len(data):,} bytes, the policy of run {run.run_id} after {run.status.step:,} steps"
-    return Result({"run_id": run.run_id, "file": out, "bytes": len(data)}, [told])
+    told = f"wrote {out}: {len(data):,} bytes, the policy of run {run_id} after {status.step:,} steps"
+    return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [told])
 
 
-def _exported(store: Store, run: StoredRun, suffix: str, trust: bool) -> bytes:
+def _exported(store: Store, run_id: str, status: str, suffix: str, trust: bool) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines import mailman
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
-    if POLICY_FILE not in store.checksums(run.run_id) or not run.settings:
-        raise UserError(f"is {run.status.name}: it has no policy to export")
-    settings, policy = make_run(run.settings), read_sound_policy(store.read_file(run.run_id, POLICY_FILE))
+    fields = stored_settings(store, run_id)
+    if POLICY_FILE not in store.checksums(run_id) or not fields:
+        raise UserError(f"is {status}: it has no policy to export")
+    settings, policy = make_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
     if policy.players > 1:
         raise UserError(
             f"has a policy for each of {policy.players} players: a file for other programs holds one"
         )
     if suffix == ".zip":
         return exports.to_sb3(policy, settings, exports.observation_space(policy, settings, trust))
-    about = {"run_id": run.run_id, "env": settings.env}
+    about = {"run_id": run_id, "env": settings.env}
     if settings.env in ENVIRONMENTS:
         about["observation"] = settings.observation
         return exports.to_onnx(policy, about, action_names(env_config(settings)))

@@ -142,7 +142,7 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
 
         for outcome in study.outcomes:
             find_outcome(outcome)
-    fields = [study.fields(condition, chosen.selection.settings or {}) for condition in study.conditions]
+    fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
     named_code = dict.fromkeys(deed for settings in fields for deed in describe_user_code(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):
         say(f"Note: the study's file asks to {deed}.", aside=True)

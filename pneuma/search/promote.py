@@ -204,7 +204,7 @@ def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
         if np.isfinite(arms).all():  # not where a threshold was never reached
             between = difference_interval(arms[0], arms[1])
             difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
-        alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(planned.seeds)
+        alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
         sign = 1 if objective.direction == "maximize" else -1
         luck = sign * (seen - value) if alike and won[0].run.steps == searched_steps else math.nan
         found[objective.name] = Gain(seen, value, base, difference, interval, luck)

@@ -26,7 +26,7 @@ from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
 from pneuma.study.identity import run_id, user_files_digest
 from pneuma.study.measure import row_until, stored_row
-from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
@@ -272,7 +272,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         conditions={cell.condition: {} for cell in cells},
         world=task.search.world,
     )
-    return Plan(study, Selection(seeds=task.budget.seeds), tuple(cells), (), ())
+    return Plan(study, tuple(cells))
 
 
 def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: JournalLog) -> None:

@@ -9,6 +9,7 @@ a run trains, its latest two are kept, and those that the study keeps for forks.
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -125,10 +126,10 @@ class RunCheckpoints:
             UserError: when the parent no longer has it.
         """
         parent, step = self._run.parent, self._run.fork_step
-        for file in checkpoint_files(self._store.run_folder(parent)):
-            if file.step == step and (read := read_checkpoint(file)):
-                return read[0]
-        raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
+        found = sound_checkpoint(self._store.run_folder(parent), step)
+        if found is None or found.step != step:
+            raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
+        return found
 
 
 def _remove(path: Path) -> None:
@@ -155,10 +156,10 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
 
 
-def last_healthy_step(store: Store, name: str) -> int:
-    """Return the step of a run's latest sound checkpoint; 0 if it has none."""
-    files = checkpoint_files(store.run_folder(name))
-    return next((file.step for file in files if read_checkpoint(file)), 0)
+def sound_checkpoint(folder: Path, until: float = math.inf) -> Checkpoint | None:
+    """Return the latest sound checkpoint in a run's folder up to a step; None if there is none."""
+    files = (file for file in checkpoint_files(folder) if file.step <= until)
+    return next((read[0] for file in files if (read := read_checkpoint(file))), None)
 
 
 def file_name(step: int, data: bytes) -> str:

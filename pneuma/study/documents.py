@@ -60,4 +60,11 @@ def matches_schema(document: Mapping[str, Any], kind: type) -> bool:
     return True
 
 
+def sound_listing(document: Mapping[str, Any] | None, study: str) -> dict[str, Any] | None:
+    """Return a document if it is the record of this study; None if not."""
+    if document and matches_schema(document, Listing) and document["study"] == study:
+        return dict(document)
+    return None
+
+
 _adapter = cache(TypeAdapter)

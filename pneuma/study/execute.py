@@ -6,7 +6,7 @@ Plan → groups of runs → executor → store
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,11 +50,7 @@ def prepare(
 ) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
 
-    Args:
-        plan: the plan.
-        store: the results folder.
-        retry_failed: whether runs that failed are trained again.
-        until: the only runs to train, with the step that each is to reach, or 0 for its end.
+    `until` has the only runs to train, with the step that each is to reach, or 0 for its end.
 
     Raises:
         UserError: before anything is written, if an environment cannot be made or the results folder cannot
@@ -63,12 +59,14 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     if until is not None:
-        from pneuma.study.checkpoints import last_healthy_step  # pydantic: not for `--help`
+        from pneuma.study.checkpoints import sound_checkpoint  # pydantic: not for `--help`
+
+        def reached(name: str) -> int:
+            latest = sound_checkpoint(store.run_folder(name))
+            return latest.step if latest else 0
 
         todo = {
-            name: run
-            for name, run in todo.items()
-            if name in until and not 0 < until[name] <= last_healthy_step(store, name)
+            name: run for name, run in todo.items() if name in until and not 0 < until[name] <= reached(name)
         }
     check_environments(todo.values())
     store.check_writable()
@@ -104,21 +102,17 @@ def execute(
 
 
 def cell_results(
-    plan: Plan, store: Store, todo: Mapping[str, Run], ended: Mapping[str, Event] | None = None
+    plan: Plan, store: Store, todo: Collection[str], ended: Mapping[str, Event] = {}
 ) -> list[CellResult]:
     """Return the state of a plan's cells, without those that are only published.
 
-    Args:
-        plan: the plan.
-        store: where its runs are.
-        todo: the runs that were to be trained.
-        ended: the final event of each run that ended; it holds where the end could not be stored. If None,
-            the runs of `todo` that are finished now were trained.
+    The final event of a run, in `ended`, counts where the end could not be stored. Of the runs in `todo` that
+    have none, the finished ones were trained.
     """
     results = []
     for cell in plan.cells:
-        status, end = store.status(cell.run_id), (ended or {}).get(cell.run_id, {})
-        trained = bool(end["trained"]) if end else ended is None and status.finished and cell.run_id in todo
+        status, end = store.status(cell.run_id), ended.get(cell.run_id, {})
+        trained = bool(end["trained"]) if end else status.finished and cell.run_id in todo
         if end and not status.finished:
             status = Status(end["status"], status.step)
         if status.finished or cell.run_id not in plan.published:

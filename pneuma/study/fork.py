@@ -16,7 +16,7 @@ from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import describe_user_code, run_id
-from pneuma.study.plan import Cell, Plan, Selection
+from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import stored_settings
@@ -135,7 +135,7 @@ def _plan(
         for condition, runs in conditions.items()
         for run in [replace(runs[parent], seed=seed)]
     )
-    return Plan(study, Selection(seeds=places), cells, (), notes)
+    return Plan(study, cells, notes)
 
 
 # --- Parents ---------------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
 
 def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
     """Return the step of the parent's last checkpoint before `at` that leaves something to train."""
-    from pneuma.study.checkpoints import checkpoint_files, read_checkpoint
+    from pneuma.study.checkpoints import checkpoint_files, sound_checkpoint
 
     if at >= whole.steps:
         ends = f"run {parent} ends at step {whole.steps}"
@@ -174,11 +174,11 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
     if not files:
         hint = "those of a study do that says keep_checkpoints, and forks never"
         raise UserError(f"run {parent} kept no checkpoints: {hint}")
-    sound = next((file.step for file in files if file.step <= at and read_checkpoint(file)), None)
+    sound = sound_checkpoint(store.run_folder(parent), at)
     if sound is None:
         first = f"the first checkpoint of run {parent} is at step {files[-1].step}"
         raise UserError(f"--at {at}: none is sound up to there; {first}")
-    return sound
+    return sound.step
 
 
 # --- Changes ---------------------------------------------------------------------------------------

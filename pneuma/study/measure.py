@@ -22,7 +22,8 @@ import pyarrow.compute as pc
 from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.files import parse_json
-from pneuma.study.checkpoints import TABLES, checkpoint_files, read_checkpoint, table_files
+from pneuma.study import rows, series
+from pneuma.study.checkpoints import TABLES, sound_checkpoint, table_files
 from pneuma.study.identity import config_id, own_names, run_id
 from pneuma.study.quantities import (
     EPISODE_QUANTITIES,
@@ -32,34 +33,7 @@ from pneuma.study.quantities import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.study.rows import (
-    AVERAGED_OVER,
-    EVALUATIONS,
-    EXACT,
-    LAST_EPISODES,
-    PEAKS,
-    STUCK,
-    Row,
-    curve_column,
-    decode_row,
-    encode_row,
-)
-from pneuma.study.series import (
-    EXTREMES,
-    GRID_POINTS,
-    STATISTICS,
-    TRAILING_EPISODES,
-    WINDOW_POINTS,
-    Series,
-    episode_curve,
-    held_curve,
-    make_grid,
-    pack_signs,
-    peak_curve,
-    stuck_updates,
-    update_curve,
-    update_signs,
-)
+from pneuma.study.rows import Row, curve_column, decode_row, encode_row
 from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store, run_identity
 from pneuma.study.tables import record_table
 
@@ -90,7 +64,7 @@ class Recorded:
         averaged_over: episodes over which returns were averaged when they were logged; None if they were not.
     """
 
-    series: Mapping[str, Series]
+    series: Mapping[str, series.Series]
     evaluations: Sequence[Mapping[str, Any]]
     first_step: float = math.inf
     averaged_over: int | None = None
@@ -98,7 +72,7 @@ class Recorded:
 
 def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Recorded:
     """Return what a run's record tables hold."""
-    series: dict[str, Series] = {}
+    found: dict[str, series.Series] = {}
     for name, quantities in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
         table = tables[name]
         steps = table["step"].to_numpy().astype(float)
@@ -106,23 +80,23 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Reco
         for quantity in quantities:
             if quantity in table.column_names:
                 values = table[quantity].to_numpy().astype(float)
-                series[quantity] = steps[order], values[order]
+                found[quantity] = steps[order], values[order]
     firsts = tables["episodes"].group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
     slots, players = fields.get("slots"), fields.get("players", 1)
     all_began = isinstance(slots, int) and isinstance(players, int) and len(firsts) == slots * players
     first_step = float(firsts.max()) if all_began and len(firsts) else math.inf
-    return Recorded(series, tables["evaluations"].to_pylist(), first_step)
+    return Recorded(found, tables["evaluations"].to_pylist(), first_step)
 
 
 def of_log(scalars: pd.DataFrame) -> Recorded:
     """Return what the points (tag, step, value, superseded) of an imported log hold."""
     named = named_scalars(scalars)
-    series = {}
+    found = {}
     for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
         points = named[named["name"] == quantity]
         if len(points):
-            series[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return Recorded(series, _logged_evaluations(named), averaged_over=TRAILING_EPISODES)
+            found[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
+    return Recorded(found, _logged_evaluations(named), averaged_over=series.TRAILING_EPISODES)
 
 
 _OF_RUNS = ("run_id", "condition", "seed")
@@ -143,8 +117,8 @@ def named_scalars(scalars: pd.DataFrame) -> pd.DataFrame:
     scalars = scalars[~scalars["superseded"].astype(bool)]
     values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
     for tag in ONE_EPISODE:
-        rows = scalars["tag"] == tag
-        values[rows] = values[rows].rolling(TRAILING_EPISODES, 1).mean()
+        of_tag = scalars["tag"] == tag
+        values[of_tag] = values[of_tag].rolling(series.TRAILING_EPISODES, 1).mean()
     plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
     names = {tag: name for name, tags in TAGS.items() for tag in tags}
     return scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)
@@ -185,12 +159,12 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
     if store.status(name, quick=True).finished:
         files = {table: store.read_file(name, f"{table}.parquet") for table in TABLES}
     else:
-        read = next(filter(None, map(read_checkpoint, checkpoint_files(store.run_folder(name)))), None)
-        if read is None or read[0].step < step:
+        latest = sound_checkpoint(store.run_folder(name))
+        if latest is None or latest.step < step:
             raise UserError(
                 f"{store.run_folder(name)}: has no sound checkpoint at step {step:,}; search again"
             )
-        files = table_files(read[0].records)
+        files = table_files(latest.records)
     tables = {table: record_table(data, table) for table, data in files.items()}
     tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
     status, fields = Status("done", step, identity=run_identity(run)), as_fields(run)
@@ -253,7 +227,7 @@ def _wide(scalars: pd.DataFrame) -> pd.DataFrame:
     known = [name for name in TAGS if name in frame]
     frame = frame[[*known, *sorted(str(name) for name in frame if name not in known)]]
     frame.columns.name = None
-    averaged = {name: f"{name}_mean_{TRAILING_EPISODES}" for name in EPISODE_QUANTITIES}
+    averaged = {name: f"{name}_mean_{series.TRAILING_EPISODES}" for name in EPISODE_QUANTITIES}
     return frame.rename(columns=averaged).reset_index()
 
 
@@ -261,14 +235,10 @@ def _wide(scalars: pd.DataFrame) -> pd.DataFrame:
 
 
 def row_cells(
-    run_id: str,
-    status: Status,
-    fields: Mapping[str, Any],
-    recorded: Recorded,
-    provenance: Mapping[str, Any],
+    run_id: str, status: Status, fields: Mapping[str, Any], recorded: Recorded, provenance: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
-    grid = make_grid(fields["steps"])
+    grid = series.make_grid(fields["steps"])
     updates = {name: values for name, (_, values) in recorded.series.items() if name in UPDATE_QUANTITIES}
     step = recorded.series[next(iter(updates))][0] if updates else np.empty(0)
     cells: dict[str, Any] = {
@@ -280,18 +250,18 @@ def row_cells(
         "steps": fields["steps"],
         "fields": json.dumps(fields),
         "provenance": json.dumps(provenance),
-        "signs": pack_signs(update_signs(step, updates)),
-        EVALUATIONS: list(recorded.evaluations),
+        "signs": series.pack_signs(series.update_signs(step, updates)),
+        rows.EVALUATIONS: list(recorded.evaluations),
     }
     if recorded.averaged_over:
-        cells[AVERAGED_OVER] = recorded.averaged_over
+        cells[rows.AVERAGED_OVER] = recorded.averaged_over
     if updates:
-        cells |= dict(zip(STUCK, stuck_updates(step, updates), strict=True))
+        cells |= dict(zip(rows.STUCK, series.stuck_updates(step, updates), strict=True))
     for quantity in recorded.series:
         cells |= _of_quantity(recorded, quantity, grid, status.step)
     if "return" in recorded.series and not recorded.averaged_over:
         curve = np.array(cells[curve_column("return", WINDOWS[0])])
-        cells[LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)
+        cells[rows.LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)
     return cells
 
 
@@ -300,7 +270,7 @@ def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> flo
     known = np.flatnonzero(np.isfinite(curve))
     if not len(known):
         return 0.0
-    end, window = grid[known[-1]], grid[-1] * WINDOW_POINTS / GRID_POINTS
+    end, window = grid[known[-1]], grid[-1] * series.WINDOW_POINTS / series.GRID_POINTS
     return float(np.count_nonzero((step > end - window) & (step <= end)))
 
 
@@ -308,9 +278,9 @@ def _of_quantity(recorded: Recorded, quantity: str, grid: np.ndarray, end: int) 
     """Return the cells of one quantity: its curves, rounded, and what of them is kept exact."""
     curves = dict(_curves(recorded, quantity, grid, end))
     usual = next(iter(curves.values()))
-    exact = {name: (usual, STATISTICS[name]) for name in EXACT.get(quantity, ())}
-    if take := EXTREMES.get(quantity):
-        curves[f"{quantity} {PEAKS}"] = peaks = peak_curve(*recorded.series[quantity], grid, take)
+    exact = {name: (usual, series.STATISTICS[name]) for name in rows.EXACT.get(quantity, ())}
+    if take := series.EXTREMES.get(quantity):
+        curves[f"{quantity} {rows.PEAKS}"] = peaks = series.peak_curve(*recorded.series[quantity], grid, take)
         exact["peak"] = peaks, lambda step, values, until: float(take.reduce(values))
     cells: dict[str, Any] = {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()}
     for name, (curve, statistic) in exact.items():
@@ -327,14 +297,14 @@ def _curves(
     step, values = recorded.series[quantity]
     windows = WINDOWS if quantity in ("return", "length") else WINDOWS[:1]  # as SB3 logs
     if quantity in UPDATE_QUANTITIES:
-        yield quantity, update_curve(step, values, grid, end)
+        yield quantity, series.update_curve(step, values, grid, end)
     elif recorded.averaged_over:
         single = values.astype(np.float32).astype(float)
-        yield curve_column(quantity, "trailing-100"), held_curve(step, single, grid, end)
+        yield curve_column(quantity, "trailing-100"), series.held_curve(step, single, grid, end)
     else:
         for window in windows:
             trailing, first = window != WINDOWS[0], recorded.first_step
-            curve = episode_curve(step, values, grid, trailing=trailing, from_step=first, end=end)
+            curve = series.episode_curve(step, values, grid, trailing=trailing, from_step=first, end=end)
             yield curve_column(quantity, window), curve
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -30,8 +30,10 @@ from pneuma.study.identity import run_id
 from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, files_beside, unread_fields
 from pneuma.values import read_value, split_list
 
-Swept = Mapping[str, Sequence[tuple[Any, Any]]]
-"""The values of fields to sweep, each as the user wrote it and as it was read."""
+Swept = Mapping[str, Mapping[str, Any]]
+"""The values of fields to sweep, by `key=value` as the user wrote it."""
+Variant = tuple[str, dict[str, Any]]
+"""A condition of the study's file, and the fields that are changed in it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Selection:
     seeds: tuple[int, ...] | None = None
     steps: int | None = None
     conditions: tuple[str, ...] = ()
-    settings: Mapping[str, Any] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,25 +71,18 @@ class Plan:
     """The cells of a selection, seed by seed.
 
     Attributes:
-        same: groups of conditions that resolve to the same configuration; comparing them is A/A.
         notes: sentences for the user, for example that the budget was rounded up.
         published: ids of runs that need no training because a published table has them.
     """
 
     study: Study
-    selection: Selection
     cells: tuple[Cell, ...]
-    same: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     published: frozenset[str] = frozenset()
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(cell.condition for cell in self.cells))
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        return tuple(dict.fromkeys(cell.seed for cell in self.cells))
 
 
 def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] | None = None) -> Plan:
@@ -103,7 +98,7 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
     wanted = selection.conditions or tuple(amounts)
-    asked = configure(study, selection.settings or {}, wanted, engine or _able_engines())
+    asked = configure(study, selection.settings, wanted, engine or _able_engines())
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
     runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
@@ -114,8 +109,7 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    notes = tuple(_notes(runs, steps, asked.same, asked.engine_left_open))
-    return Plan(asked.study, selection, cells, asked.same, notes)
+    return Plan(asked.study, cells, tuple(_notes(asked, runs, steps)))
 
 
 def _able_engines() -> Callable[[Run], str]:
@@ -170,17 +164,23 @@ def configure(
                 f"--set {key}: conditions of study {study.name} set it; choose them by --condition"
             )
     over, swept = _read_settings(study, settings)
-    crossed, every = _sweep(study, swept)
+    variants = _sweep(study, swept)
     for name in wanted:
-        if name not in crossed.conditions and name not in study.conditions:
-            origin, fields = _with_changes(study, name)
-            if origin is None:
-                raise unknown_name(f"condition of study {study.name}", name, crossed.conditions)
-            crossed = replace(crossed, conditions={**crossed.conditions, name: fields})
-            every = {**every, name: origin}
+        if name not in variants and name not in study.conditions:
+            if (changed := _with_changes(study, name)) is None:
+                raise unknown_name(f"condition of study {study.name}", name, variants)
+            variants[name] = changed
+    crossed = replace(
+        study,
+        conditions={
+            name: {**study.conditions[origin], **fields} for name, (origin, fields) in variants.items()
+        },
+        baseline=next(name for name, (origin, _) in variants.items() if origin == study.baseline),
+        settings=dict(settings),
+    )
     origins = {
         name: origin
-        for name, origin in every.items()
+        for name, (origin, _) in variants.items()
         if not wanted or name in wanted or (swept and origin in wanted)
     }
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
@@ -194,7 +194,7 @@ def configure(
     for name, run in runs.items():
         by_configuration.setdefault(replace(run, steps=1), []).append(name)  # of unlike updates
     same = tuple(tuple(group) for group in by_configuration.values() if len(group) > 1)
-    return Configurations(replace(crossed, settings=dict(settings)), runs, origins, same, left_open)
+    return Configurations(crossed, runs, origins, same, left_open)
 
 
 def round_up(run: Run, steps: int) -> int:
@@ -210,8 +210,10 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     """
 
     def read(key: str, value: Any) -> Any:
-        field = {key: read_field(Run, key, value)}
-        return (files_beside(study.path, field) if study.path else field)[key]
+        one = {key: read_field(Run, key, value)}
+        return (files_beside(study.path, one) if study.path else one)[key]
+
+    from pneuma.study.study_file import short
 
     players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
@@ -224,39 +226,34 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
             if not several or key not in Run.__dataclass_fields__:
                 raise
         if several and (key not in single or (key in OF_PLAYERS and {*players} == {1})):
-            swept[key] = [(one, read(key, one)) for one in values]
+            swept[key] = {f"{key}={short(one)}": read(key, one) for one in values}
             single.pop(key, None)
     return single, swept
 
 
-def _sweep(study: Study, swept: Swept) -> tuple[Study, dict[str, str]]:
-    """Cross a study's conditions with swept fields; also return the original condition of each new one."""
-    if not swept:
-        return study, {name: name for name in study.conditions}
-    from pneuma.study.study_file import MOST_CONDITIONS, short
+def _sweep(study: Study, swept: Swept) -> dict[str, Variant]:
+    """Cross a study's conditions with the values of swept fields."""
+    from pneuma.study.study_file import MOST_CONDITIONS
 
-    crossed, origins = {}, {}
-    if (count := math.prod(map(len, [study.conditions, *swept.values()]))) > MOST_CONDITIONS:
+    count = math.prod(map(len, [study.conditions, *swept.values()]))
+    if swept and count > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
-    for pairs, origin in product(product(*swept.values()), study.conditions):
-        said = [f"{key}={short(written)}" for key, (written, _) in zip(swept, pairs, strict=True)]
-        name = ", ".join([origin, *said])
-        fields = {key: value for key, (_, value) in zip(swept, pairs, strict=True)}
-        crossed[name], origins[name] = {**study.conditions[origin], **fields}, origin
-    baseline = next(name for name, origin in origins.items() if origin == study.baseline)
-    return replace(study, conditions=crossed, baseline=baseline), origins
+    variants = {}
+    for *chosen, origin in product(*swept.values(), study.conditions):
+        fields = {key: swept[key][said] for key, said in zip(swept, chosen, strict=True)}
+        variants[", ".join([origin, *chosen])] = origin, fields
+    return variants
 
 
-def _with_changes(study: Study, name: str) -> tuple[str | None, dict[str, Any]]:
+def _with_changes(study: Study, name: str) -> Variant | None:
     """Read the name of a condition with changed fields; None if it is not one."""
     for origin in sorted(study.conditions, key=len, reverse=True):
         parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
         pairs = [part.partition("=") for part in parts[1:]]
         if name.startswith(f"{origin}, ") and not parts[0]:
             settings = own_fields({key: read_value(value) for key, _, value in pairs})
-            single, _ = _read_settings(study, settings)
-            return origin, {**study.conditions[origin], **single}
-    return None, {}
+            return origin, _read_settings(study, settings)[0]
+    return None
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -286,20 +283,15 @@ def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
 
 
-def _notes(
-    runs: Mapping[str, Run],
-    steps: Mapping[str, int],
-    same: Sequence[Sequence[str]],
-    engine_left_open: Sequence[str],
-) -> Iterator[str]:
+def _notes(asked: Configurations, runs: Mapping[str, Run], steps: Mapping[str, int]) -> Iterator[str]:
     """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
     budgets = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
     for requested, planned, update in dict.fromkeys(budgets):
         if requested != planned:
             yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"
-    for names in same:
+    for names in asked.same:
         yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
-    for name in engine_left_open:
+    for name in asked.engine_left_open:
         if runs[name].engine != ENGINES[0]:
             reason = beyond_engine(runs[name]) or "such actions"
             yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"

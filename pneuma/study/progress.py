@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, as_fields, is_gymnasium_id
-from pneuma.errors import print_aside
+from pneuma.errors import UserError, print_aside
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
 from pneuma.study.plan import Cell
 from pneuma.study.provenance import machine, processors
 from pneuma.study.store import FINISHED, Store
-from pneuma.study.stored_runs import stored_settings
 
 SECONDS_PER_STEP = {
     "batched": ((1e3, 2e-5), (3e4, 4e-5), (4e6, 5e-3), (5e7, 6.5e-2)),
@@ -69,18 +68,17 @@ def duration(seconds: float) -> str:
 
 def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
-    names, cpu = [*dict.fromkeys([*names_first, *store.runs()[:SAMPLE]])], machine()["cpu"]
+    from pneuma.study.measure import stored_row  # safetensors, pyarrow: not for `--help`
+
     found: dict[str, list[float]] = {}
-    for name in names:
+    for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
-            origin = store.read_document(name, "provenance.json")
-            settings = stored_settings(store, name)
-            seconds = origin.get("training_seconds", origin["wall_seconds"])
-            pace = seconds / (origin["attempts"][-1]["step"] - settings["fork_step"])
-        except (KeyError, TypeError, ValueError, IndexError, ArithmeticError):
-            continue  # an imported, diverged, damaged or untrusted run tells nothing
-        if pace > 0 and processors(origin) == (cpu,):
-            found.setdefault(_kind(settings), []).append(pace)
+            row = stored_row(store, name)
+            pace = (row.wall_seconds or 0) / (row.end - row.fields["fork_step"])
+        except (UserError, KeyError, TypeError, ArithmeticError):
+            continue  # an imported, damaged or untrusted run tells nothing
+        if pace > 0 and processors(row.provenance) == (machine()["cpu"],):
+            found.setdefault(_kind(row.fields), []).append(pace)
     return {kind: statistics.fmean(paces) for kind, paces in found.items()}
 
 

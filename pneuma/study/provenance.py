@@ -22,6 +22,8 @@ PACKAGES = (
 )  # fmt: skip
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable with the version and commit of code that was sent to another machine."""
+SOURCE = Path(__file__).parents[2]
+"""The folder of this code, from which child processes import it even if it is not installed."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
@@ -134,27 +136,21 @@ def code() -> str:
     """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
-    version, source = _version("pneuma") or "unknown", Path(__file__).parents[2]
-    command = ["git", "-C", str(source), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    commit = _git(SOURCE, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    return " ".join([_version("pneuma") or "unknown", *commit])
+
+
+def uncommitted(source: Path = SOURCE) -> list[str]:
+    """Return files of a tree's code and studies that differ from the commit; none without a commit."""
+    return [line[3:] for line in _git(source, "status", "--porcelain", "--", "pneuma", "studies")]
+
+
+def _git(source: Path, *words: str) -> list[str]:
+    """Return the lines that git prints about a source tree; none without a repository, or without git."""
+    command = ["git", "-C", str(source), *words]
     if (source / ".git").exists():
         with suppress(OSError, subprocess.CalledProcessError):
-            commit = subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).strip()
-            return f"{version} {commit}"
-    return version
-
-
-def uncommitted(source: Path | None = None) -> list[str]:
-    """Return files of Pneuma's code and studies that differ from the commit; none where there is no commit.
-
-    Args:
-        source: the source tree; default: that of this code.
-    """
-    source = source or Path(__file__).parents[2]
-    command = ["git", "-C", str(source), "status", "--porcelain", "--", "pneuma", "studies"]
-    if (source / ".git").exists():
-        with suppress(OSError, subprocess.CalledProcessError):
-            listed = subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
-            return [line[3:] for line in listed.splitlines()]
+            return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).splitlines()
     return []
 
 

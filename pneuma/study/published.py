@@ -17,41 +17,32 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.files import checksum, parse_json
-from pneuma.study.rows import Row, check_table, column_type, read_row
+from pneuma.study.rows import CURVE, Row, check_table, column_type, read_row
 from pneuma.study.tables import from_parquet
 
 
 def encode_published(
     rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
 ) -> bytes:
-    """Return rows as a published table; the same rows give the same bytes.
+    """Return rows as a published table with the curves of some quantities, or all.
 
-    Args:
-        rows: one or more.
-        about: what `Published.about` gives back.
-        curves: quantities whose curves are kept; default: all.
+    The same rows give the same bytes. `Published.about` gives `about` back.
     """
     parts = [row.table for row in rows]
     table = _without_folders(pa.concat_tables(parts, promote_options="permissive").combine_chunks())
-    dropped = [
-        name
-        for name in table.column_names
-        if curves is not None
-        and column_type(name) == pa.list_(pa.float32())
-        and name.partition(" ")[0] not in curves
-    ]
+    lists = [name for name in table.column_names if column_type(name) == CURVE]
+    kept = [name for name in lists if curves is None or name.partition(" ")[0] in curves]
+    table = table.drop_columns([name for name in lists if name not in kept])
     head = {"pneuma": json.dumps({"schema": 3, **about}), "pneuma.checksum": _NO_SUM}
-    table = table.drop_columns(dropped)
     table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(head)
-    lists = [name for name in table.column_names if column_type(name) == pa.list_(pa.float32())]
     sink = io.BytesIO()
     pq.write_table(  # a dictionary does not help if numbers hardly repeat
         table,
         sink,
         compression="zstd",
         compression_level=19,
-        use_dictionary=[name for name in table.column_names if name not in lists],
-        use_byte_stream_split=[f"{name}.list.element" for name in lists],
+        use_dictionary=[name for name in table.column_names if name not in kept],
+        use_byte_stream_split=[f"{name}.list.element" for name in kept],
     )
     data = sink.getvalue()
     return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())

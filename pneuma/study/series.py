@@ -35,13 +35,7 @@ def make_grid(budget_steps: int) -> np.ndarray:
 
 
 def episode_curve(
-    step: np.ndarray,
-    values: np.ndarray,
-    grid: np.ndarray,
-    *,
-    trailing: bool,
-    from_step: float,
-    end: int,
+    step: np.ndarray, values: np.ndarray, grid: np.ndarray, *, trailing: bool, from_step: float, end: int
 ) -> np.ndarray:
     """Return, at each t of the grid, the mean of the episodes that ended in the window before t.
 

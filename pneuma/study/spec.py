@@ -196,12 +196,9 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
 
 
 def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) -> Study:
-    """Load a shipped study by its name, or any study by the path of its file.
+    """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
-    Args:
-        name: of the study, or of NAME.toml in this folder.
-        world: one of `WORLDS`; default: the arena where the study is run in it.
-        others: names that exist otherwise, for a mistyped one.
+    Its usual world is the arena, if it is run in it. A mistyped name may mean one of `others`.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.

@@ -300,10 +300,9 @@ class Store:
 
     def listing(self, study: str) -> dict[str, Any] | None:
         """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        from pneuma.study.documents import Listing, matches_schema
+        from pneuma.study.documents import sound_listing
 
-        found = load_checksummed(self.listing_path(study)) or {}
-        return found if matches_schema(found, Listing) and found["study"] == study else None
+        return sound_listing(load_checksummed(self.listing_path(study)), study)
 
     def listing_path(self, study: str) -> Path:
         return self.root / "studies" / f"{study}.json"

@@ -7,39 +7,14 @@ missing, damaged or invalid.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, nearest_name
-from pneuma.study.store import Status, Store, read_sound
+from pneuma.study.store import Store, read_sound
 
 LONGEST_LISTED = 5
 """Most run ids in an error message."""
-
-
-@dataclass(frozen=True)
-class StoredRun:
-    store: Store
-    run_id: str
-    status: Status
-
-    @cached_property
-    def settings(self) -> Mapping[str, Any]:
-        """The resolved configuration; empty if it is damaged or the run has not ended."""
-        return stored_settings(self.store, self.run_id)
-
-    def files(self) -> list[dict[str, Any]]:
-        """Return the files of the run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
-        folder, listed = self.store.run_folder(self.run_id), self.store.checksums(self.run_id)
-        paths = (path for path in folder.rglob("[!.]*") if path.is_file())
-        sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
-        states = {name: "damaged" if name in sizes else "missing" for name in listed}
-        whole = [name for name, expected in listed.items() if read_sound(folder, name, expected) is not None]
-        states |= dict.fromkeys(whole, "sound")
-        states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
-        return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 
 
 def find_run(store: Store, text: str) -> str:
@@ -61,10 +36,16 @@ def find_run(store: Store, text: str) -> str:
     )
 
 
-def stored_run(store: Store, text: str) -> StoredRun:
-    """Return what is stored of the run that `find_run` finds, after comparing every checksum."""
-    run_id = find_run(store, text)
-    return StoredRun(store, run_id, store.status(run_id))
+def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
+    """Return the files of a run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
+    folder, listed = store.run_folder(run_id), store.checksums(run_id)
+    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
+    sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
+    states = {name: "damaged" if name in sizes else "missing" for name in listed}
+    whole = [name for name, expected in listed.items() if read_sound(folder, name, expected) is not None]
+    states |= dict.fromkeys(whole, "sound")
+    states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
+    return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

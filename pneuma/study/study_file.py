@@ -141,15 +141,14 @@ class StudyFile(Table):
         run, presets = data.get("run"), data.get("presets")
         if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
             return data
+        run, presets = {**run}, {**presets}
         try:
-            usual = {"steps": read_field(Run, "steps", run["n_timesteps"])}
+            steps = read_field(Run, "steps", run.pop("n_timesteps"))
         except UserError as error:
             raise wrong(f"[run] n_timesteps: {error}", "run") from None
-        spread = {
-            name: {**usual, **table} if isinstance(table, Mapping) else table
-            for name, table in presets.items()
-        }
-        return {**data, "presets": spread, "run": {key: run[key] for key in run if key != "n_timesteps"}}
+        for name, table in presets.items():
+            presets[name] = {"steps": steps, **table} if isinstance(table, Mapping) else table
+        return {**data, "presets": presets, "run": run}
 
 
 # --- The study that it makes -----------------------------------------------------------------------

@@ -3,7 +3,7 @@
     python -m pneuma.study.worker < job
 
 The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out as
-lines of JSON: `step` at the start and now and then, `note` for users, `passing` for those who watch, `busy`
+lines of JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy`
 if another process holds a run, `end` for every run. Standard input stays open: after a line `stop` the worker
 goes on to a checkpoint and ends. When it closes, because the parent has ended, the worker ends at once.
 """
@@ -21,7 +21,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TextIO
 
 from pneuma.config import Run, make_run
@@ -190,8 +190,9 @@ def _train_once(
         if log:
             with suppress(OSError):
                 log.close()
-    status = Status(result.status, result.step, identity=run_identity(run))
+    status = Status(result.status, result.step)
     if status.name != "stopped":
+        status = replace(status, identity=run_identity(run))
         about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
         about |= {"warning": warned[0]} if warned else {}
         files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}

@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from pneuma.config import BASES, Run, as_fields, make_run
-from pneuma.files import to_json
 from pneuma.study.identity import run_id
 from pneuma.study.progress import START_SECONDS, expected_seconds, stored_paces
 from pneuma.study.provenance import Attempt, finished_provenance, machine
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Store
+
+from ..hand_made import save_run
 
 RUN = make_run({"steps": 2560})
 HERE = {"cpu": machine()["cpu"], "device": "cpu"}
@@ -26,8 +27,7 @@ def save(store: Store, run: Run, step: int, seconds: float, *machines: dict[str,
     """Store a run that took so long for its steps, on the last of some machines."""
     attempts = [{"machine": each, "step": step} for each in machines]
     about = {"wall_seconds": seconds + 9, "training_seconds": seconds, **machines[-1], "attempts": attempts}
-    files = {"run.json": run_document(run, run_id(run)), "provenance.json": to_json(about)}
-    store.save_run(run_id(run), Status("done", step), files)
+    save_run(store, run_id(run), [], [], [], step, fields=as_fields(run), **about)
 
 
 def pace(store: Store, run: Run = RUN) -> float:

@@ -45,13 +45,11 @@ def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
         (1, "sgd"),
         (1, "also-adam"),
     ]
-    assert plan.seeds == (0, 1)
     assert plan.conditions == ("adam", "sgd", "also-adam")
 
 
 def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
     plan = make_plan(study, Selection())
-    assert plan.same == (("adam", "also-adam"),)
     assert [note for note in plan.notes if "A/A" in note and "adam, also-adam" in note]
     first, _, third = plan.cells[:3]
     assert first.run_id == third.run_id

@@ -92,16 +92,12 @@ class Executor(Protocol):
         """
 
     def run_groups(
-        self,
-        groups: Iterable[Mapping[str, Run]],
-        store: Store,
-        how: ExecutorConfig,
-        on_event: OnEvent,
+        self, groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
     ) -> None:
         """Train all groups of runs and pass their events to `on_event`.
 
         Events are `{"event": "step" | "note" | "status" | "end", "run_id", …}`: a step has a `step`, a
-        note, passing or not, a `text`, an end a `status`, a `step` and `trained`, whether it was trained
+        note and a status a `text`, an end a `status`, a `step` and `trained`, whether it was trained
         here; one that could not be stored a `reason`.
 
         Raises:

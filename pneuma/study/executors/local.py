@@ -21,18 +21,18 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any, TypeVar
+from typing import IO, TypeVar
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, ExecutorConfig, OnEvent, end_event
 from pneuma.study.locks import is_held
-from pneuma.study.provenance import available_cores, machine
+from pneuma.study.provenance import SOURCE, available_cores, machine
 from pneuma.study.store import Status, Store
 
 Value = TypeVar("Value")
@@ -44,8 +44,6 @@ BUSY_SECONDS = 1.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
 """Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
-SOURCE = str(Path(__file__).parents[3])
-"""Added to the path of child processes, so that they find Pneuma even if it is not installed."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -87,10 +85,7 @@ class Interrupts:
     def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
         self.seen: list[int] = []
         self._signals, self._most = signals, most
-        self.wakeup, self._writer = os.pipe()
-        os.set_blocking(self._writer, False)
-        self._before: dict[int, Any] = {}
-        self._woken_before = -1
+        self._at_end = ExitStack()
 
     @property
     def count(self) -> int:
@@ -102,21 +97,20 @@ class Interrupts:
         The kernel may deliver a signal to a thread of a mathematical library, which does not interrupt the
         main thread's wait. The interpreter's own wake-up does.
         """
+        self.wakeup, writer = os.pipe()
+        os.set_blocking(writer, False)
+        for descriptor in (self.wakeup, writer):
+            self._at_end.callback(os.close, descriptor)
         if threading.current_thread() is threading.main_thread():
             for number in self._signals:
                 if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` lets SIGHUP be
-                    self._before[number] = signal.signal(number, self._note)
-        if self._before:
-            self._woken_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+                    self._at_end.callback(signal.signal, number, signal.signal(number, self._note))
+            before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+            self._at_end.callback(signal.set_wakeup_fd, before)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._before:
-            for number, handler in self._before.items():
-                signal.signal(number, handler)
-            signal.set_wakeup_fd(self._woken_before)
-        os.close(self.wakeup)
-        os.close(self._writer)
+        self._at_end.close()
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGHUP or not self.seen:
@@ -337,7 +331,7 @@ def _of(task: _Task, by_run: Mapping[str, Value]) -> dict[str, Value]:
 
 def one_thread_environment() -> dict[str, str]:
     """Return environment variables for a child process that computes on one thread and imports this code."""
-    path = os.pathsep.join(filter(None, [SOURCE, os.environ.get("PYTHONPATH", "")]))
+    path = os.pathsep.join(filter(None, [str(SOURCE), os.environ.get("PYTHONPATH", "")]))
     added = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "

@@ -25,7 +25,7 @@ from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
 from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
-from pneuma.study.provenance import CARRIED_CODE, available_cores, code, machine
+from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
@@ -34,7 +34,6 @@ JOIN_SECONDS = 5.0
 LOOK_SECONDS = 1.0
 """How often the results folder is asked how far runs are."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
-CODE = Path(__file__).parents[2]
 
 
 def most_workers(how: ExecutorConfig) -> int:
@@ -152,16 +151,16 @@ def join(address: str | None) -> None:
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        code = {"env_vars": {"PYTHONPATH": str(CODE.parent)}}  # the compiled library
+        code = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
-        with chdir(CODE.parent):  # Ray lets its processes import from the current folder
+        with chdir(SOURCE):  # Ray lets its processes import from the current folder
             ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
     else:
         host, _, port = address.rpartition(":")
         try:  # or Ray would try for minutes
             socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
-            code = {"py_modules": [str(CODE)], "excludes": ["__pycache__"]}
-            with chdir(CODE.parent):
+            code = {"py_modules": [str(SOURCE / "pneuma")], "excludes": ["__pycache__"]}
+            with chdir(SOURCE):
                 ray.init(address, runtime_env=code, **quiet)
         except Exception as error:  # Ray raises many kinds of errors
             raise UserError(

@@ -32,8 +32,9 @@ from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import replace_files, to_json
 from pneuma.study.executors.base import AGAIN, Detached, ExecutorConfig, Job, OnEvent, watch
-from pneuma.study.executors.local import SOURCE, Interrupts, Supervisor, prepare_node
+from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node
 from pneuma.study.locks import is_held, run_lock
+from pneuma.study.provenance import SOURCE
 from pneuma.study.store import Store
 
 MOST_AT_ONCE = 256
@@ -230,7 +231,7 @@ def _executor(folder: Path, name: str, how: ExecutorConfig) -> Any:
     options = {key: True if text == "true" else text for key, text in how.slurm}
     if taken := [key for key in OWN if key in options]:
         raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
-    path = f"export PYTHONPATH={shlex.quote(SOURCE)}${{PYTHONPATH:+:$PYTHONPATH}}"
+    path = f"export PYTHONPATH={shlex.quote(str(SOURCE))}${{PYTHONPATH:+:$PYTHONPATH}}"
     cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
     setup = [path, cores, str(options.pop("setup", ""))]
     try:
