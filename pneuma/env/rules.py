@@ -123,6 +123,7 @@ def step_world(s: State, w: int, actions: Array) -> bool:
     count = _gather_active(s, w)
     for p in range(s.players.shape[1]):
         _say_or_switch(s.players[w, p], settings, s.masks.shape[2], actions[w, p])
+    _gather_near(s, w, count)
     for _ in range(settings.ticks):
         for p in range(s.players.shape[1]):
             _begin_tick(s, w, p, actions[w, p])
@@ -182,6 +183,22 @@ def _gather_active(s: State, w: int) -> int:
             s.scratch[count].order = m
             count += 1
     return count
+
+
+@part
+def _gather_near(s: State, w: int, count: int) -> None:
+    """List in `near` which bodies the players and the first `count` of `scratch` may meet in the next step."""
+    monsters = s.monsters.shape[1]
+    bodies = monsters + s.players.shape[1]
+    for mover in range(count + s.players.shape[1]):
+        me = np.int64(s.scratch[mover].order) if mover < count else monsters + mover - count
+        x, y, _ = body(s, w, me)
+        near = s.near[me]
+        near[0] = 0
+        for other in range(bodies):
+            if other != me and _is_near(s, w, other, x, y):
+                near[0] += 1
+                near[near[0]] = other
 
 
 @part
@@ -619,9 +636,10 @@ def _stop_at_bodies(
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `way`, touches the first body ahead; it may overlap others."""
     stop = math.inf
-    x, y = _turned(on_x, middle, aside)
-    for other in range(s.monsters.shape[1] + s.players.shape[1]):
-        if other != me and _is_near(s, w, other, x, y):
+    near = s.near[me]
+    for i in range(near[0]):
+        other = near[i + 1]
+        if is_alive(s, w, other):
             there_x, there_y, half_width, half_height = box(s, w, other)
             there, there_aside = _turned(on_x, there_x, there_y)
             other_half, other_breadth = _turned(on_x, half_width, half_height)
@@ -634,10 +652,7 @@ def _stop_at_bodies(
 
 @part
 def _is_near(s: State, w: int, other: int, x: float, y: float) -> bool:
-    """Return whether a living body may stop one whose middle is at a point in this tick.
-
-    Most are too far off, which is seen without their stats.
-    """
+    """Return whether a living body may stop one that is at a point, in this step."""
     reach = s.settings[0].body_reach
     if other < s.monsters.shape[1]:
         monster = s.monsters[w, other]

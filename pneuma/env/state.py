@@ -161,7 +161,7 @@ SETTINGS = _record(
     ("deadly_coast", "i4"),
     ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players, or bodies do
     ("monster_stops", "i8"),
-    ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a tick
+    ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a step
     ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
@@ -237,7 +237,7 @@ class State(NamedTuple):
     """Every array that the kernels share.
 
     The first three are the whole state of the worlds. `events`, `observations` and `masks` are written by
-    every step. `tick` and `scratch` are scratch space.
+    every step. `tick`, `scratch` and `near` are scratch space.
     """
 
     worlds: Array  # (N,) WORLD
@@ -253,15 +253,16 @@ class State(NamedTuple):
     masks: Array  # (N, P, actions) int8: 0 where an action would do nothing
     tick: Array  # (P,) TICK
     scratch: Array  # (M,) SCRATCH
+    near: Array  # (M + P, M + P) int32: how many bodies a body may meet in this step, and which
     begins: Array  # (N,) int64: start places of the worlds that the next call of `run_worlds` resets
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
-    EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH,
+    EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
     np.dtype(np.int64),
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
@@ -270,7 +271,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (14,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (15,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.
@@ -294,6 +295,8 @@ def share(state: State, worlds: slice) -> State:
         parts[name] = parts[name][worlds]
     for name in ("tick", "scratch"):  # padded: threads that write to one line of cache wait for each other
         parts[name] = np.zeros(len(parts[name]) + 64, parts[name].dtype)[: len(parts[name])]
+    bodies = len(parts["near"])
+    parts["near"] = np.zeros((bodies + 64, bodies), np.int32)[:bodies]
     return State(**parts)
 
 
@@ -370,7 +373,8 @@ def open_state(h: Array) -> State:
         _array(h[10].address, (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
         _array(h[11].address, (h[11].shape[0],), TICK),
         _array(h[12].address, (h[12].shape[0],), SCRATCH),
-        _array(h[13].address, (h[13].shape[0],), np.int64),
+        _array(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
+        _array(h[14].address, (h[14].shape[0],), np.int64),
     )
 
 

@@ -108,6 +108,7 @@ class Worlds:
             self.masks,
             np.zeros(players, state.TICK),
             np.zeros(monsters, state.SCRATCH),
+            np.zeros((monsters + players, monsters + players), np.int32),
             np.zeros(count, np.int64),
         )
         self._take_addresses()
@@ -177,8 +178,8 @@ class Worlds:
         row["credit_near"] = config.kill_credit == "near"
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
-        row["body_reach"] = 2 * self._largest_body() + self.level.tile
         fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
+        row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
