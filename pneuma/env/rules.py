@@ -187,7 +187,7 @@ def _gather_active(s: State, w: int) -> int:
 
 @part
 def _gather_near(s: State, w: int, count: int) -> None:
-    """List in `near` which bodies the players and the first `count` of `scratch` may meet in the next step."""
+    """List in `near` which bodies each player and the first `count` of `scratch` may meet in this step."""
     monsters = s.monsters.shape[1]
     bodies = monsters + s.players.shape[1]
     for mover in range(count + s.players.shape[1]):
