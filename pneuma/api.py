@@ -76,6 +76,10 @@ def run_study(
     selection = _selection(seeds, steps, conditions, settings, preset)
     most = _count("workers", workers) or available_cores()
     asked = spec.load_study(os.fspath(study), world)
+    if asked.outcomes:
+        from pneuma.analysis.outcomes import check_outcomes
+
+        check_outcomes(asked.outcomes)
     if preset == spec.CLAIMS:
         from pneuma.analysis.claims import with_claims
 

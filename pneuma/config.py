@@ -357,6 +357,10 @@ def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     """Fill in the defaults of the algorithm and optimizer, and drop fields that are not read."""
     algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
     read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
+    if values.get("learners") == LEARNERS[1] and "learners" not in read:
+        raise UserError(
+            f"learners = independent is not allowed: {algorithm} trains one policy for all players"
+        )
     defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **OPTIMIZER_DEFAULTS}
     values = {key: value for key, value in {**defaults, **values}.items() if key in read}
     if values.get("players", 1) == 1:

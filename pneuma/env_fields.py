@@ -23,7 +23,7 @@ SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 DASH = "dash"
-SWITCH = "switch"
+WEAPON_NAMES = ("first_weapon", "second_weapon")
 KINDS_OF_MONSTERS = ("bamboo", "mixed", "golems")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
@@ -70,11 +70,11 @@ class EnvConfig:
         "own",
     )
     second_weapon: Annotated[str, matching(r"|[\w-]+", "a weapon")] = ""
-    """A weapon that every player has too; one more action changes to it and back."""
+    """A weapon that every player has too; two more actions take up the first and the second."""
     magic: bool = False
     """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
     dash: bool = False
-    """Whether there is one more action, the last: a burst straight ahead (thesis chapter 7)."""
+    """Whether there is one more action, a burst straight ahead (thesis chapter 7)."""
     tokens: Annotated[int, Interval(ge=0, le=8)] = 0
     """Number of last actions that say a token, which the other players observe at the next step."""
     reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
@@ -162,7 +162,7 @@ OBSERVATION_FIELDS = {
 def action_names(config: EnvConfig) -> tuple[str, ...]:
     """Return the names of a world's actions, in order."""
     names = ACTION_NAMES + (SPELL_NAMES if config.magic else ()) + ((DASH,) if config.dash else ())
-    names += (SWITCH,) if config.second_weapon else ()
+    names += WEAPON_NAMES if config.second_weapon else ()
     return names + tuple(f"say_{token}" for token in range(1, config.tokens + 1))
 
 
@@ -224,6 +224,8 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
             )
         if len(set(values.get(key, ()))) == 1:
             values[key] = values[key][:1]
+    if players == 1:
+        values.pop("shared_reward", None)
     if not values.get("slow"):
         values.pop("slow_factor", None)  # nothing reads it
     if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):

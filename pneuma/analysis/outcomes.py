@@ -83,7 +83,8 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
         if runs and runs[0].row.averaged_over is None:  # logs do not tell their reward
             fields = runs[0].fields
             foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
-            found.add((foreign, str([fields.get("reward"), fields.get("players")])))
+            kind = [fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)]
+            found.add((foreign, str(kind)))
     return found
 
 
@@ -139,6 +140,15 @@ def find_outcome(name: str) -> Outcome:
     return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
 
 
+def check_outcomes(names: Iterable[str]) -> None:
+    """Refuse unknown outcomes of a study's file before anything is trained."""
+    for name in names:
+        try:
+            find_outcome(name)
+        except UserError as error:
+            raise UserError(f"the study's file, outcomes: {error}") from None
+
+
 def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
@@ -175,6 +185,12 @@ def _last(values: np.ndarray) -> float:
 
 def _late(values: np.ndarray) -> float:
     return values[-LATE:].mean()
+
+
+def _late_known(values: np.ndarray) -> float:
+    """Return the same of the evaluations that have a value; NaN if none has."""
+    known = values[-LATE:][np.isfinite(values[-LATE:])]
+    return known.mean() if len(known) else NAN
 
 
 def _rise(values: np.ndarray) -> float:
@@ -325,7 +341,7 @@ OUTCOMES: dict[str, Outcome] = {
         "hp_lost", _late),
     "kill-evenness": _evaluated(
         "how evenly players share the kills (0 one has all, 1 alike), mean of the last five evaluations", "",
-        UP, SHARE, "kill_evenness", _late),
+        UP, SHARE, "kill_evenness", _late_known),
     "final-entropy": _trained("entropy of the policy at the end", "nats", "", POSITIVE, "entropy"),
     "least-entropy": Outcome(
         "least entropy of any update", "nats", "", POSITIVE, "entropy", _peak("entropy")),

@@ -188,11 +188,9 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
-    usual = (primary(data), *COMPARED)
+    usual = data.outcomes or (primary(data), *COMPARED)
     unlike = not have_one_return(data, (a, b))
-    outcomes = (
-        outcomes or data.outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
-    )
+    outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
     for name in outcomes:
         refuse_unlike_returns(data, name, (a, b))
     return pd.DataFrame(_compared(data, a, b, outcomes), columns=list(COMPARISON_COLUMNS))

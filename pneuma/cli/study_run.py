@@ -138,10 +138,9 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(name, chosen.world)
     if study.outcomes:
-        from pneuma.analysis.outcomes import find_outcome
+        from pneuma.analysis.outcomes import check_outcomes
 
-        for outcome in study.outcomes:
-            find_outcome(outcome)
+        check_outcomes(study.outcomes)
     fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
     named_code = dict.fromkeys(deed for settings in fields for deed in describe_user_code(settings).values())
     for deed in (deed for deed in named_code if deed.startswith("run ")):

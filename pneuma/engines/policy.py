@@ -259,6 +259,8 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
     outputs = []
     x, several = observations, bool(layers) and layers[0][0].ndim == 3
     if several:
+        if len(x) % len(layers[0][0]):
+            raise UserError(f"{len(x)} observations: must be one for each of {len(layers[0][0])} players")
         x = x.reshape(-1, len(layers[0][0]), x.shape[-1]).swapaxes(0, 1)  # (players, worlds, features)
     for i, (weight, bias) in enumerate(layers):
         x = x @ weight + (bias[:, None] if several else bias)

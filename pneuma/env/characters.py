@@ -306,7 +306,7 @@ def _fill_monster(row: Any, kind: Monster) -> None:
         bite_ticks=_ticks(kind.bite_time),
         knock_ticks=-1 if kind.knock_back_time is None else _ticks(kind.knock_back_time),
         knock_speed=(kind.knock_back or 0.0) / TICKS_PER_SECOND,
-        pair_ticks=_ticks(kind.pair_time),
+        pair_ticks=math.ceil(kind.pair_time * TICKS_PER_SECOND),
     )
 
 

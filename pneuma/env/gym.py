@@ -46,12 +46,12 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | 5 | flame: 5 damage plus the class's magic in a box of 320 x 64 px ahead; 20 energy | `magic` |
     | 6 | heal: 20 HP up to full; 10 energy | `magic` |
     | then | dash: 8 ticks ahead at three times the pace; 60 ticks of rest | `dash` |
-    | then | change to the second weapon, or back; takes the step | `second_weapon` |
+    | then | two: take up the first weapon, or the second; takes the step | `second_weapon` |
     | the last ones | say a token; takes the step | `tokens` |
 
     `info["action_mask"]` is 0 for actions without effect: into terrain, a spell without enough energy, a dash
-    too early, and all but attack and tokens while an attack or spell lasts for the whole step, which are
-    always 1.
+    too early, the weapon that is held, and all but attack and tokens while an attack or spell lasts for the
+    whole step. Attack and tokens are always 1.
 
     ## Observations
 
@@ -126,7 +126,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
     | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
     | `weapons` | own | `own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list |
-    | `second_weapon` | none | one that every player has too, with an action that changes to it and back |
+    | `second_weapon` | none | one that every player has too, with two actions to take up either |
     | `magic` | false | whether there are the actions flame and heal |
     | `dash` | false | whether there is the action dash (thesis chapter 7) |
     | `tokens` | 0 | so many last actions say a token, which the other players observe next; up to 8 |

@@ -100,7 +100,7 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
         for facing in range(4):
             out[at + facing] = player.facing == facing
         at += 4
-    if settings.switch >= 0:
+    if settings.hold >= 0:
         out[at] = player.second
         at += 1
     players = s.players.shape[1]
@@ -234,8 +234,8 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 
     While an attack lasts through the whole step no action does anything; then only attack counts as allowed.
     Also without effect are walking or dashing against a wall that the player already faces, a spell without
-    enough energy, a dash too soon after the last one, and a change of weapon by who is busy. A token can
-    always be said.
+    enough energy, a dash too soon after the last one, and taking up the weapon that is held. A token can be
+    said at any time.
     """
     player = s.players[w, p]
     stats = s.player_stats[p]
@@ -251,8 +251,9 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     actions = s.masks.shape[2]
     for a in range(actions - s.settings[0].tokens, actions):
         s.masks[w, p, a] = 1
-    if s.settings[0].switch >= 0:
-        s.masks[w, p, s.settings[0].switch] = player.busy == 0
+    if s.settings[0].hold >= 0:
+        for weapon in range(2):
+            s.masks[w, p, s.settings[0].hold + weapon] = free and player.second != weapon
     if s.settings[0].magic:
         energy = player.energy
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick

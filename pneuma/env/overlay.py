@@ -36,7 +36,7 @@ def draw_overlay(frame: np.ndarray, worlds: Worlds, world: int, player: int, pla
     """
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
-    state, stats = worlds.players[world, player], worlds.player_stats[player]
+    state, stats = worlds.players[world, player], worlds.weapon_stats(world)[player]
     if state["hp"] > 0:
         _draw_rays(draw, worlds, world, player, place)
         facing = state["facing"]

@@ -202,7 +202,7 @@ class Renderer:
     def _players(self, world: int) -> Iterator[Item]:
         bitten = self._bitten(world)
         for index, (player, stats) in enumerate(
-            zip(self.worlds.players[world], self.worlds.player_stats, strict=True)
+            zip(self.worlds.players[world], self.worlds.weapon_stats(world), strict=True)
         ):
             if player["hp"] <= 0:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)

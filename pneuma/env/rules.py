@@ -122,7 +122,8 @@ def step_world(s: State, w: int, actions: Array) -> bool:
     settings = s.settings[0]
     count = _gather_active(s, w)
     for p in range(s.players.shape[1]):
-        _say_or_switch(s.players[w, p], settings, s.masks.shape[2], actions[w, p])
+        said = max(actions[w, p] - (s.masks.shape[2] - settings.tokens) + 1, 0)
+        s.players[w, p].token = said if s.players[w, p].hp > 0.0 else 0
     _gather_near(s, w, count)
     for _ in range(settings.ticks):
         for p in range(s.players.shape[1]):
@@ -149,15 +150,6 @@ def step_world(s: State, w: int, actions: Array) -> bool:
             if s.players[w, p].hp > 0.0:
                 _charge(s.players[w, p], s.events[w, p], settings.ending_cost)
     return world.ending != RUNNING
-
-
-@part
-def _say_or_switch(player: Array, settings: Array, actions: int, action: int) -> None:
-    """Say a token, or change the weapon, once a step; who is busy when it begins keeps its weapon."""
-    first = actions - settings.tokens
-    player.token = max(action - first + 1, 0) if player.hp > 0.0 else 0
-    if action == settings.switch and player.busy == 0:
-        player.second = 1 - player.second
 
 
 @part
@@ -266,9 +258,13 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
     """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for.
 
-    Who says a token or changes its weapon stands still.
+    Who says a token or takes up a weapon stands still.
     """
-    if action == s.settings[0].switch or action >= s.masks.shape[2] - s.settings[0].tokens:
+    hold = s.settings[0].hold
+    if action >= s.masks.shape[2] - s.settings[0].tokens:
+        return
+    if hold >= 0 and (action == hold or action == hold + 1):
+        player.second = action - hold
         return
     if action == s.settings[0].dash:
         if player.rest == 0:
@@ -382,16 +378,17 @@ def _live(s: State, w: int, m: int) -> None:
     for p in range(s.players.shape[1]):
         bit = np.uint8(1 << p)
         struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s.tick[p], monster, kind)
+        entry = s.settings[0].blow_on_entry and s.players[w, p].armed == BLADE
         if not s.tick[p].there:
             monster.noticed &= ~bit
             monster.bite[p] = 0
-        elif struck and not s.settings[0].blow_on_entry:
+        elif struck and not entry:
             _suffer(s, w, m, p)
         elif struck and not monster.inside & bit:
             monster.struck_by[p] = 0  # one that comes back is hit again by the same attack
             _suffer(s, w, m, p)
         if s.settings[0].blow_on_entry:
-            monster.inside = monster.inside | bit if struck else monster.inside & ~bit
+            monster.inside = monster.inside | bit if struck and entry else monster.inside & ~bit
     if monster.hp <= 0.0:
         return
     target = -1

@@ -167,7 +167,7 @@ SETTINGS = _record(
     ("dash_ticks", "i4"),  # that it lasts
     ("dash_rest", "i4"),  # ticks from its end until the next one may begin
     ("magic", "i4"),  # whether there are spells
-    ("switch", "i4"),  # number of the action that changes the weapon; -1: there is none
+    ("hold", "i4"),  # number of the action that takes up the first weapon, before the second; -1: none
     ("tokens", "i4"),  # that players can say, by the last actions
     ("shared_reward", "i4"),  # whether players get the mean of all their rewards
     ("blow_on_entry", "i4"),  # whether a monster is hit when it enters the sword's box, not once an attack

@@ -36,7 +36,8 @@ SECONDS_AFTER_LAST_KILL = 2
 
 KEYS = {
     "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
-    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "leave": ("ESCAPE",),
+    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "first_weapon": ("1",),
+    "second_weapon": ("2",), "leave": ("ESCAPE",),
 }  # fmt: skip
 """Commands in a window and their keys, by pygame's names."""
 
@@ -222,8 +223,9 @@ def smooth(worlds: Worlds, frames_per_step: int = FRAMES_PER_STEP) -> None:
 def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
     """Let the user play player 0 with the keyboard until the window closes.
 
-    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can,
-    escape leaves. The world waits while no key is held. The other players stand still and attack.
+    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can, 1
+    and 2 take up the first and the second weapon, escape leaves. The world waits while no key is held. The other
+    players stand still and attack.
 
     Returns:
         The kills and length (in steps of 8 ticks) of every finished episode.

@@ -23,7 +23,7 @@ from pneuma.env import characters, kernel, rules, state
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, load_levels, refuse_bad_places
 from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_reward, present
-from pneuma.env_fields import DASH, SWITCH, EnvConfig, action_names, make_env_config
+from pneuma.env_fields import DASH, WEAPON_NAMES, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
 LEAST_WORLDS = 128
@@ -56,7 +56,6 @@ class Worlds:
         config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
         self._stats = _both_weapons(cast, config)
-        self.player_stats = self._stats[: config.players]
         self.action_names = action_names(config)
         self.levels = load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
@@ -133,6 +132,15 @@ class Worlds:
         self._parts = [*zip(map(state.make_handle, self._shares), parts, strict=True)]
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
+    @property
+    def player_stats(self) -> np.ndarray:
+        return self._stats[: self.config.players]
+
+    def weapon_stats(self, world: int) -> np.ndarray:
+        """Return the stats of a world's players with the weapons that they hold, (P,)."""
+        players = self.players[world]
+        return self._stats[np.arange(len(players)) + len(players) * players["second"]]
+
     def __len__(self) -> int:
         return len(self.worlds)
 
@@ -169,7 +177,7 @@ class Worlds:
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
         row["magic"] = config.magic
-        row["switch"] = self.action_names.index(SWITCH) if config.second_weapon else -1
+        row["hold"] = self.action_names.index(WEAPON_NAMES[0]) if config.second_weapon else -1
         row["tokens"] = config.tokens
         row["shared_reward"] = config.shared_reward and not self._custom
         row["blow_on_entry"] = config.blow == "entry"
@@ -178,20 +186,22 @@ class Worlds:
         row["credit_near"] = config.kill_credit == "near"
         row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
-        fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
+        fastest = characters.fastest(self._stats, self.monster_stats.ravel())
         row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
 
     def _refuse_lonely(self, config: EnvConfig) -> None:
+        if config.players > 1:
+            return
         for level, stats in zip(self.levels, self.monster_stats, strict=True):
-            if config.players == 1 and (stats["pair_ticks"] > 0).any():
+            if (stats["pair_ticks"] > 0).any():
                 kind = level.monsters[int((stats["pair_ticks"] > 0).argmax())][0]
                 raise UserError(
                     f"players = 1 is not allowed: on level {level.name} a {kind} falls to two players only"
                 )
-        if config.players == 1 and config.tokens:
+        if config.tokens:
             raise UserError(f"tokens = {config.tokens} is not allowed: with players = 1 nobody hears them")
 
     def _largest_body(self) -> float:
@@ -367,6 +377,8 @@ def _both_weapons(cast: characters.Characters, config: EnvConfig) -> np.ndarray:
     """Return the stats of all players, and then with their second weapon, (2 P,) `state.PLAYER_STATS`."""
     classes, weapons = _one_each(config.classes, config), _one_each(config.weapons, config)
     seconds = (config.second_weapon,) * config.players if config.second_weapon else weapons
+    if config.second_weapon and config.second_weapon in weapons:
+        raise UserError(f"second_weapon = {config.second_weapon} is not allowed: it is the first one too")
     stats = characters.player_stats(cast, classes * 2, weapons + seconds)
     if config.dash:
         stats["dash_speed"] = characters.DASH_PACE * stats["speed"]

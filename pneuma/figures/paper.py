@@ -190,7 +190,10 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_logs, basename=study)]
     if maps := study_maps(data):
         return [replace(robustness_page(data, maps), basename=f"{study}-map")]
-    if data.outcomes or len(shown) > MOST_IN_A_PANEL:
+    if data.outcomes:
+        several = len(columns) > 1
+        pages = [summary_page(one, study + f"-{one.world}" * several) for one in columns.values()]
+    elif len(shown) > MOST_IN_A_PANEL:
         pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
     else:
         pages = [curves_page(columns, basename=study)]

@@ -25,8 +25,9 @@ from pneuma.worlds import TEXT, WORLDS
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "monsters", "players", "classes", "characters",
-    "weapons", "magic", "dash", "observation", "observe_facing", "perceive", "slots", "horizon", "actor",
-    "critic", "buffer_size", "learning_starts", "seed", "steps", *OF_GYMNASIUM,
+    "weapons", "second_weapon", "magic", "dash", "tokens", "learners", "observation", "observe_facing",
+    "perceive", "slots", "horizon", "actor", "critic", "buffer_size", "learning_starts", "seed", "steps",
+    *OF_GYMNASIUM,
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
 

@@ -75,7 +75,7 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
         try:
             row = stored_row(store, name)
             pace = (row.wall_seconds or 0) / (row.end - row.fields["fork_step"])
-        except (UserError, KeyError, TypeError, ArithmeticError):
+        except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
             continue  # an imported, damaged or untrusted run tells nothing
         if pace > 0 and processors(row.provenance) == (machine()["cpu"],):
             found.setdefault(_kind(row.fields), []).append(pace)

@@ -124,8 +124,6 @@ class Oracle:
             return False
         for player, action in zip(self.players, actions, strict=True):
             player.token = self._token(action) if player.hp > 0.0 else 0
-            if action == self.book.settings.switch and player.busy == 0:
-                player.second = int(not player.second)
         for _ in range(self.book.settings.ticks):
             self._tick(actions)
         self.steps += 1
@@ -213,7 +211,9 @@ class Oracle:
         stats, settings = player.weapon, self.book.settings
         blow = None
         if player.busy == 0:
-            if action == settings.switch or self._token(action):
+            if settings.hold >= 0 and action in (settings.hold, settings.hold + 1):
+                player.second = action - settings.hold
+            elif self._token(action):
                 pass  # stands still
             elif action == settings.dash:
                 if player.rest == 0:  # 8 ticks of dashing, then 60 before the next
@@ -284,16 +284,16 @@ class Oracle:
         met = {p for p in blows if monster.box.meets(blows[p].box)}
         for p in sorted(met):
             number = blows[p].number
-            if self.book.settings.blow_on_entry:
+            if self.book.settings.blow_on_entry and self.players[p].armed == 1:  # a sword
                 hit = p not in monster.inside
             else:
                 hit = monster.struck_by[p] != number
             if hit and monster.hp > 0.0 and monster.safe == 0:
                 self._strike(monster, p, blows[p], there, gains)
-            elif hit and self.book.settings.blow_on_entry:
+            elif hit and self.book.settings.blow_on_entry and self.players[p].armed == 1:
                 monster.struck_by[p] = 0
         if self.book.settings.blow_on_entry:
-            monster.inside = met
+            monster.inside = {p for p in met if self.players[p].armed == 1}
         if monster.hp <= 0.0:
             return
         target = self._sense(monster, there, gains)

@@ -37,7 +37,7 @@ def observe(world: Oracle, player: Player) -> list[float]:
     about = _about_player(world, player)
     if settings.observe_facing:
         about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
-    if settings.switch >= 0:
+    if settings.hold >= 0:
         about.append(float(player.second))
     at = world.players.index(player)
     for other in world.players[at + 1 :] + world.players[:at]:
@@ -76,8 +76,9 @@ def mask(world: Oracle, player: Player) -> list[int]:
             allowed[FLAME] = int(energy >= stats.flame_cost)
             allowed[HEAL] = int(energy >= stats.heal_cost)
     allowed[ATTACK] = 1
-    if settings.switch >= 0:
-        allowed[settings.switch] = int(player.busy == 0)
+    if settings.hold >= 0:
+        for weapon in (0, 1):
+            allowed[settings.hold + weapon] = int(player.busy < settings.ticks and player.second != weapon)
     allowed |= dict.fromkeys(range(settings.actions - settings.tokens, settings.actions), 1)
     return [allowed[action] for action in sorted(allowed)]
 

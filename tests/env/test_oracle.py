@@ -85,7 +85,10 @@ def count_events(pair: Pair, happened: Counter[str]) -> None:
     for name in ("hits", "kills", "notices", "contacts"):
         happened[name] += int(worlds.events[name].sum())
     for world in pair.oracles:
+        happened["opened"] += sum(monster.opened > 0 for monster in world.monsters)
         for player in world.players:
+            happened["second weapon"] += player.second
+            happened["token"] += player.token > 0
             drowned = bool(player.events.died) and world.ground.is_sea(player.x, player.y)
             happened["drowned"] += drowned
             happened["bitten to death"] += player.events.died - drowned
@@ -104,9 +107,15 @@ def touches(world: Oracle, player: Player) -> bool:
 
 def test_the_kernel_plays_as_the_oracle_tells(tmp_path: Path) -> None:
     happened = check_cases(FEW, tmp_path)
+    together = ("opened", "second weapon", "token")
     usual = ("hits", "kills", "notices", "contacts", "healed", "drowned", "bitten to death")
     bodies = ("player at a monster", "flying")
-    for name in (*usual, *bodies, *(f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT))):
+    for name in (
+        *usual,
+        *bodies,
+        *together,
+        *(f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT)),
+    ):
         assert happened[name], happened
 
 

@@ -101,13 +101,36 @@ def test_another_weapon_strikes_otherwise(tmp_path: Path) -> None:
     assert told(pair, "hits") == [0]
     for _ in range(2):
         act(pair, ATTACK)
-    act(pair, 5)
+    assert pair.worlds.masks[0, 0, 5:7].tolist() == [0, 1]
+    act(pair, 6)
     assert (told(pair, "second"), told(pair, "busy"), pair.worlds.observations[0, 0, 4]) == ([1], [0], 1.0)
     act(pair, ATTACK)  # the lance's at 420 + 68 + 40
     assert (told(pair, "hits"), hp_of_monster(pair), told(pair, "busy")) == ([1], 10.0, [48 - 8])
     assert pair.worlds.masks[0, 0, 5] == 0  # who attacks keeps its weapon
     act(pair, 5)
     assert told(pair, "second") == [1]
+    assert pair.worlds.weapon_stats(0)["swing"].tolist() == [48]
+
+
+def test_how_far_bodies_may_meet_holds_for_the_second_weapon_too(tmp_path: Path) -> None:
+    hard = tmp_path / "hard.toml"
+    hard.write_text("[weapons.lance]\nknock_back = 3000\n")
+    reaches = {
+        float(Worlds(1, make_env_config({"characters": str(hard), **chosen})).settings["body_reach"][0])
+        for chosen in ({"weapons": "lance"}, {"second_weapon": "lance"})
+    }
+    assert len(reaches) == 1
+
+
+def test_a_flame_burns_who_was_in_the_swords_box_where_blows_fall_on_entry(tmp_path: Path) -> None:
+    tough = QUIET + "hp = 1000\n[weapons.blade]\nknock_back = 0\n"
+    pair = set_up(tmp_path, HERE, blow="entry", magic=True, characters=tough)
+    put(pair, x=458.0, y=512.0, facing=RIGHT)
+    for _ in range(3):
+        act(pair, ATTACK)
+    before = hp_of_monster(pair)
+    act(pair, 5)
+    assert (before, hp_of_monster(pair)) == (980.0, 980.0 - 9)
 
 
 @pytest.mark.parametrize(("blow", "hits"), [("attack", 1), ("entry", 2)])
@@ -141,6 +164,7 @@ def test_an_attack_lasts_as_long_as_it_is_told(tmp_path: Path) -> None:
         ({"level": "random:train:1", "monsters": "golems"}, "a golem falls to two players only"),
         ({"tokens": 2}, "with players = 1 nobody hears them"),
         ({"second_weapon": "lanse"}, "did you mean lance"),
+        ({"weapons": "lance", "second_weapon": "lance"}, "it is the first one too"),
     ],
 )
 def test_what_one_player_cannot_play_is_refused(fields: dict[str, object], message: str) -> None:

@@ -78,12 +78,12 @@ class Rollout(NamedTuple):
 
     def of_player(self, player: int, players: int) -> Rollout:
         """Return the part of one of the players of each world, as a rollout of its own."""
-        own = slice(player, None, players)
-        mine = self.ended["slot"] % players == player
-        ended = self.ended[mine]
+        *of_slots, ended, terminal = self
+        mine = ended["slot"] % players == player
+        ended = ended[mine]
         ended["slot"] //= players
-        parts = {name: np.ascontiguousarray(array[own]) for name, array in self._asdict().items()}
-        return Rollout(**parts | {"ended": ended, "terminal_observations": self.terminal_observations[mine]})
+        own = [np.ascontiguousarray(each[player::players]) for each in of_slots]
+        return Rollout._make([*own, ended, terminal[mine]])
 
     def cut(self, count: int) -> Rollout:
         """Return the rollout without room for more endings."""

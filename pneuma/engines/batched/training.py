@@ -41,9 +41,7 @@ class BatchedTrainer(Trainer):
         rollout = self.collector.collect(self._joined().actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         left, several = 1 - after / self.run.steps, len(self.learners)
-        parts = (
-            [rollout.of_player(player, several) for player in range(several)] if several > 1 else [rollout]
-        )
+        parts = [rollout.of_player(player, several) for player in range(several)]
         metrics = [learner.learn_from(part, left) for learner, part in zip(self.learners, parts, strict=True)]
         means = {name: sum(own[name] for own in metrics) / several for name in metrics[0]}
         records.metrics.append({"step": after, **means})
@@ -119,7 +117,10 @@ def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint, rese
         return np.array(array)
 
     learner.networks, learner.optimizer = restored("networks"), restored("optimizer")
-    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
+    orders = checkpoint.numbers["minibatches"]
+    learner.generator.bit_generator.state = (
+        orders[player] if isinstance(orders, list) else orders
+    )  # older: one
 
 
 def _array_name(player: int, part: str, path: Any) -> str:
