@@ -224,8 +224,8 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
     """Let the user play player 0 with the keyboard until the window closes.
 
     Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can, 1
-    and 2 take up the first and the second weapon, escape leaves. The world waits while no key is held. The other
-    players stand still and attack.
+    and 2 take up the first and the second weapon, escape leaves. The world waits while no key is held. The
+    other players stand still and attack.
 
     Returns:
         The kills and length (in steps of 8 ticks) of every finished episode.
