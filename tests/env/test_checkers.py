@@ -31,10 +31,15 @@ def test_stable_baselines3s(env_id: str) -> None:
     sb3s_check(gymnasium.make(env_id, disable_env_checker=True).unwrapped)
 
 
-@each_world
-def test_pettingzoos(env_id: str) -> None:
+TEAM = {"magic": True, "dash": True, "second_weapon": "lance", "tokens": 3, "shared_reward": True}
+
+
+@pytest.mark.parametrize(
+    ("env_id", "chosen"), [*((env_id, {}) for env_id in ENVIRONMENTS), (ENVIRONMENTS[0], TEAM)]
+)
+def test_pettingzoos(env_id: str, chosen: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PettingZoo's tests import deprecated games
         from pettingzoo.test import parallel_api_test, parallel_seed_test
-    parallel_api_test(parallel_env(env_id=env_id, players=3), num_cycles=CYCLES)
-    parallel_seed_test(lambda: parallel_env(env_id=env_id, players=3), num_cycles=CYCLES)
+    parallel_api_test(parallel_env(env_id=env_id, players=3, **chosen), num_cycles=CYCLES)
+    parallel_seed_test(lambda: parallel_env(env_id=env_id, players=3, **chosen), num_cycles=CYCLES)
