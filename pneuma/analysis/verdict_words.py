@@ -176,7 +176,7 @@ def effect(row: ClaimContrast) -> str:
 
 
 def _arm(conditions: Arms) -> str:
-    return conditions[0] + " …" * (len(conditions) > 1)
+    return " and ".join(conditions) if len(conditions) <= 2 else f"{conditions[0]} …"
 
 
 def _said(row: ClaimContrast) -> str:

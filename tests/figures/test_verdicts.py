@@ -45,7 +45,7 @@ MEANS = (0.85, 0.83), (-0.012, 0.052)
         (
             {"kind": "range", "a": ("x", "y"), "b": ("y", "z")},
             ((0.4, 0.1), (0.1, 0.5)),
-            "range of kills: x … 40 %, y … 10 %; +30 points (10 to 50)",
+            "range of kills: x and y 40 %, y and z 10 %; +30 points (10 to 50)",
         ),
         (
             {"kind": "incidence", "b": (), "value": 0.2, "outcome": "one-action", "above": 0.9},
