@@ -14,7 +14,7 @@ from gymnasium import spaces
 
 from pneuma.env.characters import FACINGS
 from pneuma.env.level import RANDOM, Level
-from pneuma.env_fields import EnvConfig
+from pneuma.env_fields import WEAPON_NAMES, EnvConfig
 from pneuma.errors import UserError, unknown_name
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
@@ -30,7 +30,6 @@ MONSTER_FEATURES = {
     "godot": ("x", "y", "hp", "direction_x", "direction_y"),
 }
 FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
-SECOND_WEAPON = "second_weapon"
 MOST_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
@@ -38,7 +37,7 @@ MOST_XP = 1e9
 def player_features(config: EnvConfig) -> tuple[str, ...]:
     """Return the names of the numbers that a player observes of itself, in order."""
     names = PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
-    names += (SECOND_WEAPON,) if config.second_weapon else ()
+    names += WEAPON_NAMES[1:] if config.second_weapon else ()
     heard = [
         f"hears_{other}_say_{token}"
         for other in range(1, config.players)

@@ -81,6 +81,10 @@ class Outcomes:
         table = summary_table(self.data, [self.outcome])
         return table[table["outcome"] == self.outcome]
 
+    @property
+    def axis_label(self) -> str:
+        return find_outcome(self.named).unit if self.named else "Return of an episode"
+
     @cached_property
     def colours(self) -> dict[str, str]:
         return {name: look["color"] for name, look in styles_of(self.data).items()}
@@ -95,11 +99,7 @@ class Outcomes:
         return Panel(
             partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
-            "Share killed"
-            if killed
-            else find_outcome(self.named).unit
-            if self.named
-            else "Return of an episode",
+            "Share killed" if killed else self.axis_label,
             x_ticks=grid.shares if killed else grid.few,
             rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
         )

@@ -25,14 +25,6 @@ from __future__ import annotations
 
 import math
 
-from pneuma.env.reward import (
-    REWARD_CUSTOM,
-    REWARD_GODOT,
-    REWARD_KILLS,
-    REWARD_PYGAME,
-    REWARD_SIGMOID,
-    REWARD_THESIS,
-)
 from pneuma.env.rules import (
     ATTACK,
     BODIES,
@@ -57,6 +49,7 @@ from .oracle_parts import (
     approach,
     die,
     flame_blow,
+    formula,
     gap_squared,
     heal,
     knock_back,
@@ -135,7 +128,7 @@ class Oracle:
         for player in self.players:
             events = player.events
             if events.present or events.died:
-                events.reward = _formula(player)
+                events.reward = formula(player)
         if self.book.settings.shared_reward:
             mean = sum(player.events.reward for player in self.players) / len(self.players)
             for player in self.players:
@@ -386,24 +379,3 @@ class Oracle:
             if player.hp <= 0.0:
                 die(player)
                 self._charge(player)
-
-
-# --- Rewards ----------------------------------------------------------------------------------------
-
-
-def _formula(player: Player) -> float:
-    """Return a player's reward for a step; `pneuma/env/reward.py` says the formulas in words."""
-    stats, events = player.stats, player.events
-    if stats.reward == REWARD_THESIS:
-        return player.xp - player.hp / stats.hp
-    if stats.reward == REWARD_PYGAME:
-        return player.xp + player.hp / stats.hp
-    if stats.reward == REWARD_KILLS:
-        return events.xp_gained - events.hp_lost / stats.hp
-    if stats.reward == REWARD_SIGMOID:
-        if events.distance == math.inf:
-            return events.xp_gained + 0.0
-        z = (150.0 - events.distance) / 50.0
-        return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
-    assert stats.reward in (REWARD_GODOT, REWARD_CUSTOM)
-    return events.reward  # kept event by event, or computed outside

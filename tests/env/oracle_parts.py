@@ -9,6 +9,14 @@ import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
+from pneuma.env.reward import (
+    REWARD_CUSTOM,
+    REWARD_GODOT,
+    REWARD_KILLS,
+    REWARD_PYGAME,
+    REWARD_SIGMOID,
+    REWARD_THESIS,
+)
 from pneuma.env.rules import DOWN, LEFT, RIGHT, UP
 
 from .oracle_moves import Box, Ground
@@ -237,3 +245,24 @@ def approach(offset: float, kind: Row) -> float:
     if offset < -kind.stand_off:
         return -kind.speed
     return 0.0
+
+
+# --- Rewards ----------------------------------------------------------------------------------------
+
+
+def formula(player: Player) -> float:
+    """Return a player's reward for a step; `pneuma/env/reward.py` says the formulas in words."""
+    stats, events = player.stats, player.events
+    if stats.reward == REWARD_THESIS:
+        return player.xp - player.hp / stats.hp
+    if stats.reward == REWARD_PYGAME:
+        return player.xp + player.hp / stats.hp
+    if stats.reward == REWARD_KILLS:
+        return events.xp_gained - events.hp_lost / stats.hp
+    if stats.reward == REWARD_SIGMOID:
+        if events.distance == math.inf:
+            return events.xp_gained + 0.0
+        z = (150.0 - events.distance) / 50.0
+        return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
+    assert stats.reward in (REWARD_GODOT, REWARD_CUSTOM)
+    return events.reward  # kept event by event, or computed outside
