@@ -1,0 +1,68 @@
+"""Add the changes of a study one by one, at every rung the one that helps most; print the conditions of the ladder.
+
+    python studies/ladder.py studies/changes.toml RESULTS > ladder.txt
+
+Each condition of the study but its baseline is a change. At every rung each change that is left trains on top of those
+already taken, on seeds that no study has, and the one with the most kills is taken, whether or not it helps. What is
+printed goes into a study, whose fresh seeds tell how much each rung is worth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pneuma.analysis.outcomes import outcome_values
+from pneuma.api import run_study
+
+OUTCOME = "late-share-killed"
+Fields = Mapping[str, Any]
+
+
+def table(name: str, fields: Fields) -> str:
+    """Return a table of TOML; its values are written alike in JSON."""
+    return "\n".join([f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in fields.items()), ""])
+
+
+def rungs(
+    file: Fields, results: str, seeds: list[int], steps: int
+) -> Iterator[tuple[str, Fields, dict[str, float]]]:
+    """Yield each change taken, all fields changed so far, and the mean outcome of every change tried there."""
+    left = {name: fields for name, fields in file["conditions"].items() if name != file["baseline"]}
+    taken: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        while left:
+            head = [f"{key} = {json.dumps(file[key])}" for key in ("base", "worlds")]
+            tried = [table(f"conditions.{name}", {**taken, **fields}) for name, fields in left.items()]
+            path = Path(folder) / f"rung-{len(left)}.toml"
+            path.write_text("\n".join(['title = "A rung"', *head, table("run", file["run"]), *tried]))
+            data = run_study(path, results, seeds=seeds, steps=steps)
+            means = {name: float(np.mean(outcome_values(data, name, OUTCOME))) for name in left}
+            best = max(means, key=means.__getitem__)
+            taken |= left.pop(best)
+            yield best, dict(taken), means
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0], allow_abbrev=False)
+    parser.add_argument("study", type=Path, help="a study's file")
+    parser.add_argument("results", help="the results folder")
+    parser.add_argument("--seeds", type=int, default=2, help="seeds of each change tried (default: 2)")
+    parser.add_argument("--steps", type=int, default=294_912, help="steps of each run")
+    asked = parser.parse_args()
+    study = tomllib.loads(asked.study.read_text())
+    fresh = list(range(1000, 1000 + asked.seeds))
+    for name, fields, means in rungs(study, asked.results, fresh, asked.steps):
+        tried = ", ".join(
+            f"{other} {mean:.3f}" for other, mean in sorted(means.items(), key=lambda pair: -pair[1])
+        )
+        print(f"# {tried}\n{table(f'conditions.{name}', fields)}", flush=True)
+        print(f"took {name}: {means[name]:.3f}", file=sys.stderr)
