@@ -1,10 +1,9 @@
-"""Add the changes of a study one by one, at every rung the one that helps most; print the conditions of the ladder.
+"""Add the changes of a study one by one, the most helpful first; print the conditions of the ladder.
 
     python studies/ladder.py studies/changes.toml RESULTS > ladder.txt
 
-Each condition of the study but its baseline is a change. At every rung each change that is left trains on top of those
-already taken, on seeds that no study has, and the one with the most kills is taken, whether or not it helps. What is
-printed goes into a study, whose fresh seeds tell how much each rung is worth.
+Each condition of the study but its baseline is a change. At every rung each change that is left trains on top
+of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful or not. What is printed goes into a study, whose fresh seeds tell how much each rung is worth.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ def table(name: str, fields: Fields) -> str:
 def rungs(
     file: Fields, results: str, seeds: list[int], steps: int
 ) -> Iterator[tuple[str, Fields, dict[str, float]]]:
-    """Yield each change taken, all fields changed so far, and the mean outcome of every change tried there."""
+    """Yield each change taken, all fields changed so far, and the mean outcome of every change tried."""
     left = {name: fields for name, fields in file["conditions"].items() if name != file["baseline"]}
     taken: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
