@@ -3,7 +3,8 @@
     python studies/ladder.py studies/changes.toml RESULTS > ladder.txt
 
 Each condition of the study but its baseline is a change. At every rung each change that is left trains on top
-of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful or not. What is printed goes into a study, whose fresh seeds tell how much each rung is worth.
+of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful or not.
+What is printed goes into a study, whose fresh seeds tell how much each rung is worth.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pneuma.analysis.outcomes import outcome_values
 from pneuma.api import run_study
 
 OUTCOME = "late-share-killed"
+PRESET = "[presets.quick]\nseeds = 1\nsteps = 1024\n"  # which every study has; here seeds and steps are given
 Fields = Mapping[str, Any]
 
 
@@ -42,7 +44,7 @@ def rungs(
             head = [f"{key} = {json.dumps(file[key])}" for key in ("base", "worlds")]
             tried = [table(f"conditions.{name}", {**taken, **fields}) for name, fields in left.items()]
             path = Path(folder) / f"rung-{len(left)}.toml"
-            path.write_text("\n".join(['title = "A rung"', *head, table("run", file["run"]), *tried]))
+            path.write_text("\n".join(['title = "A rung"', *head, table("run", file["run"]), PRESET, *tried]))
             data = run_study(path, results, seeds=seeds, steps=steps)
             means = {name: float(np.mean(outcome_values(data, name, OUTCOME))) for name in left}
             best = max(means, key=means.__getitem__)
