@@ -318,13 +318,13 @@ OUTCOMES: dict[str, Outcome] = {
     "auc-share-killed": Outcome(
         "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, _share_area,
         alike=NEAR_AN_END),
-    "argmax-share-killed": _killed(" by the most probable actions", column="argmax_share_killed"),
+    "greedy-share-killed": _killed(" by the likeliest actions", column="argmax_share_killed"),
     "normalised-score": _evaluated(
         "score (0 random player, 1 all monsters killed)", "", UP, ANYTHING, "score"),
     "best-score": _evaluated("best score of any evaluation", "", UP, ANYTHING, "score", np.max),
     "evaluated-return": _evaluated("return, last evaluation", "", UP, ANYTHING, "return"),
-    "argmax-return": _evaluated(
-        "return of the most probable actions, last evaluation", "", UP, ANYTHING, "argmax_return"),
+    "greedy-return": _evaluated(
+        "return of the likeliest actions, last evaluation", "", UP, ANYTHING, "argmax_return"),
     "final-success": _evaluated(
         "evaluation episodes that succeeded, where the environment tells", "share", UP, SHARE, "success"),
     "final-return": _trained("return at the end of training", "", UP, ANYTHING, "return"),

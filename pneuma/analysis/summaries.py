@@ -33,13 +33,13 @@ from pneuma.errors import UserError
 SUMMARISED = (
     PRIMARY,
     "auc-share-killed",
-    "argmax-share-killed",
+    "greedy-share-killed",
     "normalised-score",
     "final-return",
     "auc-return",
 )
 OF_FOREIGN = (
-    "evaluated-return", "final-success", "argmax-return", "final-return", "auc-return", "final-length",
+    "evaluated-return", "final-success", "greedy-return", "final-return", "auc-return", "final-length",
 )  # fmt: skip
 """The outcomes in environments that are not Pneuma's."""
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")

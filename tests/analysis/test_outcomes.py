@@ -82,7 +82,7 @@ def data(tmp_path: Path) -> StudyData:
     [
         ("final-share-killed", 0.5),
         ("auc-share-killed", (0.4 + 0.5 + 0.45) / 3),  # trapezoids between 0.2, 0.6, 0.4, 0.5
-        ("argmax-share-killed", 0.25),
+        ("greedy-share-killed", 0.25),
         ("normalised-score", 1.0),
         ("evaluated-return", 5.0),
         ("final-return", 20 / 3),  # (950, 1000] holds the twentieth episode alone
