@@ -176,7 +176,7 @@ def effect(row: ClaimContrast) -> str:
 
 
 def _arm(conditions: Arms) -> str:
-    return " and ".join(conditions) if len(conditions) <= 2 else f"{conditions[0]} …"
+    return " and ".join(filter(None, (", ".join(conditions[:-1]), conditions[-1])))
 
 
 def _said(row: ClaimContrast) -> str:
