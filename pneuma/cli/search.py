@@ -334,9 +334,18 @@ def promote(
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
     else:
+        from pneuma.analysis.asked import open_study
+        from pneuma.analysis.run_index import RunIndex
+        from pneuma.figures.search import winners_page
+
+        data = open_study(RunIndex(store), str(path), plan.Selection(seeds=seeds, steps=steps))
         for winner, row in zip(winners, chosen, strict=True):
-            row["objectives"] = gains(winner, planned, store)
+            row["objectives"] = gains(winner, data)
             shown += _show_gains(winner, row["objectives"], len(seeds))
+        again = command("search", "promote", *names, "--seeds", ",".join(map(str, seeds)), "--steps", steps)
+        page = winners_page(study, winners, data)
+        document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
+        shown += wrote(document["figures"])
         shown += [
             f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
             for arm, count in diverged.items()

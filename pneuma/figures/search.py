@@ -1,4 +1,4 @@
-"""The figure of a search: history, importances, every parameter's values, and the best trials' together.
+"""The figures of a search: its trials, and how its winner does on fresh seeds.
 
 RecordedSearch → panels → Page (`grid.py`)
 """
@@ -18,13 +18,15 @@ from matplotlib.ticker import LogLocator, NullLocator
 from optuna.exceptions import ExperimentalWarning
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted
 from pneuma.figures import grid
 from pneuma.figures.grid import Page, Panel, in_grid
-from pneuma.figures.origin import sample
+from pneuma.figures.origin import sample, samples_of
 from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
 from pneuma.search.optuna_study import ended_study
+from pneuma.search.promote import Gain, Winner, gains
 from pneuma.search.space import Parameter
 from pneuma.search.storage import RecordedSearch
 from pneuma.search.trials import EndedTrial
@@ -202,6 +204,45 @@ class _Drawn:
             f"{counts} trials of {seeds} and {steps:,} steps each; sampler {sampler}; {self.task.digest}.",
             "Importance: which parameters tell the best tenth of the trials from the others (PED-ANOVA).",
         ]
+
+
+# --- Winners on fresh seeds -------------------------------------------------------------------------
+
+
+def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> Page:
+    """Return how winners of searches do on fresh seeds, in the first of their objectives.
+
+    A row for each: its base, the winner with the interval of its gain, and what the search had seen of it.
+    """
+    objective = winners[0].searched.task.search.objectives[0]
+    words, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
+    found = {winner.name: gains(winner, data)[objective.name] for winner in winners}
+    sign = -1 if objective.direction == "maximize" else 1
+    ranked = dict(sorted(found.items(), key=lambda pair: sign * pair[1].fresh))
+    panel = Panel(
+        partial(_draw_gains, found=[*ranked.values()]),
+        x=f"{objective.over_seeds} of {words.words.partition(',')[0]}",
+        x_ticks=grid.shares if words.unit == "share" else grid.few,
+        rows=[*ranked],
+    )
+    inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
+    title = f"Tuned, and on {counted(seeds, 'fresh seed')}"
+    caption = ["Bars: where the base plus the gain lies, with 95 % probability."]
+    return Page(basename, [[panel]], inches, title, samples_of(data), caption=caption)
+
+
+def _draw_gains(axes: Axes, found: Sequence[Gain]) -> None:
+    for place, gain in enumerate(found):
+        low, high = (gain.fresh_baseline + end for end in gain.interval)
+        axes.plot([gain.fresh, gain.seen], [place, place], color=GREY, linewidth=0.8, zorder=1.5)
+        grid.draw_interval(axes, place, {"value": gain.fresh, "low": low, "high": high}, markerfacecolor=BEST)
+        look: Any = {"markersize": 4.5, "linestyle": "", "color": COMPLETE, "zorder": 2.6}
+        axes.plot([gain.seen], [place], marker="o", markerfacecolor="white", **look)
+        axes.plot([gain.fresh_baseline], [place], marker="o", **look)
+    shown: Any = {"color": COMPLETE, "marker": "o", "linestyle": "", "markersize": 4.5}
+    axes.plot([], [], label="untuned", **shown)
+    axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": BEST})
+    axes.plot([], [], label="tuned, in its search: the gap is luck", markerfacecolor="white", **shown)
 
 
 GOLDEN = (5**0.5 - 1) / 2

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import difference_interval
-from pneuma.config import OF_WORLDS, as_fields, make_run
+from pneuma.config import OF_WORLDS
 from pneuma.errors import UserError
 from pneuma.schema import shown
 from pneuma.search.space import Space
 from pneuma.search.storage import RecordedSearch
-from pneuma.search.trials import EndedTrial, Outcomes, objective_value
-from pneuma.study.plan import Plan, differing_fields
+from pneuma.search.trials import EndedTrial, counted_outcome, objective_value
+from pneuma.study.plan import differing_fields
 from pneuma.study.spec import unread_fields
-from pneuma.study.store import Store
 
 
 @dataclass(frozen=True)
@@ -182,30 +182,28 @@ def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
 # --- What was gained -------------------------------------------------------------------------------
 
 
-def gains(winner: Winner, planned: Plan, store: Store) -> dict[str, Gain]:
-    """Return a winner's gain in each objective, by name.
-
-    Args:
-        winner: a winner in the study.
-        planned: the plan of the study; all runs have ended.
-        store: the results folder.
-    """
+def gains(winner: Winner, data: StudyData) -> dict[str, Gain]:
+    """Return a winner's gain in each objective, by name, from the runs of the study of winners."""
     task = winner.searched.task
-    won, lost = (
-        [cell for cell in planned.cells if cell.condition == name] for name in (winner.tuned, winner.name)
-    )
-    outcomes = Outcomes(task, store)  # so that a diverged run counts as it did in the search
-    searched_steps = make_run({**as_fields(won[0].run), "steps": task.budget.steps}).steps
+    search = task.search
+    won, lost = data.of_condition(winner.tuned), data.of_condition(winner.name)
+    searched_steps = search.space.make_run(winner.trial.params, steps=task.budget.steps).steps
     found = {}
-    for seen, objective in zip(winner.trial.values, task.search.objectives, strict=True):
-        value, base = (objective_value(objective, arm, outcomes) for arm in (won, lost))
-        arms = [np.array([outcomes.read(cell, objective.outcome) for cell in arm]) for arm in (won, lost)]
+    for seen, objective in zip(winner.trial.values, search.objectives, strict=True):
+        arms = [  # a diverged run counts as it did in the search
+            np.array([counted_outcome(search, data, run, objective.outcome) for run in arm])
+            for arm in (won, lost)
+        ]
+        value, base = (
+            objective_value(objective, values, any(run.status == "diverged" for run in arm))
+            for values, arm in zip(arms, (won, lost), strict=True)
+        )
         difference, interval = math.nan, (math.nan, math.nan)
         if np.isfinite(arms).all():  # not where a threshold was never reached
             between = difference_interval(arms[0], arms[1])
             difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
         alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
         sign = 1 if objective.direction == "maximize" else -1
-        luck = sign * (seen - value) if alike and won[0].run.steps == searched_steps else math.nan
+        luck = sign * (seen - value) if alike and won[0].row.budget == searched_steps else math.nan
         found[objective.name] = Gain(seen, value, base, difference, interval, luck)
     return found

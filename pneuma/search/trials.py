@@ -120,27 +120,15 @@ class PendingTrial:
 
 @dataclass(frozen=True)
 class Outcomes:
-    """Reads outcomes of stored runs as a search counts them.
-
-    A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the
-    outcome has no bound.
-    """
+    """Reads outcomes of stored runs as a search counts them."""
 
     task: Task
     store: Store
 
     def read(self, cell: Cell, name: str) -> float:
         """Return an outcome of a finished run; NaN if it has none."""
-        if self.diverged(cell):
-            minimized = any(
-                (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
-                for one in self.task.search.objectives
-            )
-            worst = find_outcome(name).bounds[minimized]
-            if np.isfinite(worst):
-                return float(worst)
         run = FinishedRun(cell.condition, cell.seed, stored_row(self.store, cell.run_id))
-        return outcome(self._data(run, cell), run, name)
+        return counted_outcome(self.task.search, self._data(run, cell), run, name)
 
     def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
         """Return an outcome as it is at steps before the run's end, in their order; NaN if there is none."""
@@ -325,14 +313,21 @@ def _end(objectives: Sequence[Objective], asked: PendingTrial, outcomes: Outcome
     if asked.pruned:
         last = asked.reports[max(asked.reports)]
         return EndedTrial(number, params, "pruned", (last,), run_ids, asked.reports)
-    values = tuple(objective_value(each, asked.cells, outcomes) for each in objectives if run_ids)
+    diverged = sum(map(outcomes.diverged, asked.cells))
+    values = tuple(
+        objective_value(
+            each, np.array([outcomes.read(cell, each.outcome) for cell in asked.cells]), diverged > 0
+        )
+        for each in objectives
+        if run_ids
+    )
     lacking = [
         each.outcome for each, value in zip(objectives, values, strict=False) if not np.isfinite(value)
     ]
     state = "failed" if lacking or not values else "complete"
     notes = [asked.note, *(f"a run has no {name}, or none that is finite" for name in lacking)]
-    if count := sum(map(outcomes.diverged, asked.cells)):
-        notes.append(f"{count} of {len(asked.cells)} runs diverged")
+    if diverged:
+        notes.append(f"{diverged} of {len(asked.cells)} runs diverged")
     note = "; ".join(filter(None, notes))
     finite = values if state == "complete" else ()
     return EndedTrial(number, params, state, finite, run_ids, asked.reports, note)
@@ -348,18 +343,33 @@ def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int]
     return front if len(search.objectives) > 1 else min(front, default=None)
 
 
-def objective_value(objective: Objective, cells: Sequence[Cell], outcomes: Outcomes) -> float:
-    """Return the value of a trial's runs in one objective.
+def counted_outcome(search: Search, data: StudyData, run: FinishedRun, name: str) -> float:
+    """Return an outcome of a run of some data as a search counts it.
+
+    A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the
+    outcome has no bound.
+    """
+    if run.status == "diverged":
+        minimized = any(
+            (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
+            for one in search.objectives
+        )
+        worst = find_outcome(name).bounds[minimized]
+        if np.isfinite(worst):
+            return float(worst)
+    return outcome(data, run, name)
+
+
+def objective_value(objective: Objective, values: np.ndarray, diverged: bool) -> float:
+    """Return the value of runs in one objective from their outcomes, (seeds,), and whether some diverged.
 
     Runs that all diverge have no spread, which would look good. They count with the greatest possible spread,
     if the outcome is bounded.
     """
-    bounds, half = find_outcome(objective.outcome).bounds, len(cells) // 2
-    spread = objective.over_seeds == "deviation"
-    if spread and np.isfinite(bounds).all() and any(map(outcomes.diverged, cells)):
-        return over_seeds("deviation", np.repeat(bounds, [half, len(cells) - half]))
-    values = [outcomes.read(cell, objective.outcome) for cell in cells]
-    return over_seeds(objective.over_seeds, np.array(values))
+    bounds, half = find_outcome(objective.outcome).bounds, len(values) // 2
+    if objective.over_seeds == "deviation" and np.isfinite(bounds).all() and diverged:
+        return over_seeds("deviation", np.repeat(bounds, [half, len(values) - half]))
+    return over_seeds(objective.over_seeds, values)
 
 
 def over_seeds(name: str, values: np.ndarray) -> float:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.search import promote
+from pneuma.figures.grid import save_page
+from pneuma.figures.search import winners_page
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.spec import Budget, load_search
 from pneuma.search.storage import RecordedSearch
@@ -18,7 +19,8 @@ from pneuma.study.spec import load_study, shipped_names, studies_folder
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
-from .conftest import Formula, MakeTask, solve
+from ..hand_made import make_id, save_run, study_of
+from .conftest import MakeTask, solve
 
 OPTIMIZERS = """
 [space.optimizer]
@@ -76,21 +78,35 @@ def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, world: str, 
         assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == trial.run_ids[-2:]
 
 
-def test_winners_stand_beside_what_each_was_tuned_from(
-    alike: list[RecordedSearch], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_winners_stand_beside_what_each_was_tuned_from(alike: list[RecordedSearch], tmp_path: Path) -> None:
     winners = find_winners(alike, None, (0, 1))
     planned = plan(winners, tmp_path)
     assert list(planned.conditions) == ["adam", "adam-tuned", "sgd", "sgd-tuned"]
     assert all(ids(planned, own.tuned) == own.trial.run_ids for own in winners)
     runs = {cell.condition: cell.run for cell in planned.cells}
     assert (runs["sgd"].optimizer, runs["sgd"].horizon) == ("sgd", 512)
-    played = Formula(lambda cell, name: 0.5 if cell.condition.endswith("-tuned") else 0.25)
-    monkeypatch.setattr(promote, "Outcomes", lambda *_: played)
-    for own in winners:
-        (found,) = gains(own, plan(winners, tmp_path, (0, 1, 2)), Store(tmp_path)).values()
-        assert (found.fresh, found.fresh_baseline, found.difference) == (0.5, 0.25, 0.25)
-        assert found.luck == pytest.approx(own.trial.values[0] - 0.5)
+
+
+def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
+    alike: list[RecordedSearch], tmp_path: Path
+) -> None:
+    """A run that diverged counts as one that killed nothing."""
+    (winner,) = find_winners(alike[:1], None, (0, 1))
+    store, cells = Store(tmp_path), {}
+    for condition, shares in ((winner.name, (0.2, 0.3)), (winner.tuned, (0.6, 0.9))):
+        for seed, share in enumerate(shares):
+            cells[condition, seed] = run_id = make_id(condition, seed)
+            status = "diverged" if share == 0.9 else "done"
+            ends = [{"step": 2048, "share_killed": share}]
+            save_run(store, run_id, [], [], ends, 2048, status, {"steps": 2048})
+    data = study_of(store, cells)
+    (found,) = gains(winner, data).values()
+    assert (found.fresh, found.fresh_baseline) == pytest.approx((0.3, 0.25))
+    assert found.difference == pytest.approx(0.05)
+    assert found.luck == pytest.approx(winner.trial.values[0] - 0.3)
+
+    (path,) = save_page(winners_page("won", [winner], data), tmp_path, ("svg",))
+    assert "untuned" in path.read_text() and winner.name in path.read_text()
 
 
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -174,6 +175,7 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     run = task.search.space.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
     cell = Cell("trial-000", 1000, run, "0" * 16)
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
+    monkeypatch.setattr(trials, "stored_row", lambda *_: SimpleNamespace(status="diverged"))
     monkeypatch.setattr(trials, "row_until", lambda *asked: asked[-1])
     monkeypatch.setattr(Outcomes, "_data", lambda *_: None)
     monkeypatch.setattr(trials, "outcome", lambda _, run, name, step: step / run.row)
