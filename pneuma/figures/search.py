@@ -226,7 +226,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
         rows=[*ranked],
     )
     inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
-    title = f"Tuned, and on {counted(seeds, 'fresh seed')}"
+    title = f"Winners of searches, on {counted(seeds, 'fresh seed')}"
     caption = ["Bars: where the base plus the gain lies, with 95 % probability."]
     return Page(basename, [[panel]], inches, title, samples_of(data), caption=caption)
 
