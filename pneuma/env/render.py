@@ -1,22 +1,20 @@
 """Frames of the world: the whole map, or a view that follows a player.
 
 A picture is drawn in art pixels, 16 per tile, over a background that is painted once, and then enlarged by a
-whole factor. A strip above it shows a player's HP, XP and progress. The same states give the same bytes: what
-shows for a moment (`effects.py`) follows from the states that were drawn before.
+whole factor. A strip above it shows a player's HP, XP and progress. The same state gives the same bytes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 from typing import Any
 
 import numpy as np
 
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
-from pneuma.env.effects import Effect, Effects
 from pneuma.env.ground import ground_kinds, hatch, land_and_shore, paint_ground, tile_hash
 from pneuma.env.level import GRASS, SAND, SNOW
 from pneuma.env.overlay import Place, draw_overlay
@@ -95,7 +93,6 @@ class Renderer:
         self.worlds = worlds
         self.camera = camera
         self._overlay = overlay
-        self._effects: dict[int, Effects] = {}
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
         self.shown = land_and_shore(worlds.levels)
@@ -177,14 +174,11 @@ class Renderer:
     def _draw(self, canvas: np.ndarray, world: int, left: int, top: int) -> None:
         """Draw everything in a world onto a canvas whose corner is at (left, top)."""
         height, width = canvas.shape[:2]
-        among, above = self._passing(world)
-        items = [*self._obstacles, *self._monsters(world), *self._players(world), *among]
+        items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
         for item in sorted(items, key=lambda item: item.foot):
             across, down = item.left - left, item.top - top
             if -item.picture.shape[1] < across < width and -item.picture.shape[0] < down < height:
                 sprites.blend(canvas, item.picture, across, down)
-        for item in (*self._bars(world), *above):
-            sprites.blend(canvas, item.picture, item.left - left, item.top - top)
 
     def _monsters(self, world: int) -> Iterator[Item]:
         level = int(self.worlds.worlds["level"][world])
@@ -208,11 +202,16 @@ class Renderer:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
             flash = sprites.RED if bitten[index] else ""
-            if player["busy"] > 0 and player["armed"] == rules.DASHING:
+            does = player["armed"] if player["busy"] > 0 else 0
+            if does == rules.DASHING:
                 yield from self._ghosts(index, player, stats)
             yield from self._standing(_player_picture(index, player, flash), player, stats)
-            if player["busy"] > 0 and player["armed"] == rules.BLADE:
+            if does == rules.BLADE:
                 yield from self._blow(player, stats)
+            elif does == rules.BURNING:
+                yield from self._flames(player, stats)
+            elif does == rules.HEALING:
+                yield from self._pluses(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
         """Return which players a living monster has just bitten, (players,)."""
@@ -254,44 +253,27 @@ class Renderer:
                 picture = sprites.faded(_player_picture(index, player, ""), opaque)
                 yield _above(y - 0.4, picture, x, y + 1)
 
-    # --- What has just happened ------------------------------------------------------------------
-
-    def _passing(self, world: int) -> tuple[list[Item], list[Item]]:
-        """Return what shows for a moment among the bodies, and above them all."""
-        effects = self._effects.setdefault(world, Effects(self.worlds, world))
-        among: list[Item] = []
-        above: list[Item] = []
-        for effect, age in effects.look():
-            if effect.kind == "flame":
-                among += self._flames(effect, age)
-            else:
-                above += self._rising(effect, age)
-        return among, above
-
-    def _flames(self, effect: Effect, age: int) -> Iterator[Item]:
+    def _flames(self, player: Any, stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""
-        left_over = min(3 * (effect.ticks - age), effect.ticks) * 13 // effect.ticks
-        columns, rows = (max(round(side / FLAME_GAP), 1) for side in (effect.width, effect.height))
+        way, ticks = player["facing"], int(stats["flame_ticks"])
+        age = ticks - int(player["busy"])
+        left_over = min(3 * int(player["busy"]), ticks) * 13 // ticks
+        width, height = 2 * stats["flame_half_width"][way], 2 * stats["flame_half_height"][way]
+        columns, rows = (max(round(side / FLAME_GAP), 1) for side in (width, height))
         for row, column in np.ndindex(rows, columns):
             x, y = self._place(
-                effect.x + effect.width * ((column + 0.5) / columns - 0.5),
-                effect.y + effect.height * ((row + 1) / rows - 0.5),
+                player["x"] + stats["flame_x"][way] + width * ((column + 0.5) / columns - 0.5),
+                player["y"] + stats["flame_y"][way] + height * ((row + 1) / rows - 0.5),
             )
             picture = sprites.flame_picture(age // 4 + row + column, max(left_over, 3))
             yield _above(y, picture, x, y)
 
-    def _rising(self, effect: Effect, age: int) -> Iterator[Item]:
-        """Yield a cloud, signs of healing, or XP gained, which rise over a body."""
-        x, y = self._place(effect.x, effect.y)
-        if effect.kind == "death":
-            pictures = [(sprites.puff_picture(6 * age // effect.ticks), 0, 0)]
-        elif effect.kind == "xp":
-            pictures = [(sprites.gain_picture(f"+{effect.xp:.10g} XP"), 0, 16 + age // 4)]
-        else:
-            plus = sprites.plus_picture()
-            pictures = [(plus, across, rise + age // 3) for across, rise in PLUSES]
-        for picture, across, rise in pictures:
-            yield _centred(0.0, picture, x + across, y - rise)
+    def _pluses(self, player: Any, stats: Any) -> Iterator[Item]:
+        """Yield signs of healing, which rise over everything."""
+        x, y = self._place(player["x"], player["y"])
+        age = int(stats["heal_ticks"] - player["busy"])
+        for across, rise in PLUSES:
+            yield _centred(inf, sprites.plus_picture(), x + across, y - rise - age // 3)
 
     def _bars(self, world: int) -> Iterator[Item]:
         level = int(self.worlds.worlds["level"][world])
@@ -304,7 +286,7 @@ class Renderer:
                 if 0 < body["hp"] < stats["hp"]:
                     bar = _gauge(body["hp"], stats["hp"], colour, BAR_WIDTH)
                     x, y = self._place(body["x"], _foot(body, stats))
-                    yield Item(0.0, bar, x - bar.shape[1] // 2, y - height)
+                    yield Item(inf, bar, x - bar.shape[1] // 2, y - height)
 
     # --- The strip above -------------------------------------------------------------------------
 

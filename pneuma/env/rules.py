@@ -22,8 +22,8 @@ import numpy as np
 from pneuma.env.state import Array, State, kernel, merged, part
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
-BLADE, DASHING = 1, 2
-"""What a busy player does: attack with its sword, or dash."""
+BLADE, DASHING, BURNING, HEALING = 1, 2, 3, 4
+"""What a busy player does: attack with its sword, dash, or cast a spell."""
 OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
 BODIES = 8
 """Beside codes of terrain, what can stop a body: bit 1 << BODIES says that other bodies do."""
@@ -279,13 +279,13 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
-            player.armed = 0
+            player.armed = BURNING
             _burn(player, stats, s.tick[p])
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
             player.busy = stats.heal_ticks
-            player.armed = 0
+            player.armed = HEALING
             for other in range(s.players.shape[1]):
                 if other == p or _within_heal(s.players[w, other], player, stats.heal_reach):
                     _heal(s.players[w, other], s.player_stats[other], s.events[w, other], stats.heal)

@@ -43,13 +43,13 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
     """Return the picture of player `index`, in its own cloak.
 
     Args:
-        index: of the player; colours repeat from the ninth player on.
+        index: of the player, from 0 to 7.
         facing: one of `FACINGS`.
         pose: one of `POSES`.
         flash: a colour to flash in, or none.
     """
     sheet = read_art("players.png")
-    row = TILE * index % len(sheet)
+    row = TILE * index
     column = TILE * (len(POSES) * FACINGS.index(facing) + POSES.index(pose))
     return _flashed(sheet[row : row + TILE, column : column + TILE], flash)
 
@@ -100,8 +100,6 @@ _FLAME = (1, 2, 3, 4, 5, 6, 7, 7, 7, 6, 5)
 """Half the width of a flame in each of its rows, in half art pixels, from the tip down."""
 _FLICKER = ((0, 1, 1, 0, 0), (1, 0, -1, -1, 0), (-1, -1, 0, 1, 0), (0, 0, 1, 0, 0))
 """How far a flame leans in its rows, the tip first, in each of its moments."""
-_PUFFS = ((-3, -1), (0, -3), (3, -1), (2, 2), (-2, 2))
-"""Where the puffs of a cloud begin, from its middle."""
 
 
 @cache
@@ -142,31 +140,11 @@ def flame_picture(moment: int, left_over: int) -> np.ndarray:
 
 
 @cache
-def puff_picture(moment: int) -> np.ndarray:
-    """Return the cloud that is left of a monster, at one of its six moments: it spreads and thins out."""
-    picture = np.zeros((25, 25, 4), np.uint8)
-    row, column = np.ogrid[:25, :25]
-    radius = (9, 9, 7, 5, 2, 1)[moment]
-    for x, y in _PUFFS:
-        middle_x, middle_y = 12 + x * (4 + moment) // 4, 12 + y * (4 + moment) // 4 - moment // 2
-        picture[(column - middle_x) ** 2 + (row - middle_y) ** 2 <= radius] = (*rgb(WHITE), 255)
-    return outlined(picture)
-
-
-@cache
 def plus_picture() -> np.ndarray:
     """Return the sign of healing."""
     picture = np.zeros((5, 5, 4), np.uint8)
     picture[2, :] = picture[:, 2] = (*rgb(LEAF), 255)
     return outlined(picture)
-
-
-@cache
-def gain_picture(text: str) -> np.ndarray:
-    """Return what was gained, as golden text with an outline."""
-    letters = text_picture(text).copy()
-    letters[letters[..., 3] > 0, :3] = rgb(GOLD)
-    return outlined(letters)
 
 
 def outlined(picture: np.ndarray) -> np.ndarray:

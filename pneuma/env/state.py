@@ -55,8 +55,8 @@ PLAYER = _record(
     ("xp", "f8"),
     ("energy", "f8"),
     ("facing", "i4"),
-    ("busy", "i4"),  # ticks that the current attack or spell still lasts
-    ("armed", "i4"),  # 1: it is an attack, whose sword strikes; 2: it is a dash
+    ("busy", "i4"),  # ticks that the current attack, dash or spell still lasts
+    ("armed", "i4"),  # what that is: BLADE, DASHING, BURNING or HEALING; 0: there was none yet
     ("attack", "i4"),  # number of the latest attack of this episode
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),

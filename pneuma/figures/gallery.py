@@ -98,10 +98,10 @@ def _worlds() -> Figure:
         renderer = Renderer(worlds, "follow", panel=False, zoom=GIF_FACTOR)
         for _ in range(HUNTED):
             worlds.step(hunter.act(worlds))
-            paid.append(float(worlds.events["reward"][0, 0]))
-            frame = renderer.frame()
-            if worlds.events["hits"][0, 0]:
-                frames[f"{name}\n{REWARDS[name]}"] = frame
+            event = worlds.events[0, 0]
+            paid.append(float(event["reward"]))
+            if event["hits"] > event["kills"]:  # the dead do not show
+                frames[f"{name}\n{REWARDS[name]}"] = renderer.frame()
         rewards.append(paid)
     page, panels = _page(frames, PLOT)
     for panel, paid in zip(panels, rewards, strict=True):
@@ -151,8 +151,7 @@ def _acted(worlds: Worlds, action: str, width: int, ahead: int = 0) -> list[np.n
     """Return what is around each player, or more ahead of it, in the middle of an action."""
     renderer = Renderer(worlds, "follow", panel=False)
     smooth(worlds)
-    for _ in range(3):  # 6 ticks; what shows for a moment follows from the frames before
-        renderer.frame()
+    for _ in range(3):  # 6 ticks
         worlds.step(np.full(worlds.players.shape, worlds.action_names.index(action)))
     frames = [renderer.frame(0, player) for player in range(worlds.players.shape[1])]
     top, left = (len(frames[0]) - HEIGHT) // 2, (frames[0].shape[1] - width) // 2 + ahead

@@ -216,12 +216,12 @@ class Oracle:
                 player.attack += 1
             elif action == FLAME and player.energy >= stats.flame_cost:
                 player.energy -= stats.flame_cost
-                player.busy, player.armed = stats.flame_ticks, 0
+                player.busy, player.armed = stats.flame_ticks, 3
                 player.attack += 1
                 blow = flame_blow(player)
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
-                player.busy, player.armed = stats.heal_ticks, 0
+                player.busy, player.armed = stats.heal_ticks, 4
                 for other in self.players:
                     apart = (other.x - player.x) * (other.x - player.x) + (other.y - player.y) * (
                         other.y - player.y

@@ -14,7 +14,6 @@ import pytest
 from PIL import Image, ImageSequence
 
 from pneuma.env import rules, watch
-from pneuma.env.effects import Effects
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import make_env_config
@@ -91,31 +90,23 @@ def test_same_state_gives_the_same_bytes() -> None:
         assert here.tobytes() == there.tobytes()
 
 
-# --- What passes, and what is measured ------------------------------------------------------------
+# --- What players do, and what is measured ---------------------------------------------------------
 
 
-def test_effects_tell_spells_deaths_and_gains_for_their_time(arena: str) -> None:
-    """A cast lasts 24 ticks, 3 steps, a death shows for 24 and XP for 45; the first state shows none."""
-    worlds = stage(arena, (100.0, 0.0), settings={"magic": True})
-    worlds.monsters["hp"][0, 0] = 1.0
-    effects = Effects(worlds, 0)
-    assert effects.look() == []
-    shown = []
-    for action in [FLAME] * 4 + [HEAL] * 4:
-        play(worlds, action)
-        shown.append(" ".join(effect.kind for effect, _ in effects.look()))
-    burning, later = ["flame death xp"] * 2 + ["death xp"], ["xp flame", "xp flame", "xp"]
-    assert shown == [*burning, *later, "heal", "heal"]
-
-
-def test_a_new_episode_shows_nothing_of_the_last(arena: str) -> None:
+@pytest.mark.parametrize("spell", [FLAME, HEAL])
+def test_a_spell_shows_while_it_is_cast_in_a_picture_of_its_state_alone(arena: str, spell: int) -> None:
+    """It lasts 24 ticks, 3 steps. The flame's box reaches 320 px ahead; signs of healing stay near."""
     worlds = stage(arena, settings={"magic": True})
-    effects = Effects(worlds, 0)
-    effects.look()
-    play(worlds, FLAME)
-    assert [effect.kind for effect, _ in effects.look()] == ["flame"]
-    worlds.reset()
-    assert effects.look() == []
+    reach = []
+    for _ in range(3):
+        play(worlds, spell)
+        shown = bare(worlds)
+        what, worlds.players["armed"] = worlds.players["armed"].copy(), 0
+        x, _ = changed(bare(worlds), shown)
+        worlds.players["armed"] = what
+        reach.append(0 if not x.size else int(x.max()) - MIDDLE)
+    assert reach[2] == 0
+    assert all(70 < far < 86 if spell == FLAME else 0 < far <= BODY for far in reach[:2])
 
 
 @pytest.mark.parametrize("facing", range(4))
