@@ -93,13 +93,13 @@ ROWS = [{"step": 256, "policy_loss": 0.1, "entropy": 1.0}, {"step": 512, "policy
 ROW = {**dict.fromkeys(EPISODE_COLUMNS, 1), "ending": "died"}
 CHECKPOINT = Checkpoint(256, {"weights": np.arange(6.0).reshape(2, 3)}, {"seed": 3}, Records(episodes=[ROW]))
 POINTS = [("rollout/ep_rew_mean", step, float(step)) for step in range(3)]
-HISTORY: dict[str, Any] = {"attempts": [], "resumes": []}
+HISTORY: dict[str, Any] = {"attempts": []}
 FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
     "study": ("mine.toml", (ROOT / "studies/activation.toml").read_bytes, lambda path: load_study(str(path))),
     "search": ("s.toml", (ROOT / "studies/search/ppo.toml").read_bytes, lambda path: load_search(str(path))),
     "claims": ("mine.toml", (ROOT / "studies/claims.toml").read_bytes, load_claims),
     "level": ("island/obstacles.csv", lambda: b"-1,-1,-1,-1,-1,-1\n" * 6, _level),
-    "checkpoint": ("256.safetensors", lambda: encode(CHECKPOINT, HISTORY), _checkpoint),
+    "checkpoint": ("256.safetensors", lambda: encode(CHECKPOINT, HISTORY, ""), _checkpoint),
     "policy": ("policy.safetensors", policy_of().to_bytes, lambda path: read_sound_policy(path.read_bytes())),
     "run table": (
         "metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])),

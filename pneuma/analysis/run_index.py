@@ -119,15 +119,8 @@ class RunIndex:
     def _entries_here(self) -> Iterator[Entry]:
         for run_id in self.store.runs():
             status = self.store.status(run_id, quick=True)
-            if status.identity is None and status.finished:
-                try:  # of an older version: its row is made now
-                    row = stored_row(self.store, run_id)
-                    yield Entry(run_id, row.config_id, row.seed, row.budget, status.name, status.step)
-                except UserError as error:
-                    self.problems.append(str(error))
-            else:
-                about = status.identity or Identity(UNKNOWN, 0, 0)
-                yield Entry(run_id, about.config_id, about.seed, about.steps, status.name, status.step)
+            about = status.identity or Identity(UNKNOWN, 0, 0)
+            yield Entry(run_id, about.config_id, about.seed, about.steps, status.name, status.step)
 
     def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
         try:

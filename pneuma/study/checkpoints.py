@@ -100,7 +100,7 @@ class RunCheckpoints:
             return
         history = {"attempts": [*self.attempts, attempt.so_far(progress.step)]}
         try:
-            data = encode(progress.checkpoint(), history, run_id=self._name)
+            data = encode(progress.checkpoint(), history, self._name)
             self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
@@ -176,18 +176,15 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
     run, history = file.path.parent.parent.name, about["history"]
-    whole = (
-        checkpoint.step == file.step
-        and about.get("run_id") in (None, run)
-        and matches_schema(history, History)
-    )
+    named = checkpoint.step == file.step and about["run_id"] == run
+    whole = named and matches_schema(history, History)
     return (checkpoint, history.get("attempts", [])) if whole else None
 
 
-def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str | None = None) -> bytes:
+def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> bytes:
     """Return a checkpoint as safetensors, with the run's `attempts` so far.
 
-    With `run_id`, the file is rejected in the folder of another run.
+    The file is rejected in the folder of another run.
     """
     tables = table_files(checkpoint.records)
     rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}

@@ -42,6 +42,8 @@ class Listing(TypedDict):
 class _Attempt(TypedDict):
     started: str
     wall_seconds: float
+    training_seconds: float
+    processor_share: float | None
     machine: dict[str, Any]
 
 

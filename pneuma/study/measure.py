@@ -12,19 +12,18 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pneuma.config import Run, as_fields, make_run
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.files import parse_json
 from pneuma.study import rows, series
 from pneuma.study.checkpoints import TABLES, sound_checkpoint, table_files
-from pneuma.study.identity import config_id, own_names, run_id
 from pneuma.study.quantities import (
     EPISODE_QUANTITIES,
     EVALUATION_TAGS,
@@ -34,14 +33,14 @@ from pneuma.study.quantities import (
     WINDOWS,
 )
 from pneuma.study.rows import Row, curve_column, decode_row, encode_row
-from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store, run_identity
+from pneuma.study.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
 from pneuma.study.tables import record_table
 
 if TYPE_CHECKING:
     import pandas as pd  # of logs alone: workers do not load it
 
 UNKNOWN = "0" * 16
-"""The configuration id of a run that this version of Pneuma, or this machine's files, would not give."""
+"""The configuration id of a run of which it is not stored."""
 
 RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 """Quantities that are rounded in proportion to each value, as their logarithm is what matters."""
@@ -140,13 +139,11 @@ def stored_row(store: Store, name: str) -> Row:
     folder = store.run_folder(name)
     try:
         files = {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
-        status = store.status(name, quick=True)
-        known = status.identity or _identity(name, parse_json(files["run.json"])["run"])
-        data = encode_row(cells_of_files(name, replace(status, identity=known), files))
+        data = encode_row(cells_of_files(name, store.status(name, quick=True), files))
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{folder}: its records make no sense ({error})") from None
     with suppress(UserError):  # a folder that cannot be written is still read
-        store.save_row(name, data, known)
+        store.save_row(name, data)
     return decode_row(data)
 
 
@@ -188,20 +185,6 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
     else:
         recorded = of_tables(fields, tables)
     return row_cells(name, status, fields, recorded, parse_json(files["provenance.json"]))
-
-
-def _identity(name: str, fields: Mapping[str, Any]) -> Identity:
-    """Return the identity of a run that was stored without one.
-
-    Its configuration is unknown if the fields do not give the run's id any more, or name a user's files,
-    which are not read.
-    """
-    found = UNKNOWN
-    with suppress(UserError, OSError):
-        run = make_run(fields)
-        if not own_names(fields) and run_id(run) == name:
-            found = config_id(run)
-    return Identity(found, fields.get("seed") or 0, fields["steps"])
 
 
 def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:

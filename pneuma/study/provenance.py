@@ -69,13 +69,12 @@ class Attempt:
 
 def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
     """Describe how a run was trained: the machine of the last attempt, and all attempts."""
-    shares = [each.get("processor_share") for each in attempts]
+    shares = [each["processor_share"] for each in attempts]
     known = [share for share in shares if share is not None]
-    timed = [each.get("training_seconds", each["wall_seconds"]) for each in attempts]  # older records lack it
     return {
         "started": attempts[0]["started"],
         "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
-        "training_seconds": round(sum(timed), 3),
+        "training_seconds": round(sum(each["training_seconds"] for each in attempts), 3),
         "processor_share": min(known) if len(known) == len(shares) else None,
         **attempts[-1]["machine"],
         "attempts": attempts,

@@ -92,7 +92,7 @@ class Status:
             are only checkpoints; damaged if a file is not what was written.
         step: agent steps of the records, or of the latest checkpoint.
         detail: the file that is damaged.
-        identity: what it is a run of; None if that is not stored, as of older runs.
+        identity: what it is a run of; None if that is not stored, or damaged.
     """
 
     name: str
@@ -212,7 +212,7 @@ class Store:
         with self._writing(folder, folder):
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
-    def save_row(self, run_id: str, data: bytes, identity: Identity) -> None:
+    def save_row(self, run_id: str, data: bytes) -> None:
         """Write the row of a finished run that lacks it.
 
         Raises:
@@ -221,7 +221,7 @@ class Store:
         manifest = self._manifest(run_id)
         if manifest and manifest["status"] in FINISHED:
             files = {**manifest["files"], ROW_FILE: checksum(data)}
-            document = dump_checksummed({**manifest, "files": files, **asdict(identity)})
+            document = dump_checksummed({**manifest, "files": files})
             self._write_all(self.run_folder(run_id), {ROW_FILE: data, "status.json": document})
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:

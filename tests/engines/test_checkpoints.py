@@ -60,11 +60,11 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
     kept: list[tuple[Checkpoint, bytes]] = []
 
     def keep(progress: Progress) -> bool:
-        kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {})))
+        kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {}, "")))
         return True
 
     train_run(run, keep)
-    assert all(encode(checkpoint, {}) == at_once for checkpoint, at_once in kept)
+    assert all(encode(checkpoint, {}, "") == at_once for checkpoint, at_once in kept)
 
 
 @pytest.mark.parametrize("engine", BOTH)

@@ -45,5 +45,5 @@ def check_that_it_goes_on(run: Run, *places: int) -> None:
     for checkpoint in (taken[place] for place in places):
         np.random.seed(1)
         torch.manual_seed(1)  # whatever other runs drew meanwhile
-        resumed, _ = train(run, decode(encode(checkpoint, {}))[0])
+        resumed, _ = train(run, decode(encode(checkpoint, {}, ""))[0])
         assert bits(resumed) == bits(whole), checkpoint.step

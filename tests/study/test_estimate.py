@@ -68,8 +68,8 @@ def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
 def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
     elsewhere = {**machine(), "cpu": "abacus", "commit": "0" * 40}
     began = "2026-01-01T00:00:00+00:00"
-    earlier = {"started": began, "wall_seconds": 100.0, "step": 512, "machine": elsewhere}
     last = Attempt(512).so_far(1024)
+    earlier = {**last, "started": began, "wall_seconds": 100.0, "step": 512, "machine": elsewhere}
     about = finished_provenance([earlier, last])
     assert about["started"] == began
     assert 100 <= about["wall_seconds"] < 110
@@ -90,6 +90,6 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     own.update(1000)
     told = own.so_far(1000)
     assert (told["wall_seconds"], told["training_seconds"]) == (28, 8)
-    older = {"started": "then", "wall_seconds": 100.0, "step": 600, "machine": {}}
-    about = finished_provenance([older, told])
-    assert (about["wall_seconds"], about["training_seconds"]) == (128, 108)
+    before = {**told, "started": "then", "wall_seconds": 100.0, "training_seconds": 90.0, "step": 600}
+    about = finished_provenance([before, told])
+    assert (about["wall_seconds"], about["training_seconds"]) == (128, 98)

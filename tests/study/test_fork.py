@@ -31,7 +31,7 @@ def stored(store: Store, steps: Sequence[int] = (AT,), about: object = None, **s
     files = {"run.json": run_document(run, name), "provenance.json": json.dumps(about or {}).encode()}
     store.save_run(name, Status("done", run.steps), files)
     for step in steps:
-        data = encode(Checkpoint(step, {}), {})
+        data = encode(Checkpoint(step, {}), {}, name)
         store.write(store.run_folder(name) / "checkpoints" / file_name(step, data), data)
     return name
 

@@ -26,7 +26,7 @@ CRASH = {"run.json": b"{}", "error.txt": b"why"}
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "results")
-    store.save_run(NAME, Status("done", 512), FILES)
+    store.save_run(NAME, Status("done", 512, identity=MINE), FILES)
     return store
 
 
@@ -148,13 +148,13 @@ def test_only_checkpoints_by_name_tell_how_far_a_run_is_and_a_lock_that_it_runs(
 
 def test_a_row_is_added_to_a_finished_run_alone_and_its_loss_damages_nothing(store: Store) -> None:
     """It is made from the other files again; a planned run has nothing to make one of."""
-    store.save_row(NAME, b"row", MINE)
+    store.save_row(NAME, b"row")
     assert store.read_file(NAME, "row.arrow") == b"row" and store.status(NAME).identity == MINE
     (store.run_folder(NAME) / "row.arrow").unlink()
     assert store.status(NAME) == Status("done", 512)
     for name in (other := "f" * 16), "e" * 16:
         store.plan_run(other, MINE)
-        store.save_row(name, b"row", MINE)
+        store.save_row(name, b"row")
     assert store.status(other) == Status("planned") and store.status(other).identity == MINE
     assert store.runs() == [NAME, other] and os.listdir(store.run_folder(other)) == ["status.json"]
 

@@ -154,10 +154,10 @@ WHOLE = Checkpoint(64, {"weights": np.arange(3.0)})
         b"", b"text", b"\xff" * 64, len(b"[]").to_bytes(8, "little") + b"[]", save({}),
         save({}, metadata={"pneuma": "{"}), save({}, metadata={"pneuma": "{}"}),
         save({}, metadata={"pneuma": '{"schema": 1, "step": 64, "shapes": {}, "numbers": {}}'}),
-        encode(WHOLE, {}).replace(b'\\"schema\\": 1', b'\\"schema\\": 2'),
-        encode(replace(WHOLE, step=128), {}),
+        encode(WHOLE, {}, NAME).replace(b'\\"schema\\": 1', b'\\"schema\\": 2'),
+        encode(replace(WHOLE, step=128), {}, NAME),
         encode(WHOLE, {}, "f" * 16),
-        encode(WHOLE, {"attempts": [1]}), encode(WHOLE, {"attempts": 1}),
+        encode(WHOLE, {"attempts": [1]}, NAME), encode(WHOLE, {"attempts": 1}, NAME),
     ],
 )  # fmt: skip
 def test_what_is_no_checkpoint_of_that_run_and_step_counts_as_damaged(tmp_path: Path, data: bytes) -> None:

@@ -117,10 +117,7 @@ def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint, rese
         return np.array(array)
 
     learner.networks, learner.optimizer = restored("networks"), restored("optimizer")
-    orders = checkpoint.numbers["minibatches"]
-    learner.generator.bit_generator.state = (
-        orders[player] if isinstance(orders, list) else orders
-    )  # older: one
+    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
 
 
 def _array_name(player: int, part: str, path: Any) -> str:
