@@ -2,7 +2,7 @@
 
 `rules.py` holds the compiled rules, `layouts.py` and `observe.py` what a player perceives and `reward.py`
 what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` has the players one by one.
-`gym.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
+`gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
 """
 
 from typing import Any
@@ -41,7 +41,7 @@ def register_environments() -> None:
         gymnasium.register(
             name,
             entry_point="pneuma.env.gym:PneumaEnv",
-            vector_entry_point="pneuma.env.gym:PneumaVectorEnv",
+            vector_entry_point="pneuma.env.gym_vector:PneumaVectorEnv",
             kwargs={"env_id": name},
             **limit,
         )

@@ -8,7 +8,8 @@ import numpy as np
 from gymnasium import spaces
 
 from pneuma.env.characters import TICKS_PER_STEP
-from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.gym import PneumaEnv
+from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.layouts import MOST_XP, most_hp
 from pneuma.env.reward import PARTS, reward_parts
 from pneuma.env.worlds import Worlds

@@ -12,7 +12,8 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.gym import PneumaEnv
+from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
 

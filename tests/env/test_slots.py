@@ -9,7 +9,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.gym import PneumaEnv
+from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS, watch
-from pneuma.env.gym import PneumaEnv, PneumaVectorEnv
+from pneuma.env.gym import PneumaEnv
+from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer

@@ -1,0 +1,166 @@
+"""Gymnasium's face of N worlds as one environment.
+
+It gives the same bits as `gym.py` for the same seeds and actions. A slot of several players' worlds is as in
+`Slots`.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from pneuma.env.kernel import announce_compiling
+from pneuma.env.slots import Slots, chosen_starts, ending_info
+from pneuma.env.watch import Rendering
+from pneuma.env.worlds import Worlds
+from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
+from pneuma.errors import UserError
+
+announce_compiling()
+
+
+class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """N worlds as one environment; see `pneuma.env.gym.PneumaEnv` for each.
+
+    World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With several
+    players to a world, each is a slot: slot i is player i % players of world i // players. A slot whose
+    player dies before its world ends idles until then (`pneuma.env.slots.Slots`).
+
+    Args:
+        num_envs: number of slots, a multiple of the players in a world.
+        autoreset_mode: Gymnasium's three. `NEXT_STEP`, its default: the step after an ending
+            resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
+            holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
+            `reset(options={"reset_mask": booleans})`, one a slot.
+        max_episode_steps: Gymnasium's name of `episode_steps`.
+        settings: the fields of `pneuma.config.EnvConfig`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        env_id: str = ENVIRONMENTS[0],
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        camera: str = "map",
+        max_episode_steps: int | None = None,
+        **settings: object,
+    ) -> None:
+        config = limited(make_env_config(settings, env_id), env_id, max_episode_steps)
+        if num_envs < 1 or num_envs % config.players:
+            allowed = f"a multiple of the {config.players} players in a world"
+            raise UserError(f"num_envs = {num_envs} is not allowed: {allowed}")
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
+        self.state = Worlds(num_envs // config.players, config)
+        self.slots = Slots(self.state)
+        self._set_up_rendering(self.state, render_mode, camera)
+        self.single_observation_space = self.state.slot_space
+        self.single_action_space = self.state.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.state.action_space, num_envs)
+        self._note_over(np.zeros(len(self.state), np.bool_))
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in every world, or in those of `options["reset_mask"]`.
+
+        `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset;
+        those with None go on. `options["start"]` is the index of a start place, or one for each world.
+
+        Raises:
+            ResetNeeded: when the first reset leaves out some worlds.
+        """
+        given = options or {}
+        starts = chosen_starts(self.state, given.get("start"))
+        seeds = self._seeds(seed)
+        mask = self._reset_mask(given.get("reset_mask"))
+        if not self.slots.begun and not mask.all():
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
+        super().reset(seed=seeds[0])
+        if not self.slots.begun and None in seeds:
+            first = int(self.np_random.integers(2**62))
+            seeds = [first + i if own is None else own for i, own in enumerate(seeds)]
+        self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
+        self.slots.begun = True
+        self.state.reset(mask, starts)
+        self._note_over(self._over & ~mask)
+        self._show()
+        return self.slots.observations, self._infos()
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return a seed for each world, None where its random stream goes on."""
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + i for i in range(len(self.state))]
+        given: Any = [None] * len(self.state) if seed is None else seed
+        seeds = [None if own is None else operator.index(own) for own in given]
+        if len(seeds) != len(self.state):
+            raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
+        return seeds
+
+    def _reset_mask(self, mask: object) -> np.ndarray:
+        """Return which worlds to reset, (N,)."""
+        if mask is None:
+            return np.ones(len(self.state), np.bool_)
+        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
+            raise TypeError(f"reset_mask must be an array of {self.num_envs} booleans, not {mask!r}")
+        return np.asarray(mask.reshape(len(self.state), -1).any(axis=1))
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
+        actions = self.slots.checked(actions)
+        if not self.slots.begun:
+            raise ResetNeeded("no episode has begun: call reset first")
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
+            raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
+        slots = self.slots
+        ended = slots.step(actions)
+        if self._waiting:  # NEXT_STEP: this step resets what the last one ended
+            self.state.reset(self._over)
+        rewards = self._rewards()
+        infos = self._final(slots.terminated | slots.truncated) if ended else {}
+        if ended or self._waiting:
+            self._note_over(slots.world_over.copy())
+        self._show()
+        over = slots.terminated.copy(), slots.truncated.copy()
+        return slots.observations, rewards, *over, self._infos(infos)
+
+    def _note_over(self, over: np.ndarray) -> None:
+        """Record which worlds are over, and reset them if the ending step does so."""
+        self._over, self._waiting = over, bool(over.any())
+        if self._waiting and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            self.state.reset(over)
+            over[:] = self._waiting = False
+
+    def _rewards(self) -> np.ndarray:
+        return self.slots.rewards.copy()
+
+    def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
+        return {
+            "action_mask": self.slots.masks,
+            "_action_mask": np.ones(self.num_envs, np.bool_),
+            **(infos or {}),
+        }
+
+    def _final(self, over: np.ndarray) -> dict[str, Any]:
+        """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
+        infos: dict[str, Any] = {}
+        for slot in np.flatnonzero(over):
+            world, player = divmod(int(slot), self.slots.players)
+            info = ending_info(self.state, world, player)
+            if self.autoreset_mode == AutoresetMode.SAME_STEP:
+                final = self.state.observations[world, player].copy()
+                mask = self.state.masks[world, player].copy()
+                info = {"final_obs": final, "final_info": {"action_mask": mask, **info}}
+            infos = self._add_info(infos, info, int(slot))
+        return infos
