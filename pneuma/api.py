@@ -96,7 +96,7 @@ def run_study(
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     seeds = sorted({cell.seed for cell in planned.cells})
-    steps = selection.steps or max(cell.run.steps for cell in planned.cells)
+    steps = selection.steps or plan.find_preset(asked, selection).steps
     return open_data(
         study, results, steps=steps, seeds=seeds, conditions=conditions, settings=settings, world=world
     )

@@ -13,12 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.api import evaluate, load_policy
+from pneuma.api import _store, evaluate, load_policy, run_study
 from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.errors import UserError
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
+
+from .cli.calls import save_finished
 
 DOCS = Path(__file__).parents[1] / "docs"
 BLOCK = re.compile(
@@ -113,6 +117,35 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
 def test_the_settings_of_another_environment_are_its_own_arguments(tmp_path: Path) -> None:
     _store_run(tmp_path, {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
     assert load_policy("0123", tmp_path)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
+
+
+EXCEPTION = """\
+title = "Unlike"
+base = "table-6-2"
+[conditions.usual]
+[conditions.big]
+horizon = 64
+[presets.quick]
+seeds = 1
+steps = 2_000
+[presets.quick.conditions.big]
+steps = 100
+"""
+
+
+def test_a_preset_is_opened_with_its_exceptions(tmp_path: Path) -> None:
+    """2,000 steps are rounded up to whole updates, of which no preset is."""
+    path, store = tmp_path / "unlike.toml", Store(tmp_path / "results")
+    path.write_text(EXCEPTION)
+    for cell in make_plan(load_study(str(path)), Selection()).cells:
+        save_finished(store, cell.run)
+    data = run_study(path, store.root, quiet=True)
+    assert [(run.condition, run.budget) for run in data.runs] == [("usual", 2048), ("big", 128)]
+
+
+def test_an_empty_variable_names_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PNEUMA_RESULTS", "")
+    assert _store(None).root == Path("results")
 
 
 LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))

@@ -373,8 +373,8 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
         budgets = " or ".join(f"{each:,}" for each in found)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
     every = {name: preset for each in found.values() for name, preset in each.items()}
-    amounts = found.get(steps or 0, every)
-    return replace(study, presets={**study.presets, CLAIMS: Preset((), 0, amounts)})
+    steps = steps or next(iter(found))
+    return replace(study, presets={**study.presets, CLAIMS: Preset((), steps, found.get(steps, every))})
 
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:

@@ -93,7 +93,12 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
     Raises:
         UserError: for an unknown preset or condition, or fields that do not go together.
     """
-    amounts = _amounts(study, selection)
+    preset = find_preset(study, selection)
+    amounts = {
+        condition: preset.conditions.get(condition, preset)
+        for condition in study.conditions
+        if condition in preset.conditions or preset.seeds
+    }
     for name in selection.conditions:
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
@@ -267,17 +272,12 @@ def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, d
     }
 
 
-def _amounts(study: Study, selection: Selection) -> dict[str, Preset]:
-    """Return the preset's seeds and steps for each of its conditions."""
+def find_preset(study: Study, selection: Selection) -> Preset:
+    """Return the preset that is asked for; else quick, or the study's first."""
     name = selection.preset or ("quick" if "quick" in study.presets else next(iter(study.presets), "quick"))
     if name not in study.presets:
         raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
-    preset = study.presets[name]
-    return {
-        condition: preset.conditions.get(condition, preset)
-        for condition in study.conditions
-        if condition in preset.conditions or preset.seeds
-    }
+    return study.presets[name]
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
