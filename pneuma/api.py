@@ -242,7 +242,7 @@ def evaluate(
 
 
 def _store(results: Where | None) -> Store:
-    return Store(os.environ.get("PNEUMA_RESULTS", "results") if results is None else results)
+    return Store(os.environ.get("PNEUMA_RESULTS") or "results" if results is None else results)
 
 
 def _selection(
