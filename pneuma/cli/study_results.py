@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pneuma.analysis.crossed import Effects, Map
     from pneuma.analysis.frames import StudyData
 
+FORK_SEEDS = 3
+
 # --- collapse -------------------------------------------------------------------------------------
 
 
@@ -29,7 +31,7 @@ def collapse(
     picked: opt.Picked,
     name: str = opt.STUDY,
     fork: bool = opt.flag("--fork", "Go on from before each collapse, changing one thing at a time."),
-    fork_seeds: Any = opt.seeds("--fork-seeds", "With --fork: seeds of the forks of each run.", default="3"),
+    fork_seeds: Any = opt.seeds("--fork-seeds", "With --fork: seeds of the forks of each run (default: 3)."),
     out: Path | None = opt.FIGURE_FOLDER,
     format: opt.SeveralRead = opt.FORMATS,
     workers: Any = opt.WORKERS,
@@ -39,8 +41,9 @@ def collapse(
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     if fork and (out or format):
         raise UserError("--out and --format: draw collapses, without --fork")
-    if workers and not fork:
-        raise UserError("--workers: is of --fork")
+    of_fork = {"--fork-seeds": fork_seeds, "--workers": workers, "--trust": trust, "--quiet": quiet}
+    if not fork and (given := [option for option, value in of_fork.items() if value]):
+        raise UserError(f"{given[0]}: is of --fork")
     formats, store = read_formats(format, out, "" if out else "--out"), picked.store
     data = picked.open(name)
     from pneuma.analysis.collapse import diagnoses, incidence
@@ -57,7 +60,7 @@ def collapse(
             raise UserError(
                 f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork"
             )
-        plan = plan_cause_forks(store, data.study, parents, fork_seeds, trust=trust)
+        plan = plan_cause_forks(store, data.study, parents, fork_seeds or range(FORK_SEEDS), trust=trust)
         return train(plan, store, ExecutorConfig(workers=opt.most_workers(workers)), True, quiet)
     files = []
     if out is not None:

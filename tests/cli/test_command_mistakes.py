@@ -36,6 +36,8 @@ MISTAKES = {
     "study run collapse --set scale=raw": "--set scale: conditions of study collapse set it",
     f"{RUN} --address a:1": "--address: goes with --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
+    "study collapse activation --trust": "--trust: is of --fork",
+    "study collapse activation --fork-seeds 1": "--fork-seeds: is of --fork",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
     "study plot algorithms --world text": "pneuma study run algorithms",
