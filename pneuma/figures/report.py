@@ -159,8 +159,8 @@ def study_pictures(data: StudyData, words: str) -> list[dict[str, str]]:
         pages = [(f"Curves over {data.budget:,} environment steps", "plot", curves_page(data))]
     else:
         pages = [("What every run came to, and means", "plot --figure summary", summary_page(data))]
-    found = diagnoses(data) if data.evaluated else None
-    if found is not None and found["collapsed"].any():
+    found = diagnoses(data)
+    if found["collapsed"].any():
         pages.append(("Runs that collapsed", "collapse --out figures", collapse_page(data, found)))
     if maps := study_maps(data):
         command = f"robustness --contrast {quote(contrast_word(maps[0]))} --out figures"
