@@ -45,7 +45,7 @@ class Verdict:
     Attributes:
         verdict: supported, refuted, mixed, inconclusive or untestable.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
-        contrasts: its rows of the table; none if it is not admitted.
+        contrasts: its rows of the table, untestable all if it is not admitted.
     """
 
     claim: Claim

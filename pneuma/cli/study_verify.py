@@ -104,7 +104,7 @@ def _details(one: Verdict) -> Iterator[str]:
     for row in one.contrasts if not one.lacks_runs else ():
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
         yield f"{' against '.join(row.names)}, {runs} runs: {row.contrast.reason or effect(row)}"
-    if one.lacks_runs or not one.contrasts:
+    if one.lacks_runs:
         yield one.reason
 
 

@@ -99,7 +99,7 @@ def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
 # --- Conditions --------------------------------------------------------------------------------------
 
 MOST_IN_A_PANEL = len(MARKERS)
-"""Most conditions in one panel; with more, each has a panel of its own."""
+"""Most conditions in one panel of curves; of a study with more, a summary shows them in rows."""
 
 _OWN_PLACES = {
     **dict.fromkeys(
@@ -120,7 +120,7 @@ def condition_styles(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the colour and marker of each condition, the same in all figures of a study.
 
     If there are too many conditions for one panel, those that differ only in crossed factors look alike,
-    because each has its own panel or row: `tanh` looks the same under every `limit=…`.
+    because each has its own row: `tanh` looks the same under every `limit=…`.
     """
     many = len(conditions) > MOST_IN_A_PANEL
     kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
