@@ -33,7 +33,7 @@ from pneuma.values import as_tuple, shown_level, shown_value
 
 DRAWS = 5_000
 """Permutations per test of an effect."""
-LEVEL = 0.05
+ALPHA = 0.05
 """Error rate over all cells of a map."""
 HOLDS, REVERSED, OPEN = "holds", "reversed", "open"
 
@@ -285,7 +285,7 @@ def robustness_map(
             "interval": contrast.interval.method,
             "p": float(p),
             "runs": f"{contrast.seeds[0]} and {contrast.seeds[1]}",
-            "label": (HOLDS if contrast.effect > 0 else REVERSED) if p <= LEVEL else OPEN,
+            "label": (HOLDS if contrast.effect > 0 else REVERSED) if p <= ALPHA else OPEN,
             "reason": contrast.reason,
         }
         for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)

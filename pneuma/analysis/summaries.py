@@ -48,7 +48,7 @@ COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interva
 # Of the statistics, iqm is the mean of the middle half, deviation that between seeds, improvement the
 # probability that a run is better than one of the baseline; reached and share are of runs.
 
-Row = tuple[str, str, float, Interval, int]
+SummaryRow = tuple[str, str, float, Interval, int]
 """Outcome, statistic, value, interval and number of runs."""
 
 
@@ -73,7 +73,7 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[Row]:
+def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[SummaryRow]:
     runs = data.of_condition(condition)
     yield "runs", "count", float(len(runs)), no_interval(), len(runs)
     yield _share("diverged", "share", [run.status == "diverged" for run in runs])
@@ -91,13 +91,13 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[
             yield from _improvement(data, condition, name, known)
 
 
-def _share(name: str, statistic: str, events: ArrayLike) -> Row:
+def _share(name: str, statistic: str, events: ArrayLike) -> SummaryRow:
     count, runs = int(np.sum(events)), np.size(events)
     value = count / runs if runs else float("nan")
     return name, statistic, value, intervals.incidence_interval(count, runs), runs
 
 
-def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
+def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[SummaryRow]:
     generator = _generator(condition, name)
     interval = no_interval()
     if len(values) >= LEAST_RUNS:
@@ -110,7 +110,7 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
     yield name, "deviation", *spread, len(values)
 
 
-def _improvement(data: StudyData, condition: str, name: str, values: np.ndarray) -> Iterator[Row]:
+def _improvement(data: StudyData, condition: str, name: str, values: np.ndarray) -> Iterator[SummaryRow]:
     """Yield the probability that a run is better than one of the baseline; nothing for the baseline."""
     baseline, found = data.baseline, find_outcome(name)
     if (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, command, rows_result, say, write_file
-from pneuma.cli.study_records import nothing_yet
+from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import counted
 from pneuma.study.store import Store
 

@@ -39,7 +39,7 @@ def list_(results: Path = opt.RESULTS) -> Result:
     rows = []
     for run in runs:
         studies = (
-            ", ".join(f"{held['study']}/{held['condition']}" for held in run["studies"]) or "of no study"
+            ", ".join(f"{study['study']}/{study['condition']}" for study in run["studies"]) or "of no study"
         )
         rows.append(
             (run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies)

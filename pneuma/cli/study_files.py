@@ -12,7 +12,7 @@ from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TAB
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, draw_files, read_formats, say, write_file, wrote
-from pneuma.cli.study_records import nothing_yet
+from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
 from pneuma.study.quantities import (

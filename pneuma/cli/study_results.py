@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, draw_files, read_formats, rows_of, wrote
-from pneuma.cli.study_records import told_step, with_unit
+from pneuma.cli.study_notes import told_step, with_unit
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import ExecutorConfig

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
-from pneuma.cli.study_records import told_step, with_unit
+from pneuma.cli.study_notes import told_step, with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table, progress_of
-from pneuma.cli.study_records import nothing_yet
+from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import plain, unknown_name
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS

@@ -41,7 +41,7 @@ from pneuma.files import MADE_BY
 LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 """Statistics in the first table of a study's numbers."""
 
-Table = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
+CaptionedTable = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
 """Caption, columns, rows; and how many columns, from the first on, are words."""
 
 
@@ -69,7 +69,7 @@ class Part:
     fix: str = ""
     extent: str = ""
     pictures: Sequence[Mapping[str, str]] = ()
-    numbers: Table | None = None
+    numbers: CaptionedTable | None = None
     conditions: Mapping[str, Any] | None = None
     runs: Sequence[Sequence[Any]] = ()
     origins: Sequence[tuple[Mapping[str, str], int]] = ()
@@ -129,7 +129,7 @@ def _visible(value: Any) -> Any:
 # --- Tables ----------------------------------------------------------------------------------------
 
 
-def numbers_table(study: str, summary: pd.DataFrame) -> Table:
+def numbers_table(study: str, summary: pd.DataFrame) -> CaptionedTable:
     """Return the most important outcomes of a summary: one row per condition."""
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for row in summary.to_dict("records"):

@@ -52,7 +52,7 @@ ABOVE = 0.2
 
 
 @dataclass(frozen=True)
-class Outcomes:
+class OutcomeRows:
     """What the runs of a study came to, as its figure shows them in rows."""
 
     data: StudyData
@@ -131,7 +131,7 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         columns = dict.fromkeys(named, studies) or {"Every run": studies}
     else:
         named, columns = {}, studies
-    drawn = {title: Outcomes(data, named.get(title, "")) for title, data in columns.items() if data}
+    drawn = {title: OutcomeRows(data, named.get(title, "")) for title, data in columns.items() if data}
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
     for found in drawn.values():
         colours |= {name: found.colours[name] for name in found.values if name not in colours}
@@ -166,7 +166,7 @@ def _shown(outcome: str) -> str:
     return outcome.replace("-", " ").capitalize().replace("Hp", "HP")
 
 
-def _draw_runs(axes: Axes, found: Outcomes, colours: Mapping[str, str], mark: float) -> None:
+def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float) -> None:
     """Draw each run of a condition as a dot, and its means with intervals."""
     reach = float(np.ptp(np.concatenate([*found.values.values(), [0.0]])))
     for condition, runs in found.values.items():
@@ -200,7 +200,7 @@ def _beside(values: np.ndarray, reach: float) -> np.ndarray:
     return beside
 
 
-def _marks(drawn: Sequence[Outcomes]) -> dict[str, Any]:
+def _marks(drawn: Sequence[OutcomeRows]) -> dict[str, Any]:
     """Return the legend's words for the marks in a row."""
     most = max((len(runs) for found in drawn for runs in found.values.values()), default=0)
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
