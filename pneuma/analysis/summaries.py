@@ -45,8 +45,8 @@ OF_FOREIGN = (
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
-# Of the statistics, iqm is the mean of the middle half, deviation that between seeds, improvement the
-# probability that a run is better than one of the baseline; reached and share are of runs.
+# Of the statistics, iqm is the mean of the middle half, deviation that between seeds; reached and share are of
+# runs.
 
 SummaryRow = tuple[str, str, float, Interval, int]
 """Outcome, statistic, value, interval and number of runs."""
@@ -88,7 +88,6 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[
                 yield name, "median", float(np.median(steps)), no_interval(), len(steps)
         elif len(known := _known(values)):
             yield from _statistics(condition, name, known)
-            yield from _improvement(data, condition, name, known)
 
 
 def _share(name: str, statistic: str, events: ArrayLike) -> SummaryRow:
@@ -108,51 +107,6 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Summa
         yield name, statistic, float(estimate(values)), interval, len(values)
     spread = intervals.deviation(values), intervals.deviation_interval(values)
     yield name, "deviation", *spread, len(values)
-
-
-def _improvement(data: StudyData, condition: str, name: str, values: np.ndarray) -> Iterator[SummaryRow]:
-    """Yield the probability that a run is better than one of the baseline; nothing for the baseline."""
-    baseline, found = data.baseline, find_outcome(name)
-    if (
-        condition == baseline
-        or baseline not in data.conditions
-        or data.engines(condition) != data.engines(baseline)  # no contrast mixes them
-        or not found.better
-        or found.source == "times"  # what was timed beside what is not known
-        or (is_return(name) and not have_one_return(data, (condition, baseline)))
-    ):
-        return
-    others = _known(outcome_values(data, baseline, name))
-    if not len(others):
-        return
-    a, b = (-values, -others) if found.better == "lower" else (values, others)
-    interval = _improvement_interval(a, b, _generator(condition, name, "improvement"))
-    yield name, "improvement", intervals.probability_of_improvement(a, b), interval, len(values)
-
-
-def _improvement_interval(a: np.ndarray, b: np.ndarray, generator: np.random.Generator) -> Interval:
-    """Return the percentile bootstrap interval of that probability, as rliable does.
-
-    There is none for few runs, or if all resamples are equal.
-    """
-    if min(len(a), len(b)) < LEAST_RUNS:
-        return no_interval()
-    first, second = (
-        _times_drawn(generator.integers(0, n, (intervals.RESAMPLES, n))) for n in (len(a), len(b))
-    )
-    above = (a[:, None] > b) + 0.5 * (a[:, None] == b)  # (runs of a, runs of b)
-    drawn = (first @ above * second).sum(axis=1) / (len(a) * len(b))
-    if np.ptp(drawn) == 0:
-        return no_interval()
-    low, high = np.quantile(drawn, [(1 - intervals.LEVEL) / 2, (1 + intervals.LEVEL) / 2])
-    return Interval(float(low), float(high), "bootstrap percentiles")
-
-
-def _times_drawn(drawn: np.ndarray) -> np.ndarray:
-    """Return how often each run is drawn, (resamples, runs)."""
-    resamples, runs = drawn.shape
-    places = drawn + runs * np.arange(resamples)[:, None]
-    return np.bincount(places.ravel(), minlength=drawn.size).reshape(drawn.shape)
 
 
 def _known(values: np.ndarray) -> np.ndarray:

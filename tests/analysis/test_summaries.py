@@ -13,8 +13,8 @@ from scipy import stats
 
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.intervals import RESAMPLES, shown_with_interval
-from pneuma.analysis.summaries import _improvement_interval, compare_conditions, summary_table
+from pneuma.analysis.intervals import shown_with_interval
+from pneuma.analysis.summaries import compare_conditions, summary_table
 from pneuma.study.store import Store
 
 from ..cli.calls import printed
@@ -53,24 +53,6 @@ def test_what_four_runs_come_to(data: StudyData, statistic: str, expected: float
     row = value(data, "a", "final-share-killed", statistic)
     assert row["value"] == pytest.approx(expected)
     assert row["runs"] == 4
-
-
-def test_the_probability_of_improvement_is_over_the_baseline(data: StudyData) -> None:
-    """Of sixteen pairs b is above in four, at 0.3 over 0.2; the baseline itself has none."""
-    assert value(data, "b", "final-share-killed", "improvement")["value"] == 4 / 16
-    table = summary_table(data)
-    assert set(table[table["statistic"] == "improvement"]["condition"]) == {"b"}
-
-
-def test_the_interval_of_improvement_is_of_comparing_every_pair_of_a_resample() -> None:
-    draws = np.random.default_rng(8)
-    a, b = draws.integers(0, 6, 7) / 10, draws.integers(0, 6, 5) / 10  # with ties within and between
-    own = _improvement_interval(a, b, np.random.default_rng(9))
-    again = np.random.default_rng(9)
-    first, second = again.integers(0, 7, (RESAMPLES, 7)), again.integers(0, 5, (RESAMPLES, 5))
-    pairs = a[first][:, :, None] - b[second][:, None, :]
-    expected = ((pairs > 0) + 0.5 * (pairs == 0)).mean(axis=(1, 2))
-    assert [own.low, own.high] == np.quantile(expected, [(1 - 0.95) / 2, (1 + 0.95) / 2]).tolist()
 
 
 def test_steps_to_a_threshold_that_half_of_the_runs_never_reach(data: StudyData) -> None:
