@@ -229,8 +229,8 @@ def bootstrap_interval(
     """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
     With few runs its coverage is smaller (docs/evidence.md). There is none for fewer than
-    `LEAST_RUNS`, or if both ends are equal, as for the median of mostly equal runs. `statistic` works along the last axis, as
-    `mean` and `median` do.
+    `LEAST_RUNS`, or if both ends are equal, as for the median of mostly equal runs. `statistic` works along
+    the last axis, as `mean` and `median` do.
     """
     runs = finite(values)
     if runs.size < LEAST_RUNS or np.ptp(runs) == 0:

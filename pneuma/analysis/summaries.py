@@ -9,6 +9,7 @@ different budgets are compared at the largest step that all reached.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from pneuma.analysis import intervals
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval
+from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval, shown
 from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
@@ -45,8 +46,8 @@ OF_FOREIGN = (
 THRESHOLDS = ("steps-to:0.1", "steps-to:0.25", "steps-to:0.5")
 
 COLUMNS = ("condition", "outcome", "statistic", "value", "low", "high", "interval", "runs")
-# Of the statistics, iqm is the mean of the middle half, deviation that between seeds; reached and share are of
-# runs.
+# Of the statistics, iqm is the mean of the middle half, deviation that between seeds; those of runs are
+# reached and share.
 
 SummaryRow = tuple[str, str, float, Interval, int]
 """Outcome, statistic, value, interval and number of runs."""
@@ -116,6 +117,42 @@ def _known(values: np.ndarray) -> np.ndarray:
 def _generator(*words: str) -> np.random.Generator:
     """Return a random generator for one row, so that rows do not depend on each other."""
     return np.random.default_rng(stream_seed("summary", "/".join(words)))
+
+
+# --- In words ---------------------------------------------------------------------------------------
+
+NO_CELL = "–"
+
+
+def with_cells(found: pd.DataFrame, form: str = "interval") -> pd.DataFrame:
+    """Return a summary with a column `cell`: each value as text, with its interval if it has one.
+
+    In the form `sd` means stand with the deviation, as in 0.68 ± 0.11, if there is one.
+    """
+    deviations = found[found["statistic"] == "deviation"].set_index(["condition", "outcome"])["value"]
+
+    def cell(row: dict[Any, Any]) -> str:
+        value, deviation = row["value"], np.nan
+        if form == "sd" and row["statistic"] == "mean":
+            deviation = deviations[row["condition"], row["outcome"]]
+        if not np.isfinite(deviation):
+            return intervals.shown_with_interval(value, row["low"], row["high"])
+        places = intervals.decimals(value, value - deviation, value + deviation)
+        return f"{shown(value, places)} ± {shown(deviation, places)}"
+
+    return found.assign(cell=[cell(row) for row in found.to_dict("records")])
+
+
+def wide(
+    found: pd.DataFrame,
+    rows: list[Any],
+    columns: list[Any],
+    by: Sequence[str] = ("condition",),
+    of: Sequence[str] = ("outcome", "statistic"),
+) -> pd.DataFrame:
+    """Return the cells of a summary as a table: rows by some of its columns, columns by others."""
+    table = found.pivot(index=[*by], columns=[*of], values="cell")
+    return table.reindex(index=rows, columns=columns).astype(object).fillna(NO_CELL)
 
 
 # --- Two conditions ---------------------------------------------------------------------------------

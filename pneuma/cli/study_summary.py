@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -28,7 +29,7 @@ COLUMNS = 3
 PRINTED = ("markdown", "latex")
 """Forms of a table for pages and papers."""
 TOLD_BY = ("mean", "share", "median")
-"""Statistics that stand for an outcome in such a table: the first that it has."""
+"""Statistics that stand for an outcome in such a table: the first of them that it has."""
 FEW_EPISODES = 10
 """With fewer, the last point of a return is said to average few."""
 
@@ -63,7 +64,7 @@ def summary(
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
     data = picked.open(name)
     from pneuma.analysis.frames import common_step
-    from pneuma.analysis.summaries import summary_table
+    from pneuma.analysis.summaries import summary_table, with_cells
 
     found, step = summary_table(data, outcome or ()), common_step(data)
     left_out = [run.run_id for run in data.runs if run.ends_before(step)]
@@ -71,9 +72,11 @@ def summary(
     every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
     listed = every if all_ else outcome or ()
     if format in PRINTED:
-        table = _thesis_table(data, found, listed, cells or "sd", by_factor=format == "latex")
+        table = _thesis_table(data, with_cells(found, cells or "sd"), listed, by_factor=format == "latex")
+    elif listed:
+        table = _statistics(data, with_cells(found), listed)
     else:
-        table = _statistics(data, found, listed) if listed else _overview(data, found)
+        table = _overview(data, with_cells(found))
     shown: list[str | Table] = ["", frame_table(table)]
     if not listed:
         lacking = " –: no run has it." * bool((table == "–").any(axis=None))
@@ -85,32 +88,27 @@ def summary(
 
 def _statistics(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
     """Return a row for each outcome and condition, with all statistics."""
-    import pandas as pd
+    from pneuma.analysis.summaries import wide
 
-    cells = _cells(found)
-    names = list(dict.fromkeys(statistic for _, name, statistic in cells if name in outcomes))
-    runs = found.groupby(["outcome", "condition"])["runs"].first()
-    rows = [
-        [with_unit(name), condition, runs[name, condition],
-         *(cells.get((condition, name, each), "–") for each in names)]
-        for name, condition in product(outcomes, data.conditions)
-        if (name, condition) in runs
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=["outcome", "condition", "n", *names])
+    asked, rows = found[found["outcome"].isin(outcomes)], ["outcome", "condition"]
+    runs = asked.groupby(rows)["runs"].first()
+    pairs = [pair for pair in product(outcomes, data.conditions) if pair in runs]
+    table = wide(asked, pairs, [*asked["statistic"].unique()], rows, ["statistic"])
+    table.insert(0, "n", runs)
+    table = table.reset_index().rename_axis(columns=None)
+    return table.assign(outcome=table["outcome"].map(with_unit))
 
 
 def _overview(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each condition: means of the first outcomes, and shares of runs that failed."""
-    import pandas as pd
+    from pneuma.analysis.summaries import wide
 
-    cells, shares = _cells(found), ("collapsed", "diverged")
-    names = list(dict.fromkeys(found["outcome"][found["statistic"] == "mean"]))[:COLUMNS]
+    shares = ("collapsed", "diverged")
+    names = [*found["outcome"][found["statistic"] == "mean"].unique()][:COLUMNS]
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
-    rows = [
-        [condition, _told_runs(data, condition), *(cells.get((condition, *pair), "–") for pair in pairs)]
-        for condition in data.conditions
-    ]
-    return pd.DataFrame(rows, columns=["condition", "runs", *map(with_unit, names), *shares])
+    table = wide(found, data.conditions, pairs).set_axis([*map(with_unit, names), *shares], axis=1)
+    table.insert(0, "runs", [_told_runs(data, condition) for condition in data.conditions])
+    return table.reset_index()
 
 
 def _told_runs(data: StudyData, condition: str) -> int | str:
@@ -122,19 +120,8 @@ def _told_runs(data: StudyData, condition: str) -> int | str:
     return f"{ends_before.count(False)} of {count}" if any(ends_before) else count
 
 
-def _cells(found: pd.DataFrame) -> dict[tuple[str, str, str], str]:
-    from pneuma.analysis.intervals import shown_with_interval
-
-    return {
-        (row["condition"], row["outcome"], row["statistic"]): shown_with_interval(
-            row["value"], row["low"], row["high"]
-        )
-        for row in found.to_dict("records")
-    }
-
-
 def _thesis_table(
-    data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], cells: str, by_factor: bool
+    data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], by_factor: bool
 ) -> pd.DataFrame:
     """Return a row for each condition with a value and a column for each outcome, as in '0.68 ± 0.11'.
 
@@ -143,49 +130,23 @@ def _thesis_table(
     """
     import pandas as pd
 
-    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
-
-    rows = {(row["condition"], row["outcome"], row["statistic"]): row for row in found.to_dict("records")}
-    told_by = {
-        name: statistic for statistic in reversed(TOLD_BY) for _, name, each in rows if each == statistic
-    }
-    means = [name for name in dict.fromkeys(found["outcome"]) if told_by.get(name) == "mean"]
-    names = outcomes or means[:COLUMNS]
-
-    def cell(condition: str, name: str) -> str:
-        if not (row := rows.get((condition, name, told_by.get(name, "")))):
-            return "–"
-        value, fewer = row["value"], ""
-        if row["runs"] < len(data.of_condition(condition)):
-            fewer = f" (n = {row['runs']})"
-        if cells == "interval" or row["statistic"] != "mean":
-            return f"{shown_with_interval(value, row['low'], row['high'])}{fewer}"
-        deviation = rows[condition, name, "deviation"]["value"]
-        if not math.isfinite(deviation):  # of a single run
-            return shown_with_interval(value, math.nan, math.nan) + fewer
-        places = decimals(value, value - deviation, value + deviation)
-        return f"{shown(value, places)} ± {shown(deviation, places)}{fewer}"
-
-    heads = [with_unit(name) + ", median" * (told_by.get(name) == "median") for name in names]
-    told = {name: [cell(name, outcome) for outcome in names] for name in data.conditions}
-    factors, levels = _factors(data) if by_factor else (["condition"], {name: (name,) for name in told})
-    table = [
-        [*levels[name], len(data.of_condition(name)), *values]
-        for name, values in told.items()
-        if {*values} != {"–"}
-    ]
-    return pd.DataFrame(table, columns=[*factors, "runs", *heads])
-
-
-def _factors(data: StudyData) -> tuple[list[str], Mapping[str, tuple[str, ...]]]:
-    """Return the factors of a crossed study, and their levels in each condition; else the name alone."""
     from pneuma.analysis.crossed import find_crossing
+    from pneuma.analysis.summaries import NO_CELL, wide
 
-    try:
-        factors, levels = find_crossing(data)
-    except UserError:  # not crossed
-        return ["condition"], {name: (name,) for name in data.conditions}
-    return [factor.replace("_", " ") for factor in factors], levels
+    told_by = found[found["statistic"].isin(TOLD_BY)].groupby("outcome", sort=False)["statistic"].first()
+    pairs = [(name, told_by.get(name, "")) for name in outcomes or told_by.index[told_by == "mean"][:COLUMNS]]
+    runs = {name: len(data.of_condition(name)) for name in data.conditions}
+    fewer = found["runs"].map(" (n = {})".format).where(found["runs"] < found["condition"].map(runs), "")
+    heads = [with_unit(name) + ", median" * (statistic == "median") for name, statistic in pairs]
+    table = wide(found.assign(cell=found["cell"] + fewer), data.conditions, pairs).set_axis(heads, axis=1)
+    table = table[(table != NO_CELL).any(axis=1)]
+    table.insert(0, "runs", table.index.map(runs))
+    if by_factor:
+        with suppress(UserError):  # not crossed
+            factors, levels = find_crossing(data)
+            words = [factor.replace("_", " ") for factor in factors]
+            table.index = pd.MultiIndex.from_tuples([levels[name] for name in table.index], names=words)
+    return table.reset_index()
 
 
 def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:

@@ -26,7 +26,7 @@ from pneuma.analysis import verdict_words
 from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.intervals import shown_with_interval
+from pneuma.analysis.summaries import wide, with_cells
 from pneuma.errors import counted
 from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapse_page
@@ -131,18 +131,14 @@ def _visible(value: Any) -> Any:
 
 def numbers_table(study: str, summary: pd.DataFrame) -> CaptionedTable:
     """Return the most important outcomes of a summary: one row per condition."""
-    cells: dict[tuple[str, str], dict[str, str]] = {}
-    for row in summary.to_dict("records"):
-        pair = str(row["outcome"]), str(row["statistic"])
-        if pair in LEADING or pair[1] in LEADING:
-            shown = shown_with_interval(row["value"], row["low"], row["high"])
-            cells.setdefault(pair, {})[row["condition"]] = f"{shown}\nn = {int(row['runs'])}"
-    pairs = sorted(cells, key=lambda pair: pair[1] == "share")  # how many failed comes last
-    rows = [
-        [name, *(cells[pair].get(name, "–") for pair in pairs)]
-        for name in dict.fromkeys(summary["condition"])
-    ]
+    found = with_cells(summary)
+    found["cell"] += found["runs"].map("\nn = {}".format)
+    every = dict.fromkeys(zip(found["outcome"], found["statistic"], strict=True))
+    pairs = [pair for pair in every if pair in LEADING or pair[1] in LEADING]
+    pairs.sort(key=lambda pair: pair[1] == "share")  # how many failed comes last
+    table = wide(found, [*found["condition"].unique()], pairs)
     caption = f"Outcomes of {study}, with 95 % intervals and counts of runs"
+    rows = table.reset_index().to_numpy().tolist()
     return caption, ["Condition", *map("\n".join, pairs)], rows, 1
 
 
