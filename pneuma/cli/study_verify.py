@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,6 @@ from pneuma.worlds import WORLDS
 if TYPE_CHECKING:
     from pneuma.analysis.claim_table import ClaimContrast
     from pneuma.analysis.claims import Claim, ClaimList
-    from pneuma.analysis.intervals import Interval
     from pneuma.analysis.judgement import Verdict
 
 WIDTH = 100
@@ -124,70 +123,53 @@ def _result(known: ClaimList, shown: Sequence[Verdict], people: Iterator[str | T
     contrasts = {world: known.contrasts(world) for world in WORLDS}
     head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
     document = {**head, "claims": [_document(one) for one in shown]}
-    rows = [{"claim": one.claim.name, **_flat(_record(row))} for one in shown for row in one.contrasts]
+    numbers = pd.DataFrame([_record(row) for one in shown for row in one.contrasts])
     table = verdict_table(verdicts_by_claim(shown))
-    return Result(document, people, table=table, numbers=pd.DataFrame(rows), form=form)
+    return Result(document, people, table=table, numbers=numbers, form=form)
 
 
 def _document(one: Verdict) -> dict[str, Any]:
+    """Return the row that decides, with the claim's own verdict and reason, and all its rows."""
     from pneuma.analysis.verdict_words import word
 
-    claim, decisive = one.claim, one.decisive
-    found: dict[str, Any] = _record(decisive) if decisive else {"seeds": []}
+    claim = one.claim
     return {
-        "claim": claim.name,
-        "world": one.world,
+        **(_record(one.decisive) if one.decisive else {}),
         "word": word(one),
         **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
-        **{key: found.get(key) for key in ("effect", "interval", "simultaneous", "p", "seeds")},
         **{key: getattr(claim, key) for key in ("section", "quote", "context", "study", "kind", "direction")},
         "seen": one.world in claim.seen,
-        **{key: found.get(key) for key in ("outcome", "margin")},
         "outcomes": list(claim.outcome),
         "contrasts": [_record(row) for row in one.contrasts],
     }
 
 
+PLANNED = ("claim", "world", "outcome", "a", "b", "alpha", "spread", "half_width", "margin")
+
+
 def _record(row: ClaimContrast) -> dict[str, Any]:
     """Return a row of the table: what was planned, and what was found."""
-    contrast = row.contrast
+    found, (a, b), means, seeds = row.contrast, row.names, row.contrast.means, row.contrast.seeds
     return {
-        **_planned(row),
-        "effect": contrast.effect,
-        "means": list(contrast.means),
-        "interval": _ends(contrast.interval),
-        "simultaneous": _ends(contrast.simultaneous),
+        "claim": row.claim.name,
+        "world": row.world,
+        "outcome": row.outcome,
+        "a": a,
+        "b": b,
+        **{key: getattr(row, key) for key in ("alpha", "spread", "half_width", "margin")},
+        "effect": found.effect,
+        "mean_a": means[0],
+        "mean_b": means[1],
+        "low": found.interval.low,
+        "high": found.interval.high,
+        "simultaneous_low": found.simultaneous.low,
+        "simultaneous_high": found.simultaneous.high,
         "p": row.p,
         "verdict": row.verdict,
-        "reason": contrast.reason,
-        "seeds": list(contrast.seeds),
+        "reason": found.reason,
+        "seeds_a": seeds[0],
+        "seeds_b": seeds[1],
     }
-
-
-def _planned(row: ClaimContrast) -> dict[str, Any]:
-    a, b = row.names
-    planned = {key: getattr(row, key) for key in ("alpha", "spread", "half_width", "margin")}
-    return {"world": row.world, "outcome": row.outcome, "a": a, "b": b, **planned}
-
-
-def _ends(interval: Interval) -> list[float] | None:
-    return [interval.low, interval.high] if interval.exists else None
-
-
-_PAIRS = {
-    "seeds": ("seeds_a", "seeds_b"),
-    "means": ("mean_a", "mean_b"),
-    "interval": ("low", "high"),
-    "simultaneous": ("simultaneous_low", "simultaneous_high"),
-}
-
-
-def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row without pairs, for CSV."""
-    flat: dict[str, Any] = {}
-    for key, value in record.items():
-        flat |= zip(_PAIRS[key], value or (None, None), strict=True) if key in _PAIRS else {key: value}
-    return flat
 
 
 # --- The design check --------------------------------------------------------------------------------
@@ -203,8 +185,7 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
     refused = {(row.claim.name, row.world): row.refused for row in every if row.refused}
     plans = [
         {
-            "claim": row.claim.name,
-            **_planned(row),
+            **{key: value for key, value in _record(row).items() if key in PLANNED},
             "seeds": list(row.planned),
             "reason": row.why_undecidable,
             "admitted": not row.refused,

@@ -49,10 +49,10 @@ def test_the_document_has_every_claim_in_its_worlds(
     ]
     first, missing = document["claims"]
     assert first["effect"] == pytest.approx(0.5)
-    assert first["interval"][0] < 0.5 < first["interval"][1]
-    assert (first["seeds"], first["reason"]) == ([8, 8], "")
+    assert first["low"] < 0.5 < first["high"]
+    assert (first["seeds_a"], first["seeds_b"], first["reason"]) == (8, 8, "")
     assert len(first["run_ids"]) == 16
-    assert (missing["effect"], missing["interval"]) == (None, None)
+    assert (missing["effect"], missing["low"]) == (None, None)
     (alone,) = _document(capsys, *command, "better")["claims"]  # whose correction is for the whole list
     assert alone == first
     assert missing["reason"] == (
