@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from pneuma.env_fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row
@@ -131,8 +132,15 @@ class StudyData:
 
     @property
     def full_title(self) -> str:
-        world = f" in {WORLDS[self.world].title}" if self.world else ""
-        return f"{self.title}{world}" + (f" ({shown_settings(self.changed)})" if self.changed else "")
+        """The title with the world, unless levels or characters in it are others, and with changed fields."""
+        own = any(
+            is_own_level(str(run.fields.get("level", "")))
+            or are_own_characters(str(run.fields.get("characters", "")))
+            for run in self.runs
+        )
+        worlds = [f" in {each.title}" for each in WORLDS.values() if [each.env] == self.environments]
+        changed = f" ({shown_settings(self.changed)})" if self.changed else ""
+        return self.title + ("" if own else "".join(worlds)) + changed
 
     @property
     def environments(self) -> list[str]:
@@ -370,11 +378,11 @@ def common_step(data: StudyData) -> int | None:
     return budgets[math.ceil(len(budgets) * 2 / 3) - 1 if data.averaged_over else -1]
 
 
-def step_words(data: StudyData) -> str:
-    """Describe the common step and the runs that end before it."""
-    if not data.averaged_over:
-        return "the most that all runs were to reach"
-    step = common_step(data)
+def step_note(data: StudyData) -> str:
+    """Say at which step runs are compared and which ones end before it; empty if all budgets are equal."""
+    if (step := common_step(data)) is None:
+        return ""
+    reached = "two thirds of the logs reached" if data.averaged_over else "all runs were to reach"
     short = [f"{run.condition} {run.seed}" for run in data.runs if run.ends_before(step)]
     left_out = f" (left out, as they end before: {', '.join(short)})" if short else ""
-    return f"the most that two thirds of the logs reached{left_out}"
+    return f"Budgets differ: runs are compared at step {step:,}, the most that {reached}{left_out}."

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs
-from pneuma.analysis.frames import FinishedRun, common_step
+from pneuma.analysis.frames import FinishedRun, step_note
 from pneuma.analysis.held import studies_here
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
@@ -116,8 +116,7 @@ def _part(index: RunIndex, name: str, world: str | None) -> Part:
 def _add_data(index: RunIndex, part: Part, shown: Shown) -> None:
     try:
         data = read_answer(index, shown)
-        if step := common_step(data):
-            part.notes.append(f"Budgets differ: numbers are those at step {step:,}.")
+        part.notes += filter(None, [step_note(data)])
         part.numbers = numbers_table(part.label, summary_table(data))
         origins = Counter(tuple(_facts(run).items()) for run in data.runs)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]

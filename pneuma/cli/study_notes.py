@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pneuma.study.store import Store
-
-if TYPE_CHECKING:
-    from pneuma.analysis.frames import StudyData
 
 
 def nothing_yet(store: Store) -> str:
@@ -15,14 +10,6 @@ def nothing_yet(store: Store) -> str:
     if store.runs() or store.published(shipped=False):
         return ""
     return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
-
-
-def told_step(data: StudyData) -> str:
-    """Return at which step runs are compared, if their budgets differ; empty otherwise."""
-    from pneuma.analysis.frames import common_step, step_words
-
-    step = common_step(data)
-    return f"Budgets differ: all values are those at step {step:,}, {step_words(data)}." if step else ""
 
 
 def with_unit(outcome: str) -> str:

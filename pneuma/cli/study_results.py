@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, draw_files, read_formats, rows_of, wrote
-from pneuma.cli.study_notes import told_step, with_unit
+from pneuma.cli.study_notes import with_unit
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import ExecutorConfig
@@ -105,6 +105,7 @@ def effects(picked: opt.Picked, name: str = opt.STUDY, outcome: opt.Text = opt.O
 
 
 def _show_effects(data: StudyData, found: Effects) -> Iterator[str | Table]:
+    from pneuma.analysis.frames import step_note
     from pneuma.analysis.intervals import decimals, shown
 
     without = f", and {found.without} without it left out" if found.without else ""
@@ -124,7 +125,7 @@ def _show_effects(data: StudyData, found: Effects) -> Iterator[str | Table]:
         yield f"  {factor} = {listed}"
     yield ""
     yield "Partial R²: share of the variance that the other effects leave. Holm: over this table."
-    yield from filter(None, [told_step(data)])
+    yield from filter(None, [step_note(data)])
 
 
 # --- robustness -----------------------------------------------------------------------------------
@@ -162,6 +163,7 @@ def robustness(
 
 
 def _show_map(data: StudyData, found: Map, turned: bool) -> Iterator[str | Table]:
+    from pneuma.analysis.frames import step_note
     from pneuma.analysis.intervals import shown_with_interval
 
     against = " against ".join(map(shown_value, found.values))
@@ -175,4 +177,4 @@ def _show_map(data: StudyData, found: Map, turned: bool) -> Iterator[str | Table
         rows.append((levels, effect, f"{cell['p']:.4f}", label))
     yield Table(("cell", f"difference of {with_unit(found.outcome)}", "p (Holm)", ""), rows)
     yield "Each interval is at 95 % by itself; p and the label are corrected over the map (Holm)."
-    yield from filter(None, [told_step(data)])
+    yield from filter(None, [step_note(data)])

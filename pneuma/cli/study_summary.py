@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
-from pneuma.cli.study_notes import told_step, with_unit
+from pneuma.cli.study_notes import with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies
@@ -63,7 +63,7 @@ def summary(
     if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
     data = picked.open(name)
-    from pneuma.analysis.frames import common_step
+    from pneuma.analysis.frames import common_step, step_note
     from pneuma.analysis.summaries import summary_table, with_cells
 
     found, step = summary_table(data, outcome or ()), common_step(data)
@@ -82,7 +82,7 @@ def summary(
         lacking = " –: no run has it." * bool((table == "–").any(axis=None))
         legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
         shown += ["", legend]
-    notes = [told_step(data), *_told_lacks(data, found, outcome or ()), _told_episodes(data, listed)]
+    notes = [step_note(data), *_told_lacks(data, found, outcome or ()), _told_episodes(data, listed)]
     return Result(document, shown, data.full_title, notes, table, found, format)
 
 
@@ -209,7 +209,7 @@ def compare(
             raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
     import pandas as pd
 
-    from pneuma.analysis.frames import figure_basename
+    from pneuma.analysis.frames import figure_basename, step_note
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
@@ -247,7 +247,7 @@ def compare(
         {"study": data.study, "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
-        [told_step(data), engines, episodes],
+        [step_note(data), engines, episodes],
         people,
         table,
         form,

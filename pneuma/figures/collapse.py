@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 
-from pneuma.analysis.collapse import DEPTH, FALLEN_TO, SHORTEST, diagnoses, incidence
+from pneuma.analysis.collapse import diagnoses, incidence
 from pneuma.analysis.frames import FinishedRun, StudyData, common_step, figure_basename, view
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import UserError
@@ -155,17 +155,7 @@ def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_ou
     if any(run.begun for run in data.runs):
         notes.append("Of a fork its parent's best is not known: a fall from that is not seen.")
     if common_step(data):
-        notes.append("Budgets are unlike: each run is looked at over its own.")
-    if is_foreign(data):
-        best = f"{100 * FALLEN_TO:g} % of its best gain in return over a random player"
-    else:
-        best = f"{100 * FALLEN_TO:g} % of its best at most and {100 * DEPTH:g} points below it"
-    endless = any(run.fields.get("xp_scope") != "episode" for run in data.runs)
-    sunk = " or at a return below zero after one above," if endless else ""
-    notes.append(
-        f"Collapsed: over {100 * SHORTEST:g} % of the budget down to one action ({LEAST_ENTROPY:g} nats, "
-        f"{100 * MOST_OF_ONE:g} % of actions),{sunk} or twice in a row at {best}."
-    )
+        notes.append("Budgets differ: each run is looked at over its own.")
     hollow = "; hollow: recovered by the end" * bool(shares["recovered"].sum())
     notes.append(f"Bars: 95 % intervals (Clopper and Pearson){hollow}.")
     if left_out:

@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
-from pneuma.analysis.frames import SLACK, StudyData, common_step, step_words
+from pneuma.analysis.frames import SLACK, StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.env_fields import ACTION_NAMES
@@ -40,8 +40,8 @@ MARKED_POINTS = 8
 """Markers per line, so that lines can be told apart in grey where their names are in the legend."""
 MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
-FEW_POINTS = 0.05
-"""Up to this share of a curve's points may lack some runs before the caption says so."""
+MOST_NAMED = 3
+"""Most conditions that the caption names."""
 BESIDE_COLOUR = "#404040"
 
 
@@ -256,28 +256,20 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
 
 def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
     """Return the notes in the caption, the most important first."""
-    notes = []
-    if any(curve.stops for group in curves.values() for curve in group):
-        notes.append("×: a run diverged, and its curve ends there.")
-    if step := common_step(data):
-        notes.append(f"Upright line: {step:,} steps, {step_words(data)}: compare there.")
-    logarithmic = [curve for name, group in curves.items() if QUANTITIES[name].log for curve in group]
-    if logarithmic:
-        notes.append("On logarithmic axes means and bands are of logarithms.")
-    if at_zero := sum(int((curve.runs <= 0).any(axis=1).sum()) for curve in logarithmic):
-        notes.append(f"{at_zero} curves of runs reach 0, which this axis cannot show: means lack them.")
-    partly = ((c.count > 0) & (c.count < len(c.runs)) for group in curves.values() for c in group)
-    if any(points.mean() > FEW_POINTS for points in partly):
-        notes.append("Pale: means of those runs that have a value there.")
-    lacking: dict[str, list[str]] = {}
-    for name, group in curves.items():
-        for curve in group:
-            if blank := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
-                of = f"{blank} of {len(curve.runs)} runs of {curve.condition}"
-                lacking.setdefault(of, []).append(name.replace("_", " "))
-    for of, names in lacking.items():
-        what = f"{names[0]} and {len(names) - 1} more" if len(names) > 2 else " and ".join(names)
-        notes.append(f"{of} have no {what}, and count in no mean of it.")
+    every = [*chain.from_iterable(curves.values())]
+    notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
+    if note := step_note(data):
+        notes.append(f"{note} An upright line marks it.")
+    if any(QUANTITIES[name].log for name in curves):
+        notes.append("On logarithmic axes means and bands are of logarithms, without values of 0.")
+    blank: dict[str, int] = {}
+    for curve in every:
+        if count := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
+            blank[curve.condition] = max(count, blank.get(curve.condition, 0))
+    if blank:
+        of = ", ".join(f"{count} of {name}" for name, count in blank.items())
+        whose = of if len(blank) <= MOST_NAMED else f"of {len(blank)} conditions"
+        notes.append(f"Some runs lack values, and count in no mean of them: {whose}.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
     if {*curves} & {*EPISODE_QUANTITIES}:
         last = f"the last {data.averaged_over or 100} episodes"

@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.crossed import HOLDS, OPEN, REVERSED, Map, robustness_map
-from pneuma.analysis.frames import StudyData, figure_basename
+from pneuma.analysis.frames import StudyData, figure_basename, step_note
 from pneuma.analysis.outcomes import find_outcome, primary
 from pneuma.errors import UserError
 from pneuma.figures import grid
 from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.origin import samples_of
 from pneuma.figures.style import COLOURS, GREY, INK
-from pneuma.figures.words import format_counts, headline_of, note_on_step, notes_of
+from pneuma.figures.words import format_counts, headline_of, notes_of
 from pneuma.values import shown_level, shown_value
 
 ROW_INCHES, AROUND_INCHES = 0.17, 0.75
@@ -114,5 +114,5 @@ def _caption(data: StudyData, maps: Sequence[Map]) -> list[str]:
     return [
         f"Differences of means in {outcome.words}{turned}, {runs} runs an arm, with 95 % intervals.",
         "Filled: other than 0 by relabelings and by Welch's t, at 5 % over each panel (Holm).",
-        note_on_step(data),
+        step_note(data),
     ]

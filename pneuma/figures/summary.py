@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, random_level
-from pneuma.analysis.frames import StudyData, common_step, figure_basename
+from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import (
     PRIMARY,
@@ -36,7 +36,6 @@ from pneuma.figures.words import (
     headline_of,
     label_of,
     merge_notes,
-    note_on_step,
     notes_of,
     styles_of,
 )
@@ -109,7 +108,7 @@ class OutcomeRows:
         """The notes in the caption, the most important first."""
         words = find_outcome(self.outcome).words
         notes = [*notes_of(self.data, is_return(self.outcome)), f"{words[:1].upper()}{words[1:]}."]
-        notes.append(note_on_step(self.data))
+        notes.append(step_note(self.data))
         for name, known in self.values.items():
             total = len(self.data.of_condition(name))
             if len(known) < total:
@@ -242,7 +241,7 @@ def comparison_page(data: StudyData, table: pd.DataFrame, basename: str) -> Page
     if lacking := [name for name in every if name not in finite]:
         caption.append(f"Without a finite difference: {', '.join(lacking)}.")
     inches = rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
-    notes, runs = [*caption, note_on_step(data)], samples_of(data)
+    notes, runs = [*caption, step_note(data)], samples_of(data)
     headline = headline_of(data, "differences")
     return Page(basename, in_grid(panels, columns), inches, headline, runs, caption=notes)
 

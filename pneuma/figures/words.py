@@ -6,22 +6,10 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import kinds_of_return
-from pneuma.env_fields import SHIPPED_CHARACTERS, SHIPPED_LEVELS
 from pneuma.figures.style import MOST_IN_A_PANEL, condition_styles
 from pneuma.values import shown_settings
-from pneuma.worlds import WORLDS
-
-
-def title_of(data: StudyData) -> str:
-    changed = shown_settings(data.changed)
-    whole = data.title + (f" ({changed})" if changed else "")
-    shipped = {"", *SHIPPED_LEVELS, *SHIPPED_CHARACTERS}
-    read = {str(run.fields.get(key, "")) for run in data.runs for key in ("level", "characters")}
-    read = {name for name in read if not name.startswith("random:")}
-    titles = [world.title for world in WORLDS.values() if [world.env] == data.environments]
-    return f"{whole} in {titles[0]}" if titles and read <= shipped else whole
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
@@ -31,7 +19,7 @@ def headline_of(data: StudyData, shown: str = "") -> str:
         data: the study.
         shown: the end of the headline; default: the thesis's figure to which it corresponds, if any.
     """
-    return ": ".join(filter(None, [title_of(data), shown or after_thesis(data.figure)]))
+    return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.figure)]))
 
 
 def after_thesis(figure: str) -> str:
@@ -66,11 +54,6 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         if at_end < len(runs):
             notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
     return notes
-
-
-def note_on_step(data: StudyData) -> str:
-    step = common_step(data)
-    return f"All as they stood at {step:,} steps, {step_words(data)}." if step else ""
 
 
 def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[str]:

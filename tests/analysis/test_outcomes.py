@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData, common_step, step_words
+from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values, reason
 from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.records import METRIC_COLUMNS
@@ -205,7 +205,7 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
     found = outcome_values(data, "a", "final-return")
     np.testing.assert_allclose(found, [1000, 1001, 1002, 983, np.nan, np.nan], atol=1)  # in steps of 2
     assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
-    assert step_words(data).endswith("(left out, as they end before: a 4, a 5)")
+    assert step_note(data).endswith("(left out, as they end before: a 4, a 5).")
 
 
 # --- Laws -----------------------------------------------------------------------------------------
