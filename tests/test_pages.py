@@ -12,10 +12,10 @@ import pytest
 from typer.main import get_command
 
 from pneuma.cli import app
-from pneuma.cli.pages import renewed, rewrite
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
+from tools.pages import renewed, rewrite
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

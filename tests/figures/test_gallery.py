@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from pneuma.figures import gallery
 from pneuma.figures.origin import read_origin
 from pneuma.study.store import shipped_tables
+from tools import gallery
 
 
 def test_the_gallery_is_drawn_and_says_where_it_comes_from(tmp_path: Path) -> None:

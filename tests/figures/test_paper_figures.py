@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import make_run
-from pneuma.figures import paper
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
 from pneuma.study.measure import stored_row
@@ -18,6 +17,7 @@ from pneuma.study.plan import configure
 from pneuma.study.published import encode_published
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
+from tools import figures
 
 from ..analysis.claim_files import save_run
 from ..analysis.published_runs import publish
@@ -27,9 +27,9 @@ from .hand_made import HandMade
 @pytest.fixture(autouse=True)
 def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the environment's own figures, which tests of theirs draw; one process has the rest."""
-    monkeypatch.setattr(paper, "available_cores", lambda: 1)
-    monkeypatch.setattr(paper, "_draw_environment", lambda folder, results: [])
-    monkeypatch.setattr(paper, "_write_settings", lambda folder: [])
+    monkeypatch.setattr(figures, "available_cores", lambda: 1)
+    monkeypatch.setattr(figures, "_draw_environment", lambda folder, results: [])
+    monkeypatch.setattr(figures, "_write_settings", lambda folder: [])
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def published(study: HandMade, tmp_path: Path) -> Path:
 
 def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    written = paper.draw_all(folder, published)
+    written = figures.draw_all(folder, published)
     assert {*written} == {path for path in folder.rglob("*") if path.is_file()}
     origins = {path.stem: read_origin(path) for path in written if path.suffix != ".md"}
     assert {origin.command for origin in origins.values()} == {"make figures"}
@@ -57,7 +57,7 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert _samples(origins["mine"]) == [("mine", "tanh", "0..1"), ("mine", "relu", "0..1")]
     assert _samples(origins["fig-6-5"]) == [("activation", "tanh", "0..1"), ("activation", "relu", "0..1")]
     assert "| holds | does not hold |" in (folder / "verdicts.md").read_text()
-    paper.draw_all(folder, published, {"mine": "activation"})
+    figures.draw_all(folder, published, {"mine": "activation"})
     assert _samples(read_origin(folder / "mine.png"))[1:3] == [
         ("mine", "relu", "0..1"),
         ("activation", "tanh", "0..1"),
@@ -73,7 +73,7 @@ def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
     study: HandMade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Here a single run is more than a few."""
-    monkeypatch.setattr(paper, "A_FEW", 1)
+    monkeypatch.setattr(figures, "A_FEW", 1)
     fresh = Store(tmp_path / "fresh")
     conditions = ("tanh", "relu")
 
@@ -87,7 +87,7 @@ def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
 
     def shown() -> tuple[set[str], dict[str, Any]]:
         index = RunIndex(fresh, stored=False, shipped=False)
-        data = paper.thesis_runs(index, "activation", "text", conditions)
+        data = figures.thesis_runs(index, "activation", "text", conditions)
         assert data
         return {run.condition for run in data.runs}, dict(data.changed)
 
@@ -98,16 +98,16 @@ def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
     publish_with(4, ("relu",), 301)
     assert shown() == ({"tanh", "relu"}, {})
     index = RunIndex(fresh, stored=False, shipped=False)
-    assert paper.thesis_runs(index, "activation", "arena", conditions) is None
+    assert figures.thesis_runs(index, "activation", "arena", conditions) is None
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    for stem, command in (("old", paper.COMMAND), ("mine", "pneuma study plot mine")):
+    for stem, command in (("old", figures.COMMAND), ("mine", "pneuma study plot mine")):
         save_figure(Figure(), folder, stem, ("png",), Origin(command=command))
     (folder / "tables").mkdir()
     for name in ("notes.txt", "other.png", "tables/old.md"):
         (folder / name).write_bytes(b"")
-    paper.draw_all(folder, tmp_path / "results")
+    figures.draw_all(folder, tmp_path / "results")
     left = {path.name for path in folder.rglob("*") if path.is_file()}
     assert left == {"mine.png", "notes.txt", "other.png"}

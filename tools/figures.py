@@ -1,6 +1,6 @@
 """Everything in `paper_figures/`; `make figures` runs this module.
 
-    python -m pneuma.figures.paper FOLDER [--results RESULTS] [--beside STUDY=LOGS]
+    python -m tools.figures FOLDER [--results RESULTS] [--beside STUDY=LOGS]
 
 It draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to 6.5 with its conditions; one
 figure of every study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that
@@ -30,8 +30,6 @@ from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.collapse import collapse_page
 from pneuma.figures.curves import curves_page
-from pneuma.figures.environment import draw_level, draw_mailman, draw_screens
-from pneuma.figures.gallery import draw_gallery
 from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import robustness_page, study_maps
@@ -46,6 +44,8 @@ from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
+from tools.environment_figures import draw_level, draw_mailman, draw_screens
+from tools.gallery import draw_gallery
 
 RESULTS = Path("results")
 COMMAND = "make figures"

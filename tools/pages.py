@@ -11,7 +11,7 @@
 
     <!-- end -->
 
-    python -m pneuma.cli.pages README.md docs/findings.md
+    python -m tools.pages README.md docs/findings.md
 
 Commands read published tables alone, so that every clone prints the same.
 """
