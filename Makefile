@@ -37,8 +37,8 @@ study: install  ## Run the activation study (thesis Fig. 6.5) at its quick prese
 	$(BIN)/pneuma study plot activation
 
 figures: install  ## Draw everything in paper_figures/, and write the tables that pages hold
-	$(BIN)/python -m tools.figures paper_figures --results results --beside published-logs=author-logs
-	$(BIN)/python -m tools.pages README.md docs/*.md
+	$(BIN)/python -m tools.figures
+	$(BIN)/python -m tools.pages
 
 # --- The reproduction ---------------------------------------------------------------------------
 #

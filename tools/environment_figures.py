@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
+from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
-from pneuma.env.watch import fight_worlds, level_worlds
-from pneuma.env_fields import make_env_config
+from pneuma.env.watch import FRAMES_PER_STEP, smooth
+from pneuma.env.worlds import Worlds
+from pneuma.env_fields import EnvConfig, make_env_config
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
+from tools import COMMAND
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
 MOVES = (
@@ -23,7 +27,7 @@ MOVES = (
 RADIUS = 0.33
 
 
-def draw_mailman(folder: Path, command: str = "") -> list[Path]:
+def draw_mailman(folder: Path) -> list[Path]:
     """Draw Fig. 2.1: the decision process of `pneuma/Mailman-v0`, its best route in bold."""
     with house_style():
         figure = Figure(figsize=(4.2, 2.1))
@@ -45,10 +49,10 @@ def draw_mailman(folder: Path, command: str = "") -> list[Path]:
             )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
         axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
-        return save_figure(figure, folder, "fig-2-1", ("png",), Origin(command=command))
+        return save_figure(figure, folder, "fig-2-1", ("png",), Origin(command=COMMAND))
 
 
-def draw_level(folder: Path, command: str = "") -> list[Path]:
+def draw_level(folder: Path) -> list[Path]:
     """Draw Fig. 6.1: the whole level, with its start places and monsters."""
     worlds = level_worlds()
     level = worlds.level
@@ -65,10 +69,10 @@ def draw_level(folder: Path, command: str = "") -> list[Path]:
         axes.set(xlabel="x (pixels)", ylabel="y (pixels)", title=level.title)
         axes.grid(visible=False)
         axes.legend(loc="lower right", frameon=True, facecolor="white")
-        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=command), colours=0)
+        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=COMMAND), colours=0)
 
 
-def draw_screens(folder: Path, command: str = "") -> list[Path]:
+def draw_screens(folder: Path) -> list[Path]:
     """Draw Figs. 5.1 and 5.2, the view that follows a player in two scenes, and what is measured.
 
     The last one, for the page of rules, is the same fight of a player who sees by rays.
@@ -82,5 +86,33 @@ def draw_screens(folder: Path, command: str = "") -> list[Path]:
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",), Origin(command=command), colours=0)
+            paths += save_figure(figure, folder, stem, ("png",), Origin(command=COMMAND), colours=0)
     return paths
+
+
+# --- What they show ------------------------------------------------------------------------------
+
+
+def level_worlds(start: int = 0, config: EnvConfig | None = None) -> Worlds:
+    """Return the shipped level at the start of an episode."""
+    worlds = Worlds(1, config)
+    worlds.seed([0])
+    worlds.reset(starts=np.array([start], np.int64))
+    return worlds
+
+
+def fight_worlds(config: EnvConfig | None = None) -> Worlds:
+    """Return the shipped level during a fight: a monster just hit, and as many awake as possible."""
+    best, most = level_worlds(config=config), 0
+    for start in range(len(best.level.starts)):
+        worlds = level_worlds(start, config)
+        hunter = Hunter(worlds)
+        smooth(worlds)
+        while worlds.worlds["ending"][0] == 0 and most < 3:
+            actions = hunter.act(worlds)
+            for _ in range(FRAMES_PER_STEP):
+                worlds.step(actions)
+                awake = int(((worlds.monsters["noticed"][0] > 0) & (worlds.monsters["hp"][0] > 0)).sum())
+                if worlds.events["hits"][0, 0] and awake > most:
+                    best, most = copy.deepcopy(worlds), awake
+    return best

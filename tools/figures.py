@@ -1,16 +1,15 @@
 """Everything in `paper_figures/`; `make figures` runs this module.
 
-    python -m tools.figures FOLDER [--results RESULTS] [--beside STUDY=LOGS]
+    python -m tools.figures [FOLDER]
 
-It draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to 6.5 with its conditions; one
-figure of every study in RESULTS/published, over the worlds in which it has runs; the collapses and maps that
-pages show; of every search that is published there; and the verdicts on all claims. Figures of an earlier run
-that are no longer drawn are removed.
+From the repository's root, it draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to
+6.5 with its conditions; one figure of every study in results/published, over the worlds in which it has runs;
+the collapses and maps that pages show; every search that is published there; and the verdicts on all claims.
+Figures of an earlier run that are no longer drawn are removed.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -23,9 +22,12 @@ from typing import Any
 import pandas as pd
 
 from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
+from pneuma.analysis.claims import load_claims
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.frames import SLACK, StudyData
+from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.collapse import collapse_page
@@ -37,20 +39,18 @@ from pneuma.figures.origin import read_origin
 from pneuma.figures.search import search_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
-from pneuma.figures.verdicts import judged_claims, write_verdicts
-from pneuma.search.storage import published_searches, read_record
+from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
-from pneuma.study.store import Store
+from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
+from tools import COMMAND
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery
+from tools.verdicts import write_verdicts
 
-RESULTS = Path("results")
-COMMAND = "make figures"
-TABLES = "tables"
-SETTINGS_FILE = "table-6-1-and-6-2.md"
+FOLDER, RESULTS = Path("paper_figures"), Path("results")
 
 THESIS_FIGURES = {
     "fig-6-2": ("architecture", ("small", "mid", "big")),
@@ -70,6 +70,8 @@ A_FEW = 10
 """Fewer runs of a configuration, as an exploratory study has, do not stand for earlier ones."""
 COLLAPSES = ("collapse",)
 """Studies whose collapses a page shows."""
+BESIDE = {"published-logs": "author-logs"}
+"""The imported logs that are drawn with a study, and not alone."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
 
 SETTINGS = (
@@ -80,14 +82,10 @@ SETTINGS = (
 """Fields that the thesis's Tables 6.1 and 6.2 state or leave to the library."""
 
 
-def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | None = None) -> list[Path]:
-    """Draw all figures and write the table of settings; return the files written.
-
-    `beside` gives for a study's name the imported logs to draw with it.
-    """
-    logs = beside or {}
-    (folder / TABLES).mkdir(parents=True, exist_ok=True)
-    written = [*_draw_environment(folder, results), *_write_settings(folder)]
+def draw_all(folder: Path, results: Path = RESULTS, logs: Mapping[str, str] = BESIDE) -> list[Path]:
+    """Draw all figures and write the table of settings; return the files written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [*_draw_environment(folder), _write_settings(folder)]
     index = _published(results)
     sizes: dict[str, int] = {}
     for table in index.tables.values():
@@ -98,9 +96,7 @@ def draw_all(folder: Path, results: Path = RESULTS, beside: Mapping[str, str] | 
         for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
             written += paths
     written += verdicts.result()
-    store = Store(results)
-    searched = (read_record(store, *each, stored=False) for each in published_searches(store))
-    written += _save(folder, filter(None, map(search_page, searched)))
+    written += _draw_searches(folder, results)
     _remove_others(folder, written)
     return written
 
@@ -114,9 +110,9 @@ def _published(results: Path) -> RunIndex:
 
 
 def _remove_others(folder: Path, written: Collection[Path]) -> None:
-    """Remove tables and figures of an earlier run, which a figure's origin tells."""
-    for path in {*folder.glob("*.*"), *(folder / TABLES).glob("*.md")} - {*written}:
-        if path.parent.name == TABLES or _is_of_earlier_run(path):
+    """Remove figures of an earlier run, which their origin tells."""
+    for path in {*folder.glob("*.*")} - {*written}:
+        if _is_of_earlier_run(path):
             path.unlink()
 
 
@@ -132,32 +128,34 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     store = Store(results)
     if not store.published(shipped=False):
         return []
-    return write_verdicts(judged_claims(store, stored=False)[0], folder, COMMAND)
+    return write_verdicts(verdicts_by_claim(judge(load_claims(), store, stored=False)), folder)
 
 
-def _draw_environment(folder: Path, results: Path) -> list[Path]:
+def _draw_searches(folder: Path, results: Path) -> list[Path]:
+    """Draw every search that is published, whose log names it and its world."""
+    logs = sorted((results / PUBLISHED).glob("search-*.log"))
+    labels = (log.stem.removeprefix("search-").rpartition("-") for log in logs)
+    searched = (read_record(Store(results), name, world, stored=False) for name, _, world in labels)
+    return _save(folder, filter(None, map(search_page, searched)))
+
+
+def _draw_environment(folder: Path) -> list[Path]:
     """Draw the figures of the environment itself, and its gallery."""
-    drawn = [path for draw in (draw_mailman, draw_screens, draw_level) for path in draw(folder, COMMAND)]
-    return [*drawn, *draw_gallery(folder, results, COMMAND)]
+    draws = (draw_mailman, draw_screens, draw_level, draw_gallery)
+    return [path for draw in draws for path in draw(folder)]
 
 
-def _write_settings(folder: Path) -> list[Path]:
-    """Write the thesis's two tables of hyperparameters."""
-    path = folder / TABLES / SETTINGS_FILE
-    path.write_bytes(encode_frame(settings_table(), "markdown"))
-    return [path]
-
-
-THESIS_BASES = ("table-6-1", "table-6-2")
-
-
-def settings_table() -> pd.DataFrame:
-    """Return the thesis's two bases of studies: a row per field, with both values and whether they differ."""
-    bases = [as_fields(make_run(BASES[name])) for name in THESIS_BASES]
+def _write_settings(folder: Path) -> Path:
+    """Write the thesis's two tables of hyperparameters: a row a field, and whether its two values differ."""
+    names = ("table-6-1", "table-6-2")
+    bases = [as_fields(make_run(BASES[name])) for name in names]
     rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
-    table = pd.DataFrame(rows, columns=["setting", *THESIS_BASES])
+    table = pd.DataFrame(rows, columns=["setting", *names])
     table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
-    return table
+    path = folder / "tables" / "table-6-1-and-6-2.md"
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(encode_frame(table, "markdown"))
+    return path
 
 
 # --- One study ---------------------------------------------------------------------------------------
@@ -260,27 +258,6 @@ def _longest(
     return read_answer(index, Shown(asked, sorted(runs, key=lambda run: run[1])))
 
 
-def main(folder: Path, results: Path = RESULTS, beside: Sequence[str] = ()) -> None:
-    """Draw everything and print what was written.
-
-    Raises:
-        UserError: when there is no results folder, because figures drawn from another one would be removed.
-    """
-    if not results.is_dir():
-        raise UserError(f"{results}: is no folder, so nothing is drawn, and nothing removed")
-    logs = dict(each.partition("=")[::2] for each in beside)
-    if missing := [name for name in logs.values() if not Store(results).published_path(name).exists()]:
-        raise UserError(f"--beside: no logs {missing[0]!r} are published in {results}; give STUDY=LOGS")
-    for path in draw_all(folder, results, logs):
-        print(f"wrote {path}")
-
-
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--beside", action="append", default=[], metavar="STUDY=LOGS")
-    try:
-        main(**vars(parser.parse_args()))
-    except (UserError, OSError) as error:
-        sys.exit(f"pneuma: {error}")
+    for drawn in draw_all(Path(sys.argv[1]) if sys.argv[1:] else FOLDER):
+        print(f"wrote {drawn}")

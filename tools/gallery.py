@@ -5,6 +5,7 @@ The agent's episodes are a recording (`studies/record_play.py`), so that nothing
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ from pneuma.env.watch import (
     GIF_FRAMES_PER_STEP,
     episode_frames,
     frame_rate,
-    level_worlds,
     smooth,
     write_video,
 )
@@ -28,8 +28,10 @@ from pneuma.env.worlds import Worlds
 from pneuma.env_fields import DASH, SPELL_NAMES, make_env_config
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, house_style, save_figure
-from pneuma.files import read_json
+from pneuma.study.store import shipped_tables
 from pneuma.worlds import WORLDS
+from tools import COMMAND
+from tools.environment_figures import level_worlds
 
 RECORDING = "played.json"
 DOTS = 200
@@ -49,21 +51,24 @@ HUNTED, SHOWN = 120, 130
 """Steps that the hunter plays in each world, and that the moving picture of the agent lasts."""
 
 
-def draw_gallery(folder: Path, results: Path, command: str = "") -> list[Path]:
-    """Draw all pictures; those of the agent where its recording is published."""
-    played = read_json(results / "published" / RECORDING)
+def draw_gallery(folder: Path) -> list[Path]:
+    episodes = json.loads((shipped_tables() / RECORDING).read_bytes())["episodes"]
     with house_style():
-        pages = {"worlds": _worlds(), "classes": _classes(), "spells": _spells(), "islands": _islands()}
-        if played:
-            pages["training"] = _training(played["episodes"])
+        pages = {
+            "worlds": _worlds(),
+            "classes": _classes(),
+            "spells": _spells(),
+            "islands": _islands(),
+            "training": _training(episodes),
+        }
         paths = [
             path
             for name, page in pages.items()
             for path in save_figure(
-                page, folder, f"gallery-{name}", ("png",), Origin(command=command), colours=0
+                page, folder, f"gallery-{name}", ("png",), Origin(command=COMMAND), colours=0
             )
         ]
-    return [*paths, _move(played["episodes"][-1], folder / "play.gif")] if played else paths
+    return [*paths, _move(episodes[-1], folder / "play.gif")]
 
 
 def _page(frames: Mapping[str, np.ndarray], below: int = 0) -> tuple[Figure, list[Axes]]:

@@ -11,7 +11,7 @@
 
     <!-- end -->
 
-    python -m tools.pages README.md docs/findings.md
+    python -m tools.pages
 
 Commands read published tables alone, so that every clone prints the same.
 """
@@ -24,18 +24,21 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import cache, partial
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
 from inspect import getdoc
 from pathlib import Path
 from pydoc import locate
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 from pneuma.cli import main
 from pneuma.errors import UserError
 from pneuma.study.store import PUBLISHED, shipped_tables
 
+ROOT = Path(__file__).parents[1]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 READING = (
     "study list", "study show", "study summary", "study compare", "study collapse", "study effects",
     "study robustness", "study verify", "env list",
@@ -43,7 +46,6 @@ READING = (
 """Commands that print the same wherever they run."""
 WRITING = ("--out", "--plot", "--fork", "--trust", "--results")
 """Their options that write, train, run a user's code, or read other results."""
-RESULTS = "PNEUMA_RESULTS"
 _BEGIN = re.compile(r"^<!-- (?:pneuma|docstring) ", re.MULTILINE)
 _BLOCK = re.compile(
     r"^<!-- ((?:pneuma|docstring) [^\n]+) -->\n(?:(?!^<!-- (?:pneuma|docstring) ).)*?^<!-- end -->$",
@@ -51,47 +53,33 @@ _BLOCK = re.compile(
 )
 
 
-def rewrite(pages: Sequence[Path]) -> list[Path]:
-    """Write all blocks of pages anew; return the pages that this changed.
+def rewrite(pages: Sequence[Path] = PAGES) -> list[Path]:
+    """Write all blocks of pages anew; return the pages that this changed."""
+    changed = renewed(pages)
+    for page, text in changed.items():
+        page.write_text(text, encoding="utf-8")
+    return [*changed]
+
+
+def renewed(pages: Sequence[Path] = PAGES) -> dict[Path, str]:
+    """Return the text of each page that does not hold what its commands print now.
+
+    Commands read a results folder of published tables without runs.
 
     Raises:
         UserError: for a block of an unknown command, or one that fails.
     """
-    changed = []
-    for page, text in renewed(pages):
-        if text != page.read_text(encoding="utf-8"):
-            page.write_text(text, encoding="utf-8")
-            changed.append(page)
-    return changed
-
-
-def renewed(pages: Sequence[Path]) -> Iterator[tuple[Path, str]]:
-    """Yield the text of each page with what its commands print now."""
-    with _published_alone():
-        run = cache(_output)
+    changed, output = {}, cache(_output)
+    with TemporaryDirectory() as folder, patch.dict(os.environ, PNEUMA_RESULTS=folder):
+        shutil.copytree(shipped_tables(), Path(folder, PUBLISHED))
         for page in pages:
             text = page.read_text(encoding="utf-8")
             if len(_BLOCK.findall(text)) < len(_BEGIN.findall(text)):
                 raise UserError(f"{page}: a block has no line <!-- end -->")
-            yield page, _BLOCK.sub(partial(_filled, run), text)
-
-
-def _filled(run: Callable[[str], str], block: re.Match[str]) -> str:
-    return f"<!-- {block[1]} -->\n\n{run(block[1])}\n<!-- end -->"
-
-
-@contextmanager
-def _published_alone() -> Iterator[None]:
-    """Let commands read a results folder of published tables without runs."""
-    with TemporaryDirectory() as folder:
-        shutil.copytree(shipped_tables(), Path(folder, PUBLISHED))
-        before = os.environ.get(RESULTS)
-        os.environ[RESULTS] = folder
-        try:
-            yield
-        finally:
-            os.environ.pop(RESULTS)
-            os.environ |= {RESULTS: before} if before else {}
+            new = _BLOCK.sub(lambda block: f"<!-- {block[1]} -->\n\n{output(block[1])}\n<!-- end -->", text)
+            if new != text:
+                changed[page] = new
+    return changed
 
 
 def _output(block: str) -> str:
@@ -119,7 +107,7 @@ def _section(place: str, heading: str = "") -> str:
 
 if __name__ == "__main__":
     try:
-        for name in rewrite([Path(name) for name in sys.argv[1:]]):
-            print(f"wrote {name}")
+        for page in rewrite():
+            print(f"wrote {page.relative_to(ROOT)}")
     except (UserError, OSError) as error:
         sys.exit(f"pneuma: {error}")

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs
+from pneuma.analysis.claims import load_claims
 from pneuma.analysis.frames import FinishedRun, step_note
 from pneuma.analysis.held import studies_here
+from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.summaries import summary_table
+from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.errors import UserError, counted
-from pneuma.figures.report import Part, numbers_table, study_pictures
-from pneuma.figures.verdicts import Verdicts, judged_claims
+from pneuma.figures.report import Part, Verdicts, numbers_table, study_pictures
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
 from pneuma.study.store import Store
@@ -45,7 +47,7 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     note = unjudged = ""
     try:
         if {*asked} & {*shipped}:
-            claims, note = judged_claims(store, asked)
+            claims, note = _judged_claims(store, asked)
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
         unjudged = _without_folder(store, error)
         tell(f"Note: {error}; no claim is judged.")
@@ -56,6 +58,21 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
     sections.sort(key=lambda section: (not section["section"], section["section"], section["study"]))
     title = "" if {*asked} & {*shipped} else "; ".join(section["title"] for section in sections)
     return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged, "title": title}
+
+
+def _judged_claims(store: Store, studies: Collection[str]) -> tuple[Verdicts, str]:
+    """Return the verdicts on claims about some studies, with a sentence on the list.
+
+    Whichever claims are shown, the correction is for the whole list.
+    """
+    known = load_claims()
+    shown = judge(known, store, asked=lambda claim, world: claim.study in studies)
+    note = (
+        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
+        f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
+        f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
+    )
+    return verdicts_by_claim(shown), note
 
 
 def _section(index: RunIndex, name: str) -> dict[str, Any]:

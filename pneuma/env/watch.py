@@ -6,7 +6,6 @@ motion is smooth; a GIF shows two, as it would be twice as large. A window needs
 
 from __future__ import annotations
 
-import copy
 import importlib
 import importlib.util
 import os
@@ -20,10 +19,9 @@ from PIL import Image
 from PIL.GifImagePlugin import getdata
 
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
-from pneuma.env.players import Hunter
 from pneuma.env.render import CAMERAS, Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ACTION_NAMES, EnvConfig
+from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, install_extra, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
@@ -250,31 +248,6 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
             worlds.reset()
     window.close()
     return scores
-
-
-def level_worlds(start: int = 0, config: EnvConfig | None = None) -> Worlds:
-    """Return the shipped level at the start of an episode."""
-    worlds = Worlds(1, config)
-    worlds.seed([0])
-    worlds.reset(starts=np.array([start], np.int64))
-    return worlds
-
-
-def fight_worlds(config: EnvConfig | None = None) -> Worlds:
-    """Return the shipped level during a fight: a monster just hit, and as many awake as possible."""
-    best, most = level_worlds(config=config), 0
-    for start in range(len(best.level.starts)):
-        worlds = level_worlds(start, config)
-        hunter = Hunter(worlds)
-        smooth(worlds)
-        while worlds.worlds["ending"][0] == 0 and most < 3:
-            actions = hunter.act(worlds)
-            for _ in range(FRAMES_PER_STEP):
-                worlds.step(actions)
-                awake = int(((worlds.monsters["noticed"][0] > 0) & (worlds.monsters["hp"][0] > 0)).sum())
-                if worlds.events["hits"][0, 0] and awake > most:
-                    best, most = copy.deepcopy(worlds), awake
-    return best
 
 
 # --- Videos ---------------------------------------------------------------------------------------

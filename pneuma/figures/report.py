@@ -23,12 +23,13 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis import verdict_words
+from pneuma.analysis.claims import Claim
 from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
+from pneuma.analysis.judgement import Verdict
 from pneuma.analysis.summaries import wide, with_cells
 from pneuma.errors import counted
-from pneuma.figures import verdicts
 from pneuma.figures.collapse import collapse_page
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
@@ -43,6 +44,9 @@ LEADING = ("mean", "share", "reached", ("final-share-killed", "deviation"))
 
 CaptionedTable = tuple[str, Sequence[str], Sequence[Sequence[object]], int]
 """Caption, columns, rows; and how many columns, from the first on, are words."""
+
+Verdicts = Mapping[str, Mapping[str, Verdict]]
+"""The verdicts on each claim, by its name and world."""
 
 
 @dataclass
@@ -76,7 +80,7 @@ class Part:
 
 
 def report_page(
-    claims: verdicts.Verdicts,
+    claims: Verdicts,
     studies: Sequence[Mapping[str, Any]],
     note: str = "",
     unjudged: str = "",
@@ -108,12 +112,16 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
-        version=__version__, words=verdict_words, claim_of=verdicts.claim_of,
+        version=__version__, words=verdict_words, claim_of=_claim_of,
         worlds={world: verdict_words.WORLD_NAMES[world] for world in verdict_words.worlds_of(claims)},
         counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave
+
+
+def _claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
+    return next(iter(verdicts.values())).claim
 
 
 def _anchor(kind: str, name: str) -> str:

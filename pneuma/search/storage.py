@@ -32,9 +32,7 @@ from pneuma.search.trials import EndedTrial, Outcomes, PendingTrial, Task, Train
 from pneuma.study.execute import check_environments
 from pneuma.study.identity import config_id
 from pneuma.study.locks import run_lock
-from pneuma.study.spec import shipped_names, studies_folder
 from pneuma.study.store import PUBLISHED, Store, shipped_tables
-from pneuma.worlds import WORLDS
 
 VERSIONS = ("optuna", "rules", "engines")
 """Parts of a search's identity that the user does not choose."""
@@ -250,13 +248,6 @@ def read_record(store: Store, name: str, world: str | None = None, stored: bool 
 def published_logs(store: Store, label: str) -> list[Path]:
     """Return where the log of a search may be published: in a results folder, or with Pneuma."""
     return [folder / f"search-{label}.log" for folder in (store.root / PUBLISHED, shipped_tables())]
-
-
-def published_searches(store: Store) -> list[tuple[str, str]]:
-    """Return name and world of the shipped searches that are published in a results folder."""
-    names = shipped_names(studies_folder() / "search")
-    pairs = [(name, world) for name in names for world in WORLDS]
-    return [(name, world) for name, world in pairs if published_logs(store, f"{name}-{world}")[0].is_file()]
 
 
 class _Lines(BaseJournalBackend):

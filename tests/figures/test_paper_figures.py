@@ -17,19 +17,20 @@ from pneuma.study.plan import configure
 from pneuma.study.published import encode_published
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
-from tools import figures
+from tools import COMMAND, figures
 
 from ..analysis.claim_files import save_run
 from ..analysis.published_runs import publish
 from .hand_made import HandMade
+
+SETTINGS = "table-6-1-and-6-2.md"
 
 
 @pytest.fixture(autouse=True)
 def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the environment's own figures, which tests of theirs draw; one process has the rest."""
     monkeypatch.setattr(figures, "available_cores", lambda: 1)
-    monkeypatch.setattr(figures, "_draw_environment", lambda folder, results: [])
-    monkeypatch.setattr(figures, "_write_settings", lambda folder: [])
+    monkeypatch.setattr(figures, "_draw_environment", lambda folder: [])
 
 
 @pytest.fixture
@@ -103,11 +104,10 @@ def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "paper"
-    for stem, command in (("old", figures.COMMAND), ("mine", "pneuma study plot mine")):
+    for stem, command in (("old", COMMAND), ("mine", "pneuma study plot mine")):
         save_figure(Figure(), folder, stem, ("png",), Origin(command=command))
-    (folder / "tables").mkdir()
-    for name in ("notes.txt", "other.png", "tables/old.md"):
+    for name in ("notes.txt", "other.png"):
         (folder / name).write_bytes(b"")
     figures.draw_all(folder, tmp_path / "results")
     left = {path.name for path in folder.rglob("*") if path.is_file()}
-    assert left == {"mine.png", "notes.txt", "other.png"}
+    assert left == {"mine.png", "notes.txt", "other.png", SETTINGS}

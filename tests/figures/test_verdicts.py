@@ -14,7 +14,7 @@ from pneuma.analysis import verdict_words
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL
 from pneuma.analysis.verdict_words import cell, effect, sentence, short_sentence, verdict_table, why
-from pneuma.figures.verdicts import SMALL, draw_verdicts
+from tools.verdicts import SMALL, draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from textwrap import wrap
@@ -12,9 +12,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from pneuma.analysis.claims import Claim, load_claims
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.judgement import Verdict, judge
 from pneuma.analysis.verdict_words import (
     FAILS,
     HOLDS,
@@ -22,13 +20,13 @@ from pneuma.analysis.verdict_words import (
     UNDECIDED,
     count_words,
     verdict_table,
-    verdicts_by_claim,
 )
 from pneuma.figures.origin import Origin, sample
+from pneuma.figures.report import Verdicts
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
 from pneuma.files import write_whole
-from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
+from tools import COMMAND
 
 STEM = "verdicts"
 WIDTH_INCHES, EDGE_INCHES, TEXT_INCHES, WORLDS_INCHES, MARK_INCHES = 7.4, 0.03, 0.32, 2.75, 0.13
@@ -46,46 +44,21 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 """Verdicts differ in shape too, so that they can be told apart in grey."""
 
-Verdicts = dict[str, dict[str, Verdict]]
-"""The verdicts on each claim, by its name and world."""
 
-
-def judged_claims(
-    store: Store, studies: Collection[str] | None = None, stored: bool = True
-) -> tuple[Verdicts, str]:
-    """Return the verdicts on claims about some studies, or all, with a sentence on the list.
-
-    Whichever claims are shown, the correction is for the whole list. With `stored = False` only published
-    tables are used, so that every clone gives the same result.
-    """
-    known = load_claims()
-    shown = judge(known, store, stored, lambda claim, world: studies is None or claim.study in studies)
-    note = (
-        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
-        f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
-        f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
-    )
-    return verdicts_by_claim(shown), note
-
-
-def claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
-    return next(iter(verdicts.values())).claim
-
-
-def write_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
+def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
     """Draw the verdicts, and write them as a page with whole sentences and the names of claims."""
     table = verdict_table(claims, whole=True)
     table.insert(1, "Claim", [*claims])
     tables = (encode_frame(frame, "markdown").decode() for frame in (count_words(claims), table))
     page = folder / f"{STEM}.md"
     write_whole(page, "\n".join(["# Verdicts\n", *tables]).encode())
-    return [*draw_verdicts(claims, folder, command), page]
+    return [*draw_verdicts(claims, folder), page]
 
 
 # --- The picture ----------------------------------------------------------------------------------
 
 
-def draw_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Path]:
+def draw_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
     """Draw the table of verdicts."""
     table = verdict_table(claims)
     worlds = [*table.columns[2:]]
@@ -107,7 +80,7 @@ def draw_verdicts(claims: Verdicts, folder: Path, command: str = "") -> list[Pat
             for row in group:
                 row.draw(axes, top + GAP_LINES / 2)
                 top += row.lines
-        paths = save_figure(figure, folder, STEM, ("png",), _origin(claims, command))
+        paths = save_figure(figure, folder, STEM, ("png",), _origin(claims))
         plt.close(figure)
     return paths
 
@@ -150,10 +123,10 @@ def _cell_lines(cell: str, column: float) -> list[str]:
     return [word, *(line.replace("\xa0", " ") for line in lines)]
 
 
-def _origin(claims: Verdicts, command: str) -> Origin:
+def _origin(claims: Verdicts) -> Origin:
     """Return the picture's origin: the runs read of each study in each world, without their seeds."""
     ids: dict[str, list[str]] = {}
     for one in (one for verdicts in claims.values() for one in verdicts.values()):
         ids.setdefault(f"{one.claim.study} in {WORLDS[one.world].title}", []).extend(one.run_ids)
     runs = tuple(sample(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids)
-    return Origin(command=command, runs=runs)
+    return Origin(command=COMMAND, runs=runs)
