@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.analysis.run_index import Entry, RunIndex
@@ -77,11 +78,13 @@ class Shown:
     budget: int | None = None
     others: Sequence[str] = ()
 
-    def told(self) -> str:
-        """Say in one sentence what is shown and what else is stored."""
+    def told(self, root: Path) -> str:
+        """Say in one sentence what of a results folder is shown, and what else is stored."""
         entries = [entry for *_, entry in self.runs]
         published = sum(entry.table is not None for entry in entries)
-        origin = "published" if published == len(entries) else f"{published} of them published"
+        origin = (
+            f"published; none is in {root}" if published == len(entries) else f"{published} of them published"
+        )
         parts = [f"{self.asked.where}: {counted(len(entries), 'run')}"]
         parts += [f"of {self.budget:,} steps"] if self.budget else []
         parts += [f"({origin})" if published else "(trained here)" * bool(self.budget)]
@@ -285,7 +288,7 @@ def open_study(
         UserError: when nothing is stored that is asked for, or no run of it has finished.
     """
     shown = answer(index, ask(index, name, picked, world), picked)
-    tell(shown.told())
+    tell(shown.told(index.store.root))
     return read_answer(index, shown, tell)
 
 

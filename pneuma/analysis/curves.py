@@ -234,7 +234,7 @@ def _extremes(runs: np.ndarray) -> Edges:
 
 
 BANDS = {
-    "sd": Band("± 1 SD between runs", _deviations),
+    "sd": Band("± 1 SD between runs", _deviations, least_runs=3),
     "ci": Band("95 % interval of the mean", _t_interval, LEAST_RUNS, 20),
     "minmax": Band("least to greatest run", _extremes),
     "runs": Band("every run", None),

@@ -119,6 +119,11 @@ class RunIndex:
     def _entries_here(self) -> Iterator[Entry]:
         for run_id in self.store.runs():
             status = self.store.status(run_id, quick=True)
+            if status.identity is None and status.name == "damaged":
+                folder = self.store.run_folder(run_id)
+                self.problems.append(
+                    f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
+                )
             about = status.identity or Identity(UNKNOWN, 0, 0)
             yield Entry(run_id, about.config_id, about.seed, about.steps, status.name, status.step)
 

@@ -328,8 +328,7 @@ def promote(
     how = ExecutorConfig(workers=opt.most_workers(workers))
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
-    diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
-    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged, "winners": chosen}
+    document = {"study": path, "seeds": seeds, "run_ids": ends, "winners": chosen}
     shown: list[str | Table] = []
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
@@ -346,6 +345,9 @@ def promote(
         page = winners_page(study, winners, data)
         document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
         shown += wrote(document["figures"])
+        document["diverged"] = diverged = {
+            arm: sum(run.status == "diverged" for run in data.of_condition(arm)) for arm in data.conditions
+        }
         shown += [
             f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
             for arm, count in diverged.items()

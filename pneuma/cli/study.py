@@ -149,7 +149,9 @@ def status(
         return _every_status(index, picked.world)
     jobs = _queued(picked.store)
     shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
-    say(shown.told(), aside=True)
+    say(shown.told(index.store.root), aside=True)
+    for problem in index.problems:
+        say(f"Note: {problem}.", aside=True)
     runs: list[dict[str, Any]] = []
     table = []
     for condition, seed, entry in shown.runs:

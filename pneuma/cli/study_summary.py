@@ -64,6 +64,7 @@ def summary(
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
     data = picked.open(name)
     from pneuma.analysis.frames import common_step, step_note
+    from pneuma.analysis.intervals import LEAST_RUNS
     from pneuma.analysis.summaries import summary_table, with_cells
 
     found, step = summary_table(data, outcome or ()), common_step(data)
@@ -80,6 +81,8 @@ def summary(
     shown: list[str | Table] = ["", frame_table(table)]
     if not listed:
         lacking = " –: no run has it." * bool((table == "–").any(axis=None))
+        few = any(len(data.of_condition(name)) < LEAST_RUNS for name in data.conditions)
+        lacking += f" Means of fewer than {LEAST_RUNS} runs have none." * few
         legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
         shown += ["", legend]
     notes = [step_note(data), *_told_lacks(data, found, outcome or ()), _told_episodes(data, listed)]

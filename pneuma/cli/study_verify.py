@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table, progress_of
-from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import plain, unknown_name
-from pneuma.study.store import Store
+from pneuma.study.store import Store, shipped_tables
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def verify(
         return (not claims or claim.name in claims) and world in (None, where)
 
     judged = judge(known, store, asked=asked, on_progress=progress_of("verdicts"))
-    lacking = "" if any(one.run_ids for one in judged) else nothing_yet(store)
+    lacking = "" if any(one.run_ids for one in judged) else f"none of their runs is in {store.root}"
     return _result(known, judged, _show_claims(known, judged, bool(claims), lacking), format)
 
 
@@ -72,7 +71,8 @@ def _show_claims(
     )
 
     if lacking:
-        yield f"Note: {lacking} (or `make reproduction`, for the runs that claims need)."
+        published = f"--results {shipped_tables().parent} has those that are published"
+        yield f"Note: {lacking}. `make reproduction` trains them; {published}."
         yield ""
     grouped, quoted = verdicts_by_claim(shown), set()
     for name, judged in grouped.items():

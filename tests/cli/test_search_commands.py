@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.analysis.frames import FinishedRun
 from pneuma.search.spec import SearchFile
 from pneuma.search.trials import Unfinished
 from pneuma.study.plan import Plan
 from pneuma.study.spec import studies_folder
-from pneuma.study.store import Status, Store
+from pneuma.study.store import Store
 
 from ..training import training_here
 from .calls import call, described, printed, refused
@@ -115,13 +116,8 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     assert gained["luck"] == pytest.approx(gained["fresh"] - gained["seen"])  # less is sought
     assert document["seeds"] == [0, 1]
     lost = document["run_ids"]["small-tuned"][0]
-    status = Store.status
-
-    def diverged(self: Store, run_id: str) -> Status:
-        found = status(self, run_id)
-        return Status("diverged", found.step) if run_id == lost else found
-
-    monkeypatch.setattr(Store, "status", diverged)
+    diverged = property(lambda run: "diverged" if run.run_id == lost else "done")
+    monkeypatch.setattr(FinishedRun, "status", diverged)
     again = described(*words)
     assert again["diverged"] == {"small": 0, "small-tuned": 1}
     # one of two counts with all monsters killed, the worst that is sought here

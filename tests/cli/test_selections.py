@@ -29,7 +29,7 @@ def _ask(store: Store, name: str, world: str | None = None, **selection: Any) ->
     """Return the ids of the runs that answer a question, and the sentence on what is shown."""
     index, picked = RunIndex(store), Selection(**selection)
     shown = answer(index, ask(index, name, picked, world), picked)
-    return [entry.run_id for *_, entry in shown.runs], shown.told()
+    return [entry.run_id for *_, entry in shown.runs], shown.told(Path("here"))
 
 
 # --- Budgets, fields and worlds --------------------------------------------------------------------
@@ -124,7 +124,7 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
     assert f"{every[0]} runs of 1,000,000 steps, published (--steps 1000000)" in told
     assert compare("--steps", "1e6")[1] == every[1]
     told, runs = compare("--seeds", "300..309")
-    assert runs == fresh[1] and f": {fresh[0]} runs of 1,000,000 steps (published). Stored too: 6 " in told
+    assert runs == fresh[1] and f": {fresh[0]} runs of 1,000,000 steps (published; none is in " in told
 
 
 def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:
@@ -235,3 +235,12 @@ def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
     store.save_listing("logs", {"title": "", "baseline": "", "runs": []})
     assert "'logz' (did you mean logs?)" in typed("status", "logz").err
     assert "study own is not run in the world text" in typed("status", "own", "--world", "text").err
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_a_run_whose_status_is_damaged_is_not_passed_over_in_silence(store: Store) -> None:
+    lost, *_ = _finish(store, seeds=(0, 1), steps=1024)
+    (store.run_folder(lost) / "status.json").write_text("{")
+    for verb in ("status", "summary"):
+        said = call("study", verb, "activation", "--results", store.root).err
+        assert f"{lost}: its status.json is damaged" in said, verb
