@@ -267,9 +267,6 @@ def make_run(given: Mapping[str, object]) -> Run:
     Missing fields come from the environment's preset. Fields of the optimizer get their defaults, and those
     that it does not read become None, so that two ways to write the same training give the same run. The
     budget is rounded up to whole horizons.
-
-    Raises:
-        UserError: for an unknown key, a value out of range, or two values that exclude each other.
     """
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, with_environment(env, given))

@@ -46,14 +46,7 @@ TRIAL = (
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of a check.
-
-    Attributes:
-        check: what was looked at.
-        state: good; note, for what is worth knowing and stops nothing; or broken.
-        found: what was found.
-        fix: what to do about it, if anything.
-    """
+    """The result of a check: good; a note, of what is worth knowing and stops nothing; or broken."""
 
     check: str
     state: str

@@ -170,11 +170,7 @@ def action_names(config: EnvConfig) -> tuple[str, ...]:
 
 
 def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
-    """Resolve the fields of an environment to a complete configuration.
-
-    Raises:
-        UserError: for an unknown key, a value out of range, or values that do not go together.
-    """
+    """Resolve the fields of an environment to a complete configuration."""
     if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
     return EnvConfig(**resolve_world(read_fields(EnvConfig, with_environment(env, given))))
@@ -195,10 +191,8 @@ def usual_episode_steps(env: str) -> int:
 def limited(config: EnvConfig, env: str, limit: int | None) -> EnvConfig:
     """Return a configuration with the time limit that Gymnasium calls `max_episode_steps`.
 
-    The environment's usual one, which Gymnasium gives by itself, leaves that of the configuration.
-
-    Raises:
-        UserError: for a limit out of range, or beside another `episode_steps`.
+    The environment's usual one, which Gymnasium gives by itself, leaves that of the configuration. Beside
+    another `episode_steps` a limit is refused.
     """
     usual, own = usual_episode_steps(env), config.episode_steps
     if limit in (None, usual, own):
@@ -256,11 +250,7 @@ def own_rewards(names: Iterable[str]) -> list[str]:
 
 
 def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
-    """Check fields of a configuration and return each in its final type.
-
-    Raises:
-        UserError: naming the field, its value and what is allowed.
-    """
+    """Check fields of a configuration and return each in its final type."""
     from pneuma.schema import read_dataclass_fields
 
     return read_dataclass_fields(config, values)

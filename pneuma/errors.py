@@ -1,7 +1,7 @@
 """The error for users' mistakes, suggestions for misspelled names, safe text, and lines on standard error.
 
-Every layer raises `UserError` for a mistake made outside the code (a key, a value, a file, an
-option); the command line prints it as one line and leaves with exit code 2.
+Any function may raise `UserError` for what the user gave (a key, a value, a file, an option), and docstrings
+do not repeat it; the command line prints it as one line and leaves with exit code 2.
 """
 
 from __future__ import annotations

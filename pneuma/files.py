@@ -55,11 +55,7 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
 
 
 def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
-    """Return the text of a user's file, with all line ends as one character.
-
-    Raises:
-        UserError: when it cannot be read, is too large, or no text in UTF-8.
-    """
+    """Return the text of a user's file, with all line ends as one character."""
     try:
         text = read_whole(path, most).decode("utf-8-sig")
     except (OSError, ValueError) as error:
@@ -140,11 +136,7 @@ def parse_json(data: bytes | str) -> dict[str, Any]:
 
 
 def names_in(folder: Path) -> list[str]:
-    """Return the names in a folder, sorted; none if there is no folder.
-
-    Raises:
-        UserError: when something else is in its place.
-    """
+    """Return the names in a folder, sorted; none if there is no folder."""
     try:
         return sorted(os.listdir(folder))
     except FileNotFoundError:

@@ -43,11 +43,7 @@ _ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-rel
 
 
 def own_fields(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields by Pneuma's own names; values are checked elsewhere.
-
-    Raises:
-        UserError: beginning with the key, for what has no field here, or a field that is given twice.
-    """
+    """Return fields by Pneuma's own names; values are checked elsewhere. An error begins with its key."""
     fields: dict[str, Any] = {}
     keys: dict[str, str] = {}
     for key, value in given.items():

@@ -120,9 +120,7 @@ def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
 class FieldsOf:
     """For `Annotated`: a dictionary of some fields of a dataclass, each of its type.
 
-    Attributes:
-        owner: the dataclass.
-        elsewhere: fields that are set in another place, and where.
+    `elsewhere` has fields that are set in another place, and where.
     """
 
     owner: type
@@ -147,11 +145,7 @@ class FieldsOf:
 
 
 def read_dataclass_fields(owner: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Check some fields of a dataclass and return each in its type.
-
-    Raises:
-        UserError: naming the field, its value and what is allowed.
-    """
+    """Check some fields of a dataclass and return each in its type."""
     try:
         return _fields_adapter(owner).validate_python(plain(values))
     except ValidationError as error:
@@ -191,11 +185,6 @@ class TomlFile:
 
 
 def read_toml(path: Path) -> TomlFile:
-    """Read a TOML file.
-
-    Raises:
-        UserError: when it cannot be read or is not TOML, naming the line.
-    """
     text = read_text(path)
     try:
         return TomlFile(path, text, plain(tomllib.loads(text)))
@@ -213,9 +202,6 @@ def read_model(
     """Check a table of a file, the whole file by default.
 
     `usual` has values of missing keys, `fixed` those that replace what the table says.
-
-    Raises:
-        UserError: naming file, line, key, value and what is allowed.
     """
     data = {**(usual or {}), **file.table(where), **(fixed or {})}
     try:

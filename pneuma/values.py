@@ -35,7 +35,6 @@ class Reads:
     """Converts a value by a function that raises ValueError for values that are not allowed.
 
     Attributes:
-        read: the function.
         allowed: what is allowed, in words.
         names: those known beforehand, to suggest one of them.
     """

@@ -14,7 +14,6 @@ class World:
     """A world in which studies run.
 
     Attributes:
-        env: the environment of its runs.
         title: as in "In the arena".
         overrides: fields that its runs have instead of the base's, where the study sets none itself.
     """
@@ -47,11 +46,6 @@ def world_fields(world: str, set_by_study: Collection[str]) -> dict[str, Any]:
 
 
 def checked_world(world: str | None) -> str | None:
-    """Return a world as it was asked for.
-
-    Raises:
-        UserError: for an unknown one.
-    """
     if world is not None and world not in WORLDS:
         raise UserError(f"--world {world}: {unknown_name('world', world, WORLDS)}")
     return world

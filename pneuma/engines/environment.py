@@ -14,11 +14,7 @@ from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, stream_seed
 
 
 def check_environment(run: Run) -> None:
-    """Make a run's environment once, to find mistakes.
-
-    Raises:
-        UserError: when that fails, or the run's engine cannot train in it.
-    """
+    """Make a run's environment once, to find mistakes; its engine must be able to train in it."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_env import check_spaces
 

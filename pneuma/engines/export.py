@@ -145,9 +145,6 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
 
     The graph is written layer by layer. `torch.onnx.export` takes seconds and would add a trace of its calls,
     with local paths, to every node. `about` goes into the model's metadata, with the names of the actions.
-
-    Raises:
-        UserError: when the extra `onnx` is not installed.
     """
     try:
         from onnx import TensorProto, checker, helper

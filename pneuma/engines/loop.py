@@ -59,7 +59,6 @@ class Result:
         status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
             `on_update`.
         step: agent steps trained, over all slots.
-        records: all records of the run.
         policy: the last policy; None when it is not finite.
     """
 

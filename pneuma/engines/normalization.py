@@ -54,7 +54,6 @@ class Normalization:
     """The statistics that a run's slots learn in training.
 
     Args:
-        run: the run.
         observations: (S, features), the first ones.
 
     Attributes:

@@ -168,11 +168,7 @@ def overflows(policy: Policy, observations: np.ndarray) -> bool:
 
 
 def read_sound_policy(data: bytes) -> Policy:
-    """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`.
-
-    Raises:
-        UserError: when it is no policy, or its layers do not fit together.
-    """
+    """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`."""
 
     def layers(part: str) -> Layers:
         count = sum(name.startswith(f"{part}.") for name in arrays) // 2

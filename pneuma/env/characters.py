@@ -167,9 +167,6 @@ def load_characters(name: str = "") -> Characters:
 
     Args:
         name: path of a user's own file, or the name of a shipped variant; empty for none.
-
-    Raises:
-        UserError: naming file, table, key and value.
     """
     file = read_toml(DATA / "characters.toml")
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
@@ -202,13 +199,7 @@ def monster_codes(characters: Characters) -> dict[int, str]:
 
 
 def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequence[str]) -> np.ndarray:
-    """Return the stats of each player, shape (P,), dtype `state.PLAYER_STATS`.
-
-    Args:
-        characters: what `load_characters` returned.
-        classes: class of each player.
-        weapons: weapon of each player; 'own' for the class's.
-    """
+    """Return the stats of each player, (P,) `state.PLAYER_STATS`; the weapon 'own' is the class's."""
     stats = np.zeros(len(classes), state.PLAYER_STATS)
     for row, name, weapon in zip(stats, classes, weapons, strict=True):
         if name not in characters.players:

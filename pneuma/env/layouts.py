@@ -47,11 +47,7 @@ def player_features(config: EnvConfig) -> tuple[str, ...]:
 
 
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
-    """Return whether each monster is perceived, and the most rows in an observation.
-
-    Raises:
-        UserError: for a kind of monster that is not in the level.
-    """
+    """Return whether each monster is perceived, and the most rows in an observation."""
     kinds = [kind for kind, _, _ in levels[0].monsters]
     what, _, which = config.perceive.partition(":")
     if what == "rays":

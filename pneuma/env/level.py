@@ -75,7 +75,6 @@ class Level:
 
     Attributes:
         name: what the level was loaded as.
-        title: what to call it.
         tile: side of a tile.
         left: x of the grid's left edge.
         top: y of the grid's upper edge.
@@ -133,13 +132,7 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
 def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
     """Load a level by its name.
 
-    Args:
-        name: as above.
-        monster_codes: the kind of monster of each code.
-        monsters: who lives on a random level.
-
-    Raises:
-        UserError: naming the file and what is wrong.
+    `monster_codes` has the kind of monster of each code; `monsters` live on random levels.
     """
     if name.startswith(RANDOM):
         from pneuma.env.random_level import parse_name, random_level  # builds on this module
@@ -174,11 +167,7 @@ def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bam
 
 
 def level_files(name: str) -> list[Path]:
-    """Return the user's own files of a level; none for shipped and random levels.
-
-    Raises:
-        UserError: when there is no such level.
-    """
+    """Return the user's own files of a level; none for shipped and random levels."""
     return _folder_files(_level_path(name)) if is_own_level(name) else []
 
 
@@ -263,16 +252,8 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
 
     The rules look up tiles without bounds checks, and a body that starts inside a wall may never get out. Any
     player may start at any start place, so each must have room for all of them. Monsters that no terrain
-    stops may be anywhere.
-
-    Args:
-        level: the level.
-        players: (P,) `state.PLAYER_STATS`.
-        monsters: (M,) `state.MONSTER_STATS`, in the level's order.
-        config: says what stops whom.
-
-    Raises:
-        UserError: naming the start place or the monster.
+    stops may be anywhere. `players` are (P,) `state.PLAYER_STATS`, `monsters` (M,) `state.MONSTER_STATS` in
+    the level's order.
     """
     shapes = np.unique(players[["half_width", "half_height", "body_x", "body_y"]])
     starts = [

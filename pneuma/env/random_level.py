@@ -51,11 +51,7 @@ Draw = Callable[[int], np.ndarray]
 
 
 def parse_name(name: str) -> tuple[str, int]:
-    """Return split and number of a random level's name.
-
-    Raises:
-        UserError: when it is not of the form random:train:17 or random:test:17.
-    """
+    """Return split and number of a random level's name, such as random:train:17."""
     split, _, number = name.removeprefix(RANDOM).partition(":")
     if split in SPLITS and re.fullmatch(r"0|[1-9][0-9]{0,19}", number) and int(number) < NUMBERS:
         return split, int(number)

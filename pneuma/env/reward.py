@@ -39,11 +39,6 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
 def load_reward(name: str) -> RewardFunction:
-    """Import a user's reward.
-
-    Raises:
-        UserError: when the module or the function does not exist.
-    """
     module_name, _, function_name = name.partition(":")
     try:
         module = load_module(module_name)
@@ -63,11 +58,7 @@ def present(events: np.ndarray) -> np.ndarray:
 def custom_rewards(
     function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
 ) -> np.ndarray:
-    """Call a user's reward and check its result: (N, P) numbers, finite for living players.
-
-    Raises:
-        UserError: naming the function, its file and line, and the mistake.
-    """
+    """Call a user's reward and check its result: (N, P) numbers, finite for living players."""
     try:
         rewards = np.asarray(function(events, players, stats), np.float64)
     except (Exception, SystemExit) as error:  # whatever a user's function does

@@ -44,18 +44,9 @@ Act = Callable[[Worlds], np.ndarray]
 
 
 class Window:
-    """A window on the screen.
-
-    Attributes:
-        closed: whether somebody has closed it.
-    """
+    """A window on the screen; `closed` when somebody has closed it."""
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
-        """Open a window for frames of this width and height.
-
-        Raises:
-            UserError: when pygame-ce is not installed, or there is no screen.
-        """
         self._pygame = pygame = _load_pygame()
         asked = os.environ.get("SDL_VIDEODRIVER") or os.environ.get("SDL_VIDEO_DRIVER")
         try:
@@ -261,9 +252,6 @@ def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: flo
         path: the file; its suffix is the format.
         frames: arrays of one shape (height, width, 3), uint8, taken one at a time.
         frames_per_second: their rate; browsers play GIFs with more than 50 slowly.
-
-    Raises:
-        UserError: for an .mp4 without imageio-ffmpeg, or a file that cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:

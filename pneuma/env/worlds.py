@@ -42,14 +42,10 @@ class Worlds:
         observations: (N, P, features) float32, overwritten by every step.
         masks: (N, P, actions) int8, 0 if an action would do nothing in the next step; the dead count as
             alive.
-        action_names: the names of the actions.
         levels: the levels played; one, unless random ones are drawn.
         usual_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
         handle: the argument of the compiled rules; see `state.make_handle`.
-
-    Raises:
-        UserError: for a configuration that cannot be played.
     """
 
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
@@ -281,11 +277,7 @@ class Worlds:
         return int(kernel.run_worlds(handle, actions[worlds], steps)) + sum(call.result() for call in calls)
 
     def _try_rewards(self) -> None:
-        """Call each user's reward once, as after a reset, with no events.
-
-        Raises:
-            UserError: naming the function, its file and line, and what was wrong.
-        """
+        """Call each user's reward once, as after a reset, with no events."""
         events, players = self.events.copy(), self.players.copy()
         events["present"] = self.settings["ticks"][0]
         places = np.arange(players.shape[1]) % len(self.level.starts)
@@ -341,11 +333,7 @@ class Worlds:
 
 
 def thread_count() -> int:
-    """Return on how many threads many worlds are advanced: the variable PNEUMA_THREADS, or 1.
-
-    Raises:
-        UserError: for anything but a number from 1 to that of the cores.
-    """
+    """Return on how many threads many worlds are advanced: the variable PNEUMA_THREADS, or 1."""
     asked, cores = os.environ.get("PNEUMA_THREADS", "1"), len(os.sched_getaffinity(0))
     if not asked.isdecimal() or not 1 <= int(asked) <= cores:
         raise UserError(f"the variable PNEUMA_THREADS = {asked} is not allowed: a number from 1 to {cores}")

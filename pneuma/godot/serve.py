@@ -38,16 +38,14 @@ from pneuma.godot.wire import (
 def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
     """Play the game for a trainer that listens at a port, until it says `close`; return the steps played.
 
+    The environment must have flat observations and one action.
+
     Args:
         name: an environment's id. Box actions come from -1 to 1 and are scaled to the space's bounds.
         settings: its keyword arguments.
         agents: number of copies that are played side by side.
         port: of this machine.
         seed: of the first copy; the next has the next one.
-
-    Raises:
-        UserError: when no trainer listens, when it does not speak the protocol or leaves without `close`, or
-            when the environment has other than flat observations and one action.
     """
     with ExitStack() as stack:
         envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]
@@ -75,11 +73,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
 
 
 class _Trainer:
-    """The other end of a game.
-
-    Attributes:
-        steps: those played so far.
-    """
+    """The other end of a game; `steps` are those played so far."""
 
     def __init__(self, connection: socket.socket, port: int, envs: list[gymnasium.Env[Any, Any]]) -> None:
         self._connection, self._port, self._envs = connection, port, envs

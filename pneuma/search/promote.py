@@ -65,9 +65,7 @@ def find_winners(
 ) -> list[Winner]:
     """Return the trials to promote: the best of each search, or a given one of a single search.
 
-    Raises:
-        UserError: when a search has no winner, or several objectives and no `--trial`; when searches were not
-            tuned alike; when they used some of the seeds.
+    Searches must have been tuned alike, and on none of these seeds.
     """
     names = [searched.task.search.name for searched in searches]
     if len({*names, *(f"{name}-tuned" for name in names)}) < 2 * len(names):

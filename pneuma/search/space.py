@@ -245,11 +245,7 @@ class Space:
     def check(self, unread: Iterable[str] = ()) -> None:
         """Refuse a space whose corners make no valid run, or that has parameters without effect.
 
-        Args:
-            unread: keys of `fixed` that are refused if no run reads them.
-
-        Raises:
-            UserError: naming the parameters, their values, and what a run allows.
+        `unread` keys of `fixed` are refused if no run reads them.
         """
         for key in self.fixed.keys() & self.keys:
             raise UserError(f"{key} is searched by [space.{key}]")
@@ -271,11 +267,7 @@ class Space:
                     raise UserError(f"{parameter.name} never applies: {key} is {shown(usual.get(key))}")
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
-        """Yield trials at the ends of ranges, always the same ones, each with its run.
-
-        Raises:
-            UserError: when one makes no valid run.
-        """
+        """Yield trials at the ends of ranges, always the same ones, each with its run."""
         draw = random.Random(0)
         for _ in range(CORNERS):
             params = self.ask(lambda parameter: draw.choice(parameter.extremes))

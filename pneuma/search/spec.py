@@ -103,9 +103,7 @@ class SearchFile(Table):
         generation: number of trials that are suggested before their results are reported.
         run: fields of all trials.
         objectives: one; several for a search of the Pareto front.
-        space: the searched parameters.
         sampler, pruner: with all their options.
-        presets: by name.
     """
 
     title: Annotated[str, MinLen(1)]
@@ -127,8 +125,6 @@ class Search:
     """A search.
 
     Attributes:
-        name: the file's name.
-        spec: what its file says.
         space: the searched parameters and the fixed fields.
         world: of `pneuma.worlds.WORLDS`.
     """
@@ -162,13 +158,12 @@ class Search:
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
         """Return the search with more fields that all trials share.
 
+        Fields that are searched are refused, and a user's own code or files that the search's file does not
+        use.
+
         Args:
             over: fields of the run, of `--set` or of a record, which may be untrusted.
             unread: fields that are refused if no run reads them.
-
-        Raises:
-            UserError: for fields that are searched, do not fit the space, or use a user's own code or files
-                other than the search's file does.
         """
         space = replace(self.space, fixed={**self.space.fixed, **over})
         if added := [deed for deed in space.deeds() if deed not in self.space.deeds()]:
@@ -186,9 +181,6 @@ class Search:
         """Return the search in one of `WORLDS`.
 
         All trials get the world's environment, and its other fields unless the search sets them itself.
-
-        Raises:
-            UserError: where the file sets another environment.
         """
         if world == self.world:
             return self
@@ -203,12 +195,7 @@ class Search:
 def load_search(name: str, world: str | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
-    Args:
-        name: of the search.
-        world: of `pneuma.worlds.WORLDS`; default: the arena.
-
-    Raises:
-        UserError: naming file, line, key, value and what is allowed.
+    The world is one of `pneuma.worlds.WORLDS`; default: the arena.
     """
     search = read_search(find_file("search", name, studies_folder() / "search"))
     return search.in_world(checked_world(world) or (ARENA if search.has_worlds else TEXT))
@@ -222,11 +209,6 @@ def check_budget(search: Search, budget: Budget) -> None:
 
 
 def read_search(path: Path) -> Search:
-    """Read a search's file.
-
-    Raises:
-        UserError: naming file, line, key, value and what is allowed.
-    """
     file = read_toml(path)
     said = read_model(SearchFile, file)
     parameters = []

@@ -62,11 +62,7 @@ def run_search(
 ) -> Iterator[list[EndedTrial]]:
     """Search, training only runs that are not stored; yield all trials after each generation.
 
-    Args:
-        task: the search with its budget.
-        store: the results folder, whose log is written as it goes.
-        train: trains the missing runs of a plan.
-        say: tells the user of a log that was repaired or set aside.
+    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside.
 
     Raises:
         UserError: before anything is trained, for a search that cannot be run here.
@@ -111,11 +107,7 @@ class JournalLog:
         self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
 
     def begin(self, pending: PendingTrial) -> None:
-        """Note a trial that was asked for.
-
-        Raises:
-            UserError: if another was noted by this number.
-        """
+        """Note a trial that was asked for; refuse it if another was noted by its number."""
         number, params = pending.trial.number, pending.trial.params
         if noted := self._noted.get(number):
             if noted.params != params:
@@ -168,11 +160,7 @@ def _about(task: Task) -> dict[str, Any]:
 
 
 def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLog:
-    """Open the log of a search: repair its last line, and set aside the log of an earlier search.
-
-    Raises:
-        UserError: for a log that cannot be read, whose trials do not fit, or that a link leads to.
-    """
+    """Open the log of a search: repair its last line, and set aside the log of an earlier search."""
     path = log_path(store, task.search.label)
     if path.is_symlink():
         raise UserError(f"{path}: is a link; remove it")
@@ -223,16 +211,9 @@ def _damaged(path: Path) -> UserError:
 
 
 def read_record(store: Store, name: str, world: str | None = None, stored: bool = True) -> RecordedSearch:
-    """Return a search that was run here, or else a published one.
+    """Return a search that was run here, or else a published one; refuse one whose file has changed since.
 
-    Args:
-        store: the results folder.
-        name: of the search, or the path of its file.
-        world: of `pneuma.worlds.WORLDS`; default: the arena.
-        stored: whether searches that were run here count, or published ones alone.
-
-    Raises:
-        UserError: when it was never run here, its log is damaged, or its file has changed.
+    `name` and `world` are as in `load_search`. Without `stored`, published searches alone count.
     """
     search = load_search(name, world)
     own = [log_path(store, search.label)] if stored else []
@@ -264,11 +245,7 @@ class _Lines(BaseJournalBackend):
 
 
 def _read_study(path: Path, search: Search) -> optuna.Study:
-    """Return the study of a search in a log, which may be untrusted.
-
-    Raises:
-        UserError: for a log that is damaged or of another study.
-    """
+    """Return the study of a search in a log, which may be untrusted."""
     data = read_whole(path, LARGEST_LOG)
     try:
         storage = JournalStorage(_Lines(data))

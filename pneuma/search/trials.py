@@ -43,13 +43,7 @@ class Unfinished(Exception):
 
 @dataclass(frozen=True)
 class Task:
-    """A search with its budget.
-
-    Attributes:
-        search: its file.
-        budget: trials, seeds and steps.
-        over: fields that replace those of the file.
-    """
+    """A search with its budget; `over` has fields that replace those of its file."""
 
     search: Search
     budget: Budget
@@ -93,7 +87,6 @@ class EndedTrial:
         params: the suggested values.
         state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
         values: one for each objective; for a pruned trial, its last report.
-        run_ids: of its runs.
         reports: what its pruner saw: values by evaluation, counted from 1, or by seed, counted from 0.
         note: why it failed, or that one of its runs diverged.
     """
@@ -193,11 +186,7 @@ def pauses(search: Search) -> list[int]:
 def conduct(task: Task, train: Train, outcomes: Outcomes, log: JournalLog) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
-    Args:
-        task: the search and its budget.
-        train: trains runs that are not stored.
-        outcomes: reads the outcomes of the runs.
-        log: knows the trials that ended before, and notes the others.
+    `log` knows the trials that ended before, and notes the others.
 
     Raises:
         Unfinished: when a run crashed.

@@ -120,11 +120,7 @@ class RunCheckpoints:
                 _remove(file.path)
 
     def _parents(self) -> Checkpoint:
-        """Return the parent's checkpoint that a fork begins with.
-
-        Raises:
-            UserError: when the parent no longer has it.
-        """
+        """Return the parent's checkpoint that a fork begins with."""
         parent, step = self._run.parent, self._run.fork_step
         found = sound_checkpoint(self._store.run_folder(parent), step)
         if found is None or found.step != step:

@@ -19,13 +19,7 @@ from pneuma.study.store import Status, Store, run_identity
 
 @dataclass(frozen=True)
 class CellResult:
-    """The state of a cell after `execute`.
-
-    Attributes:
-        status: status of the cell's run.
-        trained: whether this call trained it.
-        reason: why the run failed, if it did.
-    """
+    """The state of a cell after `execute`; `trained` if this call trained it."""
 
     cell: Cell
     status: Status
@@ -50,11 +44,8 @@ def prepare(
 ) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
 
-    `until` has the only runs to train, with the step that each is to reach, or 0 for its end.
-
-    Raises:
-        UserError: before anything is written, if an environment cannot be made or the results folder cannot
-            be written.
+    `until` has the only runs to train, with the step that each is to reach, or 0 for its end. If an
+    environment cannot be made, nothing is written.
     """
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
@@ -173,11 +164,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
 
 
 def check_environments(runs: Iterable[Run]) -> None:
-    """Make each distinct environment of some runs once.
-
-    Raises:
-        UserError: for the first that cannot be made, or in which its engine cannot train.
-    """
+    """Make each distinct environment of some runs once, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
     keys = ("env", *OF_GYMNASIUM, "engine", "algorithm")

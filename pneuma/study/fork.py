@@ -60,9 +60,6 @@ def plan_fork(
     """Plan forks, and their control, from the parent's last checkpoint before step `at`.
 
     Each seed starts fresh random streams. Files and code that the run names are used only with `trust`.
-
-    Raises:
-        UserError: for a parent without such a checkpoint, or an empty or impossible change.
     """
     control = _control_run(store, parent, at, trust)
     changed, step = _changed_run(control, change), control.fork_step
@@ -81,10 +78,7 @@ def plan_cause_forks(
 
     Runs have the same order in every condition, so that run i of a change and run i of the control start with
     the same weights, worlds and optimizer. `parents` gives the step before which each run is forked. Runs
-    that cannot be forked are left out, with a note.
-
-    Raises:
-        UserError: when no parent can be forked, or no change is possible.
+    that cannot be forked are left out, with a note; one at least must be left.
     """
     controls: list[Run] = []
     notes: dict[str, None] = {}
@@ -146,9 +140,6 @@ def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
     """Return the fork of a parent from the checkpoint nearest before `at` with nothing changed.
 
     Files and code that the parent names are used only with `trust`.
-
-    Raises:
-        UserError: for a parent that has no such checkpoint, needs `trust`, or cannot be forked.
     """
     status = store.status(parent)
     if not status.finished:
@@ -186,11 +177,6 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
 
 
 def _changed_run(control: Run, change: Change) -> Run:
-    """Return a control run with changed fields or a reset.
-
-    Raises:
-        UserError: for an empty or impossible change.
-    """
     if change.reset and change.reset not in FORK_RESETS:
         raise unknown_name("reset", change.reset, FORK_RESETS)
     if not change.settings and not change.reset:

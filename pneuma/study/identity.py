@@ -98,9 +98,6 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     """Return what using a user's own files in untrusted fields would do, by field; for messages.
 
     Nothing is imported or opened.
-
-    Raises:
-        UserError: for a value that is not allowed.
     """
     keys = (key for key in _FILES if fields.get(key) is not None)
     named = own_names({key: read_field(Run, key, fields[key]) for key in keys})

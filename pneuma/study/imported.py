@@ -80,11 +80,8 @@ def import_tensorboard(
     """Import all runs below some folders as one study; return its name, its runs, and notes for the user.
 
     Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. The
-    study's default name is that of the folder that contains all of them.
-
-    Raises:
-        UserError: before anything is written, when no log is found, the name is taken or invalid, a file
-            cannot be read or is too large, or the `tensorboard` package is not installed.
+    study's default name is that of the folder that contains all of them. All files are read
+    before anything is written.
     """
     study = _study_name(folders, name, store)
     logs, notes = find_logs(folders)
@@ -134,9 +131,6 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
 
     Returns:
         The logs by condition and seed, and notes on seeds that were not as the name says.
-
-    Raises:
-        UserError: for a folder that does not exist, or contains no event files.
     """
     files: set[Path] = set()
     for folder in folders:
@@ -231,9 +225,6 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
 
     It uses the reader inside TensorBoard's EventAccumulator, which itself does not keep the order of tags
     that shows restarts.
-
-    Raises:
-        UserError: without the `tensorboard` package.
     """
     try:
         from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader

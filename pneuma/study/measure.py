@@ -127,11 +127,7 @@ def named_scalars(scalars: pd.DataFrame) -> pd.DataFrame:
 
 
 def stored_row(store: Store, name: str) -> Row:
-    """Return the row of a finished run; if it is missing or damaged, it is made from the run's other files.
-
-    Raises:
-        UserError: when the run's own files are missing, damaged or invalid.
-    """
+    """Return the row of a finished run; made from the run's other files if it is missing or damaged."""
     try:
         return decode_row(store.read_file(name, ROW_FILE))
     except (UserError, ValueError):
@@ -148,11 +144,7 @@ def stored_row(store: Store, name: str) -> Row:
 
 
 def row_until(store: Store, name: str, run: Run, step: int) -> Row:
-    """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint.
-
-    Raises:
-        UserError: when its files are missing or make no sense, or it has not been trained so far.
-    """
+    """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint."""
     if store.status(name, quick=True).finished:
         files = {table: store.read_file(name, f"{table}.parquet") for table in TABLES}
     else:
@@ -188,11 +180,7 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
 
 
 def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
-    """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step.
-
-    Raises:
-        UserError: when the file is missing, damaged or no such table.
-    """
+    """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
     logged = SCALARS_FILE in store.checksums(name)
     file = SCALARS_FILE if logged else f"{table}.parquet"
     try:

@@ -42,7 +42,6 @@ class Selection:
 
     Attributes:
         preset: name of the preset; quick if None.
-        seeds: the seeds.
         steps: agent steps of each run.
         conditions: names of conditions; all if empty.
         settings: run fields that override those of every condition. A field with several values makes a
@@ -89,9 +88,6 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
     """Plan a selection of a study; with `settings` they are changed in every condition.
 
     `engine` is as in `configure`; default: one that can train in the environment, which is made to find out.
-
-    Raises:
-        UserError: for an unknown preset or condition, or fields that do not go together.
     """
     preset = find_preset(study, selection)
     amounts = {
@@ -155,9 +151,6 @@ def configure(
     A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. So are those of
     swept fields called. `engine` chooses the engine where it is left open and the run's fields alone do not
     decide: in environments of others.
-
-    Raises:
-        UserError: for unknown conditions or fields, or fields that do not go together.
     """
     settings = own_fields(settings)
     for key, option in _SET_ELSEWHERE.items():

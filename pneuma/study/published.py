@@ -75,7 +75,6 @@ class Published:
     """A published table, which may be untrusted. Its rows are read when the first one is asked for.
 
     Attributes:
-        path: its file.
         about: what `encode_published` was told.
         index: id, configuration's id, seed, steps, status and end of each run.
         places: the place of each run, by id.

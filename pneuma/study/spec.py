@@ -53,7 +53,6 @@ class Study:
     """A comparison: named conditions that differ in what they set.
 
     Attributes:
-        name: the file's name.
         path: the file; None for a study without a file, such as a fork.
         title, section, about: shown to users.
         figure: file stem of its figure.
@@ -62,7 +61,6 @@ class Study:
         base: name of the fields to start from.
         shared: fields of every condition on top of the base.
         conditions: what each condition sets on top.
-        presets: by name.
         keep_checkpoints: number of checkpoints kept of each run for forks, evenly spread, besides that of its
             first update.
         levels: for each condition of a crossed study, its value of each factor.
@@ -99,9 +97,6 @@ class Study:
         """Return the study as it runs in one of its worlds.
 
         All conditions get the world's environment, and its other fields unless the study sets them itself.
-
-        Raises:
-            UserError: for a world in which the study is not run.
         """
         if world not in self.worlds:
             known = ", ".join(self.worlds)
@@ -199,9 +194,6 @@ def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) 
     """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
     Its usual world is the arena, if it is run in it. A mistyped name may mean one of `others`.
-
-    Raises:
-        UserError: naming file, line, key, value and what is allowed.
     """
     path = find_file("study", name, studies_folder(), others)
     study: Study = import_module("pneuma.study.study_file").read_study(path)
@@ -211,8 +203,7 @@ def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
 
-    Raises:
-        UserError: for an unknown name; `others` are names that exist otherwise.
+    A mistyped name may mean one of `others`.
     """
     known = shipped_names(folder)
     if name in known:

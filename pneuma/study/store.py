@@ -117,11 +117,7 @@ class Store:
         self.root = Path(root)
 
     def check_writable(self) -> None:
-        """Create the folder if needed and check that it can be written.
-
-        Raises:
-            UserError: when that fails, or a part of it is no folder, or a link that leads out.
-        """
+        """Create the folder if needed; check that it can be written, and that no link leads out of it."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             for folder in (self.root / part for part in ("runs", "studies", "searches")):
@@ -144,11 +140,6 @@ class Store:
     # --- Runs ---------------------------------------------------------------------------------
 
     def run_folder(self, run_id: str) -> Path:
-        """Return the folder of a run.
-
-        Raises:
-            UserError: for an invalid id.
-        """
         if not _RUN_ID.fullmatch(run_id):
             raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
@@ -203,21 +194,13 @@ class Store:
         return 0.0
 
     def plan_run(self, run_id: str, identity: Identity) -> None:
-        """Note that a run is to be trained, unless something of it is stored.
-
-        Raises:
-            UserError: when the folder cannot be written.
-        """
+        """Note that a run is to be trained, unless something of it is stored."""
         folder = self.run_folder(run_id)
         with self._writing(folder, folder):
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
     def save_row(self, run_id: str, data: bytes) -> None:
-        """Write the row of a finished run that lacks it.
-
-        Raises:
-            UserError: when the folder cannot be written.
-        """
+        """Write the row of a finished run that lacks it."""
         manifest = self._manifest(run_id)
         if manifest and manifest["status"] in FINISHED:
             files = {**manifest["files"], ROW_FILE: checksum(data)}
@@ -228,9 +211,6 @@ class Store:
         """Write a run's files, then the status that lists their checksums; remove its other files.
 
         A finished run is never replaced by an unfinished one, because another process may have trained it.
-
-        Raises:
-            UserError: when the folder cannot be written.
         """
         folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
         if before.finished and not status.finished:
@@ -245,11 +225,6 @@ class Store:
             remove_lock(folder)
 
     def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
-        """Write how a run failed, and why.
-
-        Raises:
-            UserError: when the folder cannot be written.
-        """
         files = {"run.json": run_document(run, run_id), "error.txt": why.encode()}
         self.save_run(run_id, Status(status), files)
 
@@ -260,11 +235,7 @@ class Store:
         return ""
 
     def read_file(self, run_id: str, name: str) -> bytes:
-        """Return one file of a run.
-
-        Raises:
-            UserError: when it is missing or not what was written.
-        """
+        """Return one file of a run, if it is what was written."""
         folder = self.run_folder(run_id)
         data = read_sound(folder, name, self.checksums(run_id).get(name))
         if data is None:
@@ -291,11 +262,7 @@ class Store:
     # --- Studies without a file, and published tables ------------------------------------------
 
     def save_listing(self, study: str, listing: Mapping[str, Any]) -> None:
-        """Record the runs of a study without a file.
-
-        Raises:
-            UserError: when the folder cannot be written.
-        """
+        """Record the runs of a study without a file."""
         self.write(self.listing_path(study), dump_checksummed({"study": study, **listing}))
 
     def listing(self, study: str) -> dict[str, Any] | None:
@@ -327,9 +294,6 @@ class Store:
         """Write a file into the results folder, whole or not at all, and create its folder if needed.
 
         A link at its path is replaced, never followed.
-
-        Raises:
-            UserError: when that fails, or leads out of the results folder.
         """
         self._write_all(path.parent, {path.name: data})
 

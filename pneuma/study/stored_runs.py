@@ -18,11 +18,7 @@ LONGEST_LISTED = 5
 
 
 def find_run(store: Store, text: str) -> str:
-    """Return the id of the stored run that the user names by its id or a unique prefix.
-
-    Raises:
-        UserError: when there is no such run, or several.
-    """
+    """Return the id of the stored run that the user names by its id or a unique prefix."""
     names, where = store.runs(), store.root / "runs"
     meant = [name for name in names if text and name.startswith(text.lower())]
     if len(meant) == 1:

@@ -158,11 +158,7 @@ Factors = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 def read_study(path: Path) -> Study:
-    """Read a study's file and check that its conditions make valid runs in each of its worlds.
-
-    Raises:
-        UserError: naming file, line, key, value and what is allowed.
-    """
+    """Read a study's file and check that its conditions make valid runs in each of its worlds."""
     file = read_toml(path)
     said = read_model(StudyFile, file)
     factors = {**said.factors, **({CONDITION: said.conditions} if said.conditions else {})}

@@ -48,9 +48,7 @@ class Job:
     """The job of a worker.
 
     Attributes:
-        store: the results folder.
         runs: by id; of equal shapes, so that they share compiled programs.
-        how: how they are supervised.
         last_try: whether a crash is final and stored.
     """
 

@@ -38,14 +38,12 @@ class Learner:
     """The networks, optimizer and minibatch order of one policy.
 
     Args:
-        run: the run.
         features: the length of an observation.
         actions: the number of actions.
         player: whose policy it is, where each player has its own.
 
     Attributes:
         networks: actor and critic, NumPy arrays.
-        optimizer: the optimizer's state.
         generator: draws the order of minibatches.
     """
 

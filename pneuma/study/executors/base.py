@@ -87,8 +87,7 @@ class Executor(Protocol):
     def most_workers(self, how: ExecutorConfig) -> int:
         """Return how many runs train at once unless the user says otherwise.
 
-        Raises:
-            UserError: within ten seconds, if the place cannot be reached or cannot train.
+        It fails within ten seconds if the place cannot be reached or cannot train.
         """
 
     def run_groups(
@@ -109,7 +108,6 @@ class Job(NamedTuple):
     """A job that trains runs on another machine.
 
     Attributes:
-        state, id: of the job.
         where: its node, or why it has none.
         until: the step at which it pauses a run; 0 is the end.
     """

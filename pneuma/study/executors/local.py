@@ -73,7 +73,6 @@ class Interrupts:
     """Collects signals within a `with` block instead of letting them end it; of the main thread alone.
 
     Args:
-        signals: the signals to catch.
         most: how many of them are counted.
 
     Attributes:

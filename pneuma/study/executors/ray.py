@@ -37,11 +37,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
 def most_workers(how: ExecutorConfig) -> int:
-    """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out.
-
-    Raises:
-        UserError: when Ray is not installed, no cluster answers in time, or none of its nodes has a CPU.
-    """
+    """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out."""
     if find_spec("ray") is None:
         raise UserError(f"--executor ray needs Ray: {install_extra('ray')}")
     if how.address is None:
@@ -100,11 +96,7 @@ def run_groups(
 
 
 def _check(task: Any) -> None:
-    """Stop if a task ended because its node is not fit to train. A lost task is no problem.
-
-    Raises:
-        UserError: saying why it is not.
-    """
+    """Stop if a task ended because its node is not fit to train. A lost task is no problem."""
     import ray
 
     try:
@@ -132,11 +124,7 @@ def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
 
 @cache
 def join(address: str | None) -> None:
-    """Join the cluster at an address, or start one on this machine; once per process.
-
-    Raises:
-        UserError: when no cluster answers in time.
-    """
+    """Join the cluster at an address, or start one on this machine; once per process."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # all this before Ray, which reads it when it is loaded
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
     if address is None or address.rpartition(":")[0] in LOOPBACK:
@@ -191,9 +179,6 @@ def train_here(
         source: the version of the code that was sent.
         folder: the current folder of the command, from which users' rewards and levels are read.
         mark: a file in the results folder.
-
-    Raises:
-        UserError: when runs cannot be trained on this node.
     """
     installed, node = versions(), socket.gethostname()
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]

@@ -102,7 +102,6 @@ class Training:
     Attributes:
         runs: by id.
         store: the shared results folder.
-        how: how they are supervised.
     """
 
     runs: Mapping[str, Run]
@@ -130,11 +129,7 @@ class Training:
 
 
 def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> None:
-    """Submit groups, without runs that are in the queue already.
-
-    Raises:
-        UserError: when the queue does not answer, or refuses the jobs.
-    """
+    """Submit groups, without runs that are in the queue already."""
     live = _put_away(store)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     fresh = [group for group in fresh if group]
@@ -205,11 +200,7 @@ def _put_away(store: Store) -> dict[str, Job]:
 
 
 def queued(store: Store) -> dict[str, Job]:
-    """Return the queued and running jobs, by the ids of their runs.
-
-    Raises:
-        UserError: when the queue cannot be asked.
-    """
+    """Return the queued and running jobs, by the ids of their runs."""
     noted = _noted(store)
     if not noted:
         return {}
@@ -223,11 +214,6 @@ def queued(store: Store) -> dict[str, Job]:
 
 
 def _executor(folder: Path, name: str, how: ExecutorConfig) -> Any:
-    """Return a submitit executor for jobs of this name.
-
-    Raises:
-        UserError: when submitit or srun is missing, or for an option that users cannot set.
-    """
     options = {key: True if text == "true" else text for key, text in how.slurm}
     if taken := [key for key in OWN if key in options]:
         raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
@@ -249,11 +235,7 @@ def _executor(folder: Path, name: str, how: ExecutorConfig) -> Any:
 
 
 def _ask(*command: str) -> list[str]:
-    """Return the lines that a Slurm program prints.
-
-    Raises:
-        UserError: with its message, when it fails or does not answer in time.
-    """
+    """Return the lines that a Slurm program prints."""
     try:
         answer = subprocess.run(
             command, capture_output=True, text=True, timeout=ANSWER_SECONDS, check=True
