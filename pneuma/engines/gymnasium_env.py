@@ -17,7 +17,7 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import closing, contextmanager, redirect_stdout, suppress
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -38,9 +38,15 @@ NAN = float("nan")
 
 def check_spaces(run: Run) -> None:
     """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
-    with warnings.catch_warnings(action="ignore", category=RunWarning):  # told by the run itself
-        slots = Slots(run, [0])
-    space = slots.action_space
+    with (
+        warnings.catch_warnings(action="ignore", category=RunWarning),  # told by the run itself
+        closing(Slots(run, [0])) as slots,
+    ):
+        _check_actions(run, slots.action_space)
+        slots.step(np.array([slots.any_action()]))
+
+
+def _check_actions(run: Run, space: spaces.Space[Any]) -> None:
     if isinstance(space, spaces.Box) and not space.is_bounded():
         raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
     if not isinstance(space, spaces.Discrete):
@@ -49,8 +55,6 @@ def check_spaces(run: Run) -> None:
             raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
         if run.engine != "sb3":
             raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
-    with warnings.catch_warnings(action="ignore", category=RunWarning):
-        slots.step(np.array([slots.any_action()]))
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -200,6 +204,11 @@ class Slots:
         with blamed(f"{self.run.env} when it is reset"):
             self._see(slot, self.envs[slot].reset(seed=seed)[0])
 
+    def close(self) -> None:
+        for env in self.envs:
+            with blamed(f"{self.run.env} when it is closed"):
+                env.close()
+
     # --- Where it stands ---------------------------------------------------------------------------
 
     def saved_state(self) -> dict[str, np.ndarray]:
@@ -219,8 +228,7 @@ class Slots:
             ValueError: when that leads to another state, because the environment's randomness does not come
                 from the seed alone.
         """
-        for env in self.envs:
-            env.close()
+        self.close()
         self.envs = [make_env(self.run) for _ in self.envs]
         first, *others = saved["seeds"].tolist()
         self.begin(first[1:])

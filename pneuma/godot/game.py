@@ -63,6 +63,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
+    _process: subprocess.Popen[bytes] | None = None
+    _connection: socket.socket | None = None  # both already there when wrong arguments end `__init__`
 
     def __init__(
         self,
@@ -72,8 +74,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     ) -> None:
         self._path, self._port, self._arguments = env_path, port, dict(arguments or {})
         self._name = env_path or "the running game"
-        self._process: subprocess.Popen[bytes] | None = None
-        self._connection: socket.socket | None = None
         self._begun: np.ndarray | None = None
         if env_path is not None and not Path(env_path).is_file():
             raise UserError(f"env_path {env_path}: no such file; name the exported game")

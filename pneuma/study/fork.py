@@ -26,8 +26,8 @@ CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "monsters", "players", "classes", "characters",
     "weapons", "second_weapon", "magic", "dash", "tokens", "learners", "observation", "observe_facing",
-    "perceive", "slots", "horizon", "actor", "critic", "buffer_size", "learning_starts", "seed", "steps",
-    *OF_GYMNASIUM,
+    "perceive", "slots", "horizon", "actor", "critic", "first_layer_scale", "buffer_size", "learning_starts",
+    "seed", "steps", *OF_GYMNASIUM,
 )  # fmt: skip
 """Fields on which the arrays in a checkpoint depend; a fork cannot change them."""
 

@@ -209,12 +209,14 @@ def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) ->
     if name in known:
         return folder / f"{name}.toml"
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    if not name.endswith(".toml") and os.path.isfile(f"examples/{name}.toml"):
-        path = Path("examples") / path
-    elif not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
-        if name in (examples := shipped_names(folder / "examples")):
+    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
+        examples = shipped_names(folder / "examples")
+        if os.path.isfile(f"examples/{name}.toml"):
+            path = Path("examples") / path
+        elif name in examples:
             return folder / "examples" / path
-        raise unknown_name(what, name, [*known, *others, *examples])
+        else:
+            raise unknown_name(what, name, [*known, *others, *examples])
     refuse_taken_name(path, folder / path.name, what)
     return path
 

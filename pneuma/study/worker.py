@@ -166,7 +166,7 @@ def _train_once(
     attempt = Attempt(first)
     log = None
     if name in job.how.logs:
-        with suppress(OSError):  # a folder that cannot be written: training goes on
+        with suppress(OSError, ImportError):  # no such folder, or no tensorboard, here: training goes on
             log = LiveLog(job.how.logs[name], first)
     reporter.send("step", name, step=first)
     reporter.send("status", name, text="begins")

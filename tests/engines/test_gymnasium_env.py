@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -21,6 +22,7 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.identity import describe_user_code, run_id
 
+from . import own_envs
 from .trained import bits, check_that_it_goes_on, train, train_once
 
 SMALL: dict[str, Any] = {
@@ -118,6 +120,17 @@ def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
     with pytest.raises(UserError, match=told) as refused:
         check_environment(run)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("fields", [{}, BAD["bounds"][0]])
+def test_an_environment_that_was_made_to_be_checked_is_closed(
+    fields: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[object] = []
+    monkeypatch.setattr(own_envs.Corridor, "close", lambda corridor: closed.append(corridor))
+    with suppress(UserError):
+        check_environment(make_run({**SMALL, **CORRIDOR, **fields}))
+    assert len(closed) == 1
 
 
 def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 import subprocess
 import sys
@@ -220,6 +221,17 @@ def test_a_game_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_game_with_other_spaces_is_refused(changed: dict[str, object], told: str) -> None:
     with pytest.raises(UserError, match=told):
         GodotGame(port=playing(tells({**INFO, **changed})))
+
+
+def test_a_game_of_wrong_arguments_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    ignored: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    for wrong in ({"arguments": "speedup=8"}, {"speedup": 8}):
+        with pytest.raises((TypeError, ValueError)) as refused:
+            GodotGame(**wrong)  # type: ignore[arg-type]
+        del refused
+        gc.collect()
+    assert not ignored
 
 
 def test_a_game_that_does_not_start_is_told(tmp_path: Path) -> None:

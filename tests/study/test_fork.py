@@ -62,6 +62,7 @@ def test_a_fork_is_planned_beside_its_control_from_the_nearest_checkpoint_before
         ({"env": "pneuma/PneumaGodot-v0"}, "--set env: cannot change at a fork"),
         ({"env_kwargs": '{"size": 3}'}, "--set env_kwargs: cannot change at a fork"),
         ({"wrappers": "mine:Wrapper"}, "--set wrappers: cannot change at a fork"),
+        ({"first_layer_scale": 0.5}, "--set first_layer_scale: cannot change at a fork"),
         ({"at": 320, "gamma": 0.9}, "ends at step 320, so nothing would be left to train"),
         ({"at": 64, "gamma": 0.9}, "first checkpoint of run .* is at step 128"),
     ],

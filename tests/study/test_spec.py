@@ -173,3 +173,13 @@ def test_a_name_finds_a_file_here_and_in_examples(
     Path(folder).mkdir(exist_ok=True)
     (Path(folder) / "mine.toml").write_text(STUDY)
     assert load_study("mine").title == "Two activations"
+
+
+def test_a_file_here_goes_before_one_of_its_name_in_examples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("examples").mkdir()
+    Path("examples/mine.toml").write_text(STUDY.replace("Two activations", "An example"))
+    Path("mine.toml").write_text(STUDY)
+    assert load_study("mine").title == "Two activations"

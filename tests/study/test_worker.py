@@ -19,6 +19,7 @@ from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
 from pneuma.study.executors.local import one_thread_environment
 from pneuma.study.identity import run_id
 from pneuma.study.rows import decode_row
@@ -50,11 +51,11 @@ class _Engine:
 
 
 def _train(
-    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch
+    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, how: ExecutorConfig = LOCAL_CONFIG
 ) -> tuple[int, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
-    what = worker.Job(store, {run_id(run): run for run in RUNS})
+    what = worker.Job(store, {run_id(run): run for run in RUNS}, how)
     code = worker.train_group(what, worker.Reporter(events), threading.Event())
     return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
@@ -93,6 +94,15 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     error = store.read_file(SECOND, "error.txt").decode()
     assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
+
+
+def test_a_machine_without_tensorboard_trains_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tensorboard.summary.writer.event_file_writer", None)
+    how = ExecutorConfig(logs={FIRST: str(tmp_path / "logs")})
+    code, store, _ = _train(_Engine(), tmp_path, monkeypatch, how)
+    assert code == 0 and store.status(FIRST) == Status("done", 512)
 
 
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
