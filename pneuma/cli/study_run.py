@@ -19,7 +19,7 @@ from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, i
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 
-UNFINISHED_STATUSES = ("crashed", "killed", "timeout", "damaged", "running", "partial")
+UNFINISHED_STATUSES = ("crashed", "killed", "damaged", "running", "partial")
 """Statuses that no cell should have after a study was run."""
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""

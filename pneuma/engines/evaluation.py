@@ -1,8 +1,8 @@
 """Evaluation of a frozen policy, with random streams that training never uses.
 
-All engines evaluate in the same way: 50 episodes with sampled actions, and one with the most probable actions
-from each distinct start place, even if training uses only the first. The primary outcome is the share of
-monsters killed. `score` scales it from the random player (0) to all monsters (1).
+In Pneuma's worlds all engines evaluate in the same way: `evaluation_episodes` (50) as in training, and one
+with the best actions from each distinct start place, even if training uses only the first. The primary
+outcome is the share of monsters killed. `score` scales it from the random player (0) to all monsters (1).
 """
 
 from __future__ import annotations

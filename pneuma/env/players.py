@@ -39,7 +39,7 @@ class Hunter:
 
     SIDE_STEPS = 4
     NEAR_PIXELS = 128.0
-    """Path length in tiles below which monsters are approached in a straight line."""
+    """Path length in pixels below which monsters are approached in a straight line."""
 
     def __init__(self, worlds: Worlds) -> None:
         self._left_off = np.full((2, *worlds.players.shape), np.nan)  # where the last walk began

@@ -353,7 +353,7 @@ def world_key(seed: int) -> int:
 
 
 def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:
-    """Return actions or masks in the compiled rules' type, after checking their range."""
+    """Return actions or masks in the compiled rules' type, after checking their shape and type."""
     array = np.asarray(given)
     if array.shape != shape or array.dtype.kind not in kinds:
         of = "booleans" if kinds == "b" else "whole numbers"

@@ -34,7 +34,7 @@ SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
     "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic", "dash",
 )  # fmt: skip
-"""Fields on which a run's compiled programs depend."""
+"""Fields by which runs are grouped: those in which they agree likely share their compiled programs."""
 MOST_IN_GROUP = 8
 """Most runs per worker process. They are locked for other commands until the process ends."""
 

@@ -167,6 +167,7 @@ def _cpu() -> str:
 
 
 def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return on what a run was trained; some published rows of older versions list it themselves."""
     listed = origin.get("processors")
     if isinstance(listed, list) and listed:
         return tuple(sorted({str(name) for name in listed}))

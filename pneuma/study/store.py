@@ -45,12 +45,10 @@ from pneuma.files import (
 )
 from pneuma.study.locks import is_held, remove_lock, run_lock
 
-STATUSES = (
-    "planned", "running", "partial", "done", "diverged", "crashed", "killed", "timeout", "damaged",
-)  # fmt: skip
+STATUSES = ("planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged")
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
-FAILED = ("crashed", "timeout")
+FAILED = ("crashed",)
 """Statuses of failed runs, which are trained again only when asked for."""
 
 SCALARS_FILE = "scalars.parquet"

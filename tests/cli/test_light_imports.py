@@ -1,4 +1,4 @@
-"""What a person waits for: `import pneuma` and `pneuma --help` load nothing heavy (design section 1)."""
+"""What a person waits for: `import pneuma` and `pneuma --help` load nothing heavy (docs/architecture.md)."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ worlds, actor and random numbers → observations, actions, rewards, ends, finis
 
 A whole rollout runs without Python, unless a user's own reward must be called after each step. Slot i is
 player i % P of world i // P. Episodes, idle slots and the rounding of rewards are as in the environment for
-Stable-Baselines3 (`pneuma.env.worlds.Slots`, `pneuma.env.sb3`).
+Stable-Baselines3 (`pneuma.env.slots.Slots`, `pneuma.env.sb3`).
 """
 
 from __future__ import annotations
