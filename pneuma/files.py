@@ -20,7 +20,7 @@ from typing import Any
 from pneuma.errors import UserError
 
 SCHEMA = 1
-_SEAL = "sha256"
+_CHECKSUM = "sha256"
 
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
@@ -152,7 +152,7 @@ def to_json(value: object) -> bytes:
 def dump_checksummed(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON, with a schema number and a checksum."""
     whole = {"schema": SCHEMA, **document}
-    return to_json({**whole, _SEAL: checksum(to_json(whole))})
+    return to_json({**whole, _CHECKSUM: checksum(to_json(whole))})
 
 
 def load_checksummed(path: Path) -> dict[str, Any] | None:
@@ -160,8 +160,8 @@ def load_checksummed(path: Path) -> dict[str, Any] | None:
     document = read_json(path)
     if document is None or document.get("schema") != SCHEMA:
         return None
-    sealed_with = document.pop(_SEAL, None)
-    return document if sealed_with == checksum(to_json(document)) else None
+    expected = document.pop(_CHECKSUM, None)
+    return document if expected == checksum(to_json(document)) else None
 
 
 def checksum(data: bytes) -> str:

@@ -103,7 +103,7 @@ def _put(column: str, values: Any) -> Any:
         ("evaluations", _put("step", {"a": 1})),
     ],
 )
-def test_untrusted_a_sealed_table_that_makes_no_sense_is_one_line(
+def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
     store: Store, name: str, change: Any
 ) -> None:
     _swapped(store, name, change)

@@ -142,9 +142,9 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
 
         check_outcomes(study.outcomes)
     fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
-    named_code = dict.fromkeys(deed for settings in fields for deed in describe_user_code(settings).values())
-    for deed in (deed for deed in named_code if deed.startswith("run ")):
-        say(f"Note: the study's file asks to {deed}.", aside=True)
+    named_code = dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values())
+    for use in (use for use in named_code if use.startswith("run ")):
+        say(f"Note: the study's file asks to {use}.", aside=True)
     if chosen.selection.preset == spec.CLAIMS:
         from pneuma.analysis.claims import with_claims
 

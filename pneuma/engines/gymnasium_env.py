@@ -1,6 +1,6 @@
 """Environments registered with Gymnasium, in parallel slots, with what engines need.
 
-    run → modules imported, environment made, wrapped → Slots → collector, vec_env, evaluation
+    run → modules imported, environment made, wrapped → GymnasiumSlots → collector, vec_env, evaluation
 
 Observations are flattened to one row of numbers, by Gymnasium's rules. When an episode ends, its slot begins
 the next one at once, as in a `SyncVectorEnv` that resets in the same step.
@@ -40,7 +40,7 @@ def check_spaces(run: Run) -> None:
     """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
     with (
         warnings.catch_warnings(action="ignore", category=RunWarning),  # told by the run itself
-        closing(Slots(run, [0])) as slots,
+        closing(GymnasiumSlots(run, [0])) as slots,
     ):
         _check_actions(run, slots.action_space)
         slots.step(np.array([slots.any_action()]))
@@ -60,7 +60,7 @@ def _check_actions(run: Run, space: spaces.Space[Any]) -> None:
 # --- Slots -----------------------------------------------------------------------------------------
 
 
-class Slots:
+class GymnasiumSlots:
     """Environments in parallel; each is reset as soon as its episode ends.
 
     Attributes:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.gymnasium_env import NAN, Slots, blamed
+from pneuma.engines.gymnasium_env import NAN, GymnasiumSlots, blamed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
 from pneuma.errors import UserError
@@ -28,7 +28,7 @@ class Evaluation:
         self.run = run
         count = run.evaluation_episodes + BEST_EPISODES
         self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
-        slots = Slots(run, self._seeds)
+        slots = GymnasiumSlots(run, self._seeds)
         slots.action_space.seed(stream_seed(run.stream, "random-player") % 2**31)
         returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
@@ -45,7 +45,7 @@ class Evaluation:
             parts += [policy.best(seen[drawn:])] if drawn < len(rows) else []
             return np.concatenate(parts)
 
-        returns, lengths, successes = _play(Slots(self.run, self._seeds), act)
+        returns, lengths, successes = _play(GymnasiumSlots(self.run, self._seeds), act)
         told_success = np.isfinite(successes[:episodes]).all()
         return {
             **dict.fromkeys(EVALUATION_COLUMNS, NAN),
@@ -61,7 +61,9 @@ class Evaluation:
         }
 
 
-def _play(slots: Slots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+def _play(
+    slots: GymnasiumSlots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, ...]:
     """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
     returns, successes = np.zeros((2, len(slots.envs)))
     rows = np.arange(len(slots.envs))

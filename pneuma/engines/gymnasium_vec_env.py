@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import Slots, choices_of
+from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
 from pneuma.engines.normalization import Scaling
 from pneuma.env.sb3 import WholeVecEnv
 
@@ -21,7 +21,7 @@ class GymnasiumVecEnv(WholeVecEnv):
 
     def __init__(self, run: Run) -> None:
         self.render_mode = None
-        self.slots = Slots(run, slot_seeds(run), training=True)
+        self.slots = GymnasiumSlots(run, slot_seeds(run), training=True)
         self._actions = np.zeros(run.slots)
         features = self.slots.observations.shape[1]
         action_space = _learners_space(self.slots.action_space)

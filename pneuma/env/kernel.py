@@ -12,7 +12,7 @@ from numba.core import event
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, step_world
-from pneuma.env.state import Array, entry, open_state, part
+from pneuma.env.state import Array, entry, inlined, open_state
 
 GO_ON = -2
 """In place of a start place in `begins`: this world is not reset."""
@@ -70,7 +70,7 @@ class _Announcer(event.Listener):
         pass
 
 
-@part
+@inlined
 def _clear(event: Array) -> None:
     """Empty a player's events before a step."""
     event.reward = 0.0

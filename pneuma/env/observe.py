@@ -9,10 +9,10 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.layouts import LAYOUT_GODOT, LAYOUT_PYGAME, LAYOUT_THESIS
-from pneuma.env.state import Array, State, kernel, merged, part
+from pneuma.env.state import Array, State, inlined, inlined_early, kernel
 
 
-@merged
+@inlined_early
 def observe_player(s: State, w: int, p: int, tell: bool) -> None:
     """Write a player's observation and action mask; `layouts.py` has the layouts.
 
@@ -31,7 +31,7 @@ def observe_player(s: State, w: int, p: int, tell: bool) -> None:
     _mask_actions(s, w, p)
 
 
-@part
+@inlined
 def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     """List in `scratch` the monsters that a player perceives, with distances; return their number.
 
@@ -63,7 +63,7 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     return count
 
 
-@part
+@inlined
 def _insert(scratch: Array, count: int, order: int, distance: float, by_index: bool) -> None:
     """Insert into the first `count` of `scratch`, nearest first, behind equals; or by index.
 
@@ -78,7 +78,7 @@ def _insert(scratch: Array, count: int, order: int, distance: float, by_index: b
     scratch[i].distance = distance
 
 
-@part
+@inlined
 def _write_player(s: State, w: int, p: int, out: Array) -> int:
     """Write what a player observes of itself; return how many numbers that is."""
     settings = s.settings[0]
@@ -112,7 +112,7 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
     return at
 
 
-@part
+@inlined
 def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int:
     """Write the `i`-th monster of `scratch` from place `at` on; return where the next one begins.
 
@@ -178,7 +178,7 @@ def _write_rays(s: State, w: int, p: int, out: Array, at: int) -> int:
     return at
 
 
-@part
+@inlined
 def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float, dy: float) -> float:
     """Return the distance at which a ray enters a body; a ray that only touches it passes by."""
     middle_x, middle_y, half_width, half_height = rules.box(s, w, body)
@@ -188,7 +188,7 @@ def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float
     return enters if enters < min(leaves_x, leaves_y) else math.inf
 
 
-@part
+@inlined
 def _between(low: float, high: float, way: float) -> tuple[float, float]:
     """Return when a point, from 0 with velocity `way`, enters and leaves the space between two lines."""
     if way > 0.0:
@@ -198,7 +198,7 @@ def _between(low: float, high: float, way: float) -> tuple[float, float]:
     return (-math.inf, math.inf) if low < 0.0 < high else (math.inf, -math.inf)
 
 
-@part
+@inlined
 def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
     """Return the distance at which a ray meets a tile that stops or drowns players.
 
@@ -228,7 +228,7 @@ def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: fl
     return distance + 0.0  # never -0.0
 
 
-@part
+@inlined
 def _mask_actions(s: State, w: int, p: int) -> None:
     """Write which actions would have an effect in the next step.
 
@@ -262,7 +262,7 @@ def _mask_actions(s: State, w: int, p: int) -> None:
         s.masks[w, p, rules.HEAL] = free and energy >= stats.heal_cost
 
 
-@part
+@inlined
 def _may_walk(s: State, w: int, p: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = s.players[w, p]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env.state import Array, part
+from pneuma.env.state import Array, inlined
 from pneuma.errors import OwnCodeError, UserError
 from pneuma.own_modules import load_module
 
@@ -105,7 +105,7 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
 # --- The named formulas (compiled) -----------------------------------------------------------------
 
 
-@part
+@inlined
 def write_reward(player: Array, stats: Array, event: Array) -> None:
     """Write a player's reward by its formula."""
     if stats.reward == REWARD_THESIS:
@@ -119,7 +119,7 @@ def write_reward(player: Array, stats: Array, event: Array) -> None:
     # REWARD_GODOT has been kept event by event by the rules; REWARD_CUSTOM is computed outside.
 
 
-@part
+@inlined
 def share_reward(events: Array) -> None:
     """Give each player who was there the mean of all players' rewards."""
     total = 0.0
@@ -130,7 +130,7 @@ def share_reward(events: Array) -> None:
             events[p].reward = total / len(events)
 
 
-@part
+@inlined
 def _closeness(distance: float) -> float:
     """Return an algebraic sigmoid of the distance: 1 at a monster, 1/2 in the middle, 0 far away."""
     if distance == math.inf:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env.state import Array, State, kernel, merged, part
+from pneuma.env.state import Array, State, inlined, inlined_early, kernel
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, DASHING, BURNING, HEALING = 1, 2, 3, 4
@@ -36,7 +36,7 @@ CONTACT_EPS = 2.0**-10
 # --- Random numbers ------------------------------------------------------------------------------
 
 
-@part
+@inlined
 def _draw(world: Array) -> Any:
     """Return the next 64 random bits of a world: splitmix64 at (key, counter).
 
@@ -49,7 +49,7 @@ def _draw(world: Array) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-@part
+@inlined
 def _draw_below(world: Array, bound: int) -> Any:
     """Return a random integer in [0, bound), for bounds far below 2**32."""
     high = _draw(world) >> np.uint64(32)
@@ -59,7 +59,7 @@ def _draw_below(world: Array, bound: int) -> Any:
 # --- Reset ---------------------------------------------------------------------------------------
 
 
-@part
+@inlined
 def begin_episode(s: State, w: int, chosen: int) -> None:
     """Start an episode in one world, at start place `chosen`; below zero asks for one at random."""
     world = s.worlds[w]
@@ -78,7 +78,7 @@ def begin_episode(s: State, w: int, chosen: int) -> None:
         _place_monster(s.monsters[w, m], s.monster_stats[world.level, m], s.players.shape[1])
 
 
-@part
+@inlined
 def _place_player(player: Array, stats: Array, settings: Array) -> None:
     player.hp = stats.hp
     player.energy = stats.energy
@@ -95,7 +95,7 @@ def _place_player(player: Array, stats: Array, settings: Array) -> None:
     player.token = 0
 
 
-@part
+@inlined
 def _place_monster(monster: Array, kind: Array, players: int) -> None:
     monster.x = kind.home_x
     monster.y = kind.home_y
@@ -115,7 +115,7 @@ def _place_monster(monster: Array, kind: Array, players: int) -> None:
 # --- One step ------------------------------------------------------------------------------------
 
 
-@merged
+@inlined_early
 def step_world(s: State, w: int, actions: Array) -> bool:
     """Advance one running world by one agent step; return whether its episode ended."""
     world = s.worlds[w]
@@ -152,7 +152,7 @@ def step_world(s: State, w: int, actions: Array) -> bool:
     return world.ending != RUNNING
 
 
-@part
+@inlined
 def _charge(player: Array, event: Array, cost: float) -> None:
     """Subtract the XP that an ending costs; in the published code the reward is then set to the XP."""
     if cost != 0.0:
@@ -161,7 +161,7 @@ def _charge(player: Array, event: Array, cost: float) -> None:
         event.reward = player.xp
 
 
-@part
+@inlined
 def _gather_active(s: State, w: int) -> int:
     """List in `scratch` the monsters to which anything can happen in the next step; return their number.
 
@@ -177,7 +177,7 @@ def _gather_active(s: State, w: int) -> int:
     return count
 
 
-@part
+@inlined
 def _gather_near(s: State, w: int, count: int) -> None:
     """List in `near` which bodies each player and the first `count` of `scratch` may meet in this step."""
     monsters = s.monsters.shape[1]
@@ -193,7 +193,7 @@ def _gather_near(s: State, w: int, count: int) -> None:
                 near[near[0]] = other
 
 
-@part
+@inlined
 def _may_stir(s: State, w: int, m: int) -> bool:
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
@@ -210,7 +210,7 @@ def _may_stir(s: State, w: int, m: int) -> bool:
     return False
 
 
-@part
+@inlined
 def _gap(x: float, y: float, player: Array, stats: Array) -> float:
     """Return the squared distance from a point to a player's body."""
     across = max(abs(player.x + stats.body_x - x) - stats.half_width, 0.0)
@@ -221,7 +221,7 @@ def _gap(x: float, y: float, player: Array, stats: Array) -> float:
 # --- A tick: players act -------------------------------------------------------------------------
 
 
-@part
+@inlined
 def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     """Let a living player act, and record what it strikes."""
     player = s.players[w, p]
@@ -254,7 +254,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         s.events[w, p].present += 1
 
 
-@part
+@inlined
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
     """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for.
 
@@ -294,14 +294,14 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
         _walk(s, w, p, stats.speed)
 
 
-@part
+@inlined
 def _within_heal(other: Array, player: Array, reach: float) -> bool:
     x = other.x - player.x
     y = other.y - player.y
     return reach > 0.0 and other.hp > 0.0 and x * x + y * y <= reach * reach
 
 
-@part
+@inlined
 def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
     """Give a player HP by a spell, up to full HP."""
     hp = max(player.hp, min(player.hp + most, stats.hp))
@@ -316,7 +316,7 @@ def _walk(s: State, w: int, p: int, speed: float) -> None:
     player.x, player.y = ahead(s, w, p, speed, s.settings[0].player_stops)
 
 
-@part
+@inlined
 def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, float]:
     """Return where a player is after one tick in the direction it faces."""
     facing = s.players[w, p].facing
@@ -325,7 +325,7 @@ def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, fl
     return moved(s, w, s.monsters.shape[1] + p, dx, dy, stops)
 
 
-@part
+@inlined
 def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
     """Record the box that the sword strikes in this tick."""
     facing = player.facing
@@ -341,7 +341,7 @@ def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
     tick.knock_ticks = stats.knock_ticks
 
 
-@part
+@inlined
 def _burn(player: Array, stats: Array, tick: Array) -> None:
     """Record the box that a flame burns, in this tick only; it knocks nobody back."""
     facing = player.facing
@@ -355,7 +355,7 @@ def _burn(player: Array, stats: Array, tick: Array) -> None:
     tick.knock_ticks = -1
 
 
-@part
+@inlined
 def _die(player: Array, event: Array) -> None:
     player.hp = 0.0
     player.busy = 0
@@ -366,7 +366,7 @@ def _die(player: Array, event: Array) -> None:
 # --- A tick: monsters are struck, sense, bite and move -------------------------------------------
 
 
-@part
+@inlined
 def _live(s: State, w: int, m: int) -> None:
     """Run one living monster's tick."""
     monster = s.monsters[w, m]
@@ -411,14 +411,14 @@ def _live(s: State, w: int, m: int) -> None:
         monster.x, monster.y = moved(s, w, m, dx, dy, s.settings[0].monster_stops)
 
 
-@part
+@inlined
 def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
     """Return whether what strikes in this tick overlaps a monster's body."""
     across = abs(monster.x + kind.body_x - tick.box_x) < tick.half_width + kind.half_width
     return across and abs(monster.y + kind.body_y - tick.box_y) < tick.half_height + kind.half_height
 
 
-@part
+@inlined
 def _suffer(s: State, w: int, m: int, p: int) -> None:
     """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
     monster = s.monsters[w, m]
@@ -438,7 +438,7 @@ def _suffer(s: State, w: int, m: int, p: int) -> None:
         _knock_back(monster, kind, tick)
 
 
-@part
+@inlined
 def _is_wounded(monster: Array, kind: Array, p: int, facing: int) -> bool:
     """Return whether a blow wounds a monster that falls to two: after another player's, from another side."""
     wounds = monster.opened > 0 and monster.first_by != p and monster.first_facing != facing
@@ -448,7 +448,7 @@ def _is_wounded(monster: Array, kind: Array, p: int, facing: int) -> bool:
     return wounds
 
 
-@part
+@inlined
 def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
     """Start a flight away from the hilt; a flight in progress is neither turned nor extended."""
     away_x = monster.x - tick.hilt_x
@@ -461,7 +461,7 @@ def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
     monster.knocked = kind.knock_ticks if has_knock else tick.knock_ticks
 
 
-@part
+@inlined
 def _pay(s: State, w: int, m: int, striker: int) -> None:
     """Credit a kill to the player who struck, or to all players within the attack circle."""
     kind = s.monster_stats[s.worlds[w].level, m]
@@ -477,7 +477,7 @@ def _pay(s: State, w: int, m: int, striker: int) -> None:
             tick.healed += kind.heal
 
 
-@part
+@inlined
 def _sense(s: State, w: int, m: int, p: int) -> float:
     """Notice a player, and bite it if it is near enough; return the squared distance to it."""
     monster = s.monsters[w, m]
@@ -506,7 +506,7 @@ def _sense(s: State, w: int, m: int, p: int) -> float:
     return gap
 
 
-@part
+@inlined
 def _approach(offset: float, stand_off: float, speed: float) -> float:
     """Return a monster's move on one axis towards a player that is `offset` away."""
     if offset > stand_off:
@@ -519,7 +519,7 @@ def _approach(offset: float, stand_off: float, speed: float) -> float:
 # --- A tick: players get what it brought ---------------------------------------------------------
 
 
-@part
+@inlined
 def _end_tick(s: State, w: int, p: int) -> None:
     """Apply the tick's results to a player: first healing, then bites."""
     player = s.players[w, p]
@@ -570,14 +570,14 @@ def moved(s: State, w: int, me: int, dx: float, dy: float, stops: int) -> tuple[
     return x, y
 
 
-@part
+@inlined
 def _tile_at(s: State, level: int, x: float, y: float) -> int:
     """Return the terrain at a point."""
     settings = s.settings[0]
     return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 
 
-@part
+@inlined
 def _moved_along(
     s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: tuple[float, float, float, float],
     distance: float, stops: int,
@@ -596,13 +596,13 @@ def _moved_along(
     return max(start, stop - offset) if distance > 0.0 else min(start, -stop - offset)
 
 
-@part
+@inlined
 def _turned(on_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
     """Return the coordinate along the axis of a move, then the one across it, or the reverse."""
     return (x, y) if on_x else (y, x)
 
 
-@part
+@inlined
 def _stop_at_tiles(
     s: State, w: int, on_x: bool, way: float, end: float, half: float, aside: float, breadth: float,
     stops: int,
@@ -626,7 +626,7 @@ def _stop_at_tiles(
     return math.inf
 
 
-@part
+@inlined
 def _stop_at_bodies(
     s: State, w: int, me: int, on_x: bool, way: float, middle: float, half: float, aside: float,
     breadth: float,
@@ -647,7 +647,7 @@ def _stop_at_bodies(
     return stop
 
 
-@part
+@inlined
 def _is_near(s: State, w: int, other: int, x: float, y: float) -> bool:
     """Return whether a living body may stop one that is at a point, in this step."""
     reach = s.settings[0].body_reach
@@ -658,14 +658,14 @@ def _is_near(s: State, w: int, other: int, x: float, y: float) -> bool:
     return abs(player.x - x) < reach and abs(player.y - y) < reach and player.hp > 0.0
 
 
-@part
+@inlined
 def is_alive(s: State, w: int, body: int) -> bool:
     if body < s.monsters.shape[1]:
         return s.monsters[w, body].hp > 0.0
     return s.players[w, body - s.monsters.shape[1]].hp > 0.0
 
 
-@part
+@inlined
 def body(s: State, w: int, me: int) -> tuple[float, float, tuple[float, float, float, float]]:
     """Return a body's position, and its shape: the centre from there, and half sides; monsters come first."""
     if me < s.monsters.shape[1]:
@@ -677,14 +677,14 @@ def body(s: State, w: int, me: int) -> tuple[float, float, tuple[float, float, f
     return player.x, player.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
 
 
-@part
+@inlined
 def box(s: State, w: int, me: int) -> tuple[float, float, float, float]:
     """Return the centre and half sides of a body."""
     x, y, shape = body(s, w, me)
     return x + shape[0], y + shape[1], shape[2], shape[3]
 
 
-@part
+@inlined
 def blocked(terrain: Array, level: int, column: int, row: int, stops: int) -> bool:
     """Return whether a tile stops a body; tiles off the grid do."""
     if column < 0 or row < 0 or row >= terrain.shape[1] or column >= terrain.shape[2]:

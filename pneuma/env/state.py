@@ -347,16 +347,16 @@ def cached(**options: Any) -> Callable[[Any], Any]:
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _UNCOUNTED: Any = {**_INNER, "_nrt": False}
 entry: Any = cached(error_model="numpy", nogil=True)
-opening: Any = njit(**_INNER, forceinline=True)
+inlined_counted: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
-part: Any = njit(**_UNCOUNTED, forceinline=True)
-merged: Any = njit(**_UNCOUNTED, inline="always")  # inlined by numba before compiling: for the few large ones
+inlined: Any = njit(**_UNCOUNTED, forceinline=True)
+inlined_early: Any = njit(**_UNCOUNTED, inline="always")  # by numba before compiling: for the few large ones
 typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
 
 
-@opening
+@inlined_counted
 def open_state(h: Array) -> State:
     """Turn addresses and shapes back into arrays; the reverse of `make_handle`."""
     return State(

@@ -209,7 +209,7 @@ class Space:
             **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
         }
 
-    def deeds(self) -> list[str]:
+    def describe_user_code(self) -> list[str]:
         """Return what trials would do with a user's own code and files; nothing is imported or opened."""
         fields = self.all_values()
         each = (
@@ -218,7 +218,7 @@ class Space:
             for key in fields
             for value in fields[key]
         )
-        return [deed for one in each for deed in describe_user_code(one).values()]
+        return [use for one in each for use in describe_user_code(one).values()]
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the run that a trial sets on top of the base."""

@@ -166,7 +166,8 @@ class Search:
             unread: fields that are refused if no run reads them.
         """
         space = replace(self.space, fixed={**self.space.fixed, **over})
-        if added := [deed for deed in space.deeds() if deed not in self.space.deeds()]:
+        known = self.space.describe_user_code()
+        if added := [use for use in space.describe_user_code() if use not in known]:
             raise UserError(
                 f"search {self.name} would {added[0]}: only its file may say so, not --set or a record"
             )

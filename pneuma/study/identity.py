@@ -21,7 +21,7 @@ _FILES = {
     **dict.fromkeys(("reward", "env_module", "wrappers"), _MODULE_FILES),
 }
 """By field: the function that returns the user's files to hash. None imports them."""
-_DEEDS = {"reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper"}
+_USES = {"reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper"}
 
 
 def run_id(run: Run) -> str:
@@ -102,7 +102,7 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     keys = (key for key in _FILES if fields.get(key) is not None)
     named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
     texts = {key: value if isinstance(value, str) else ", ".join(value) for key, value in named.items()}
-    described = {key: f"{_DEEDS.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
+    described = {key: f"{_USES.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
     if fields.get("env") == GODOT and fields.get("env_kwargs"):
         described["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
     return described

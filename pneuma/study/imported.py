@@ -103,17 +103,17 @@ def import_tensorboard(
         raise UserError(f"--name {study}: a study of that name has runs of other logs; give another")
     store.check_writable()
     rows = []
-    for name, run in found.items():
+    for run_id, run in found.items():
         fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}
-        rows.append({"run_id": name, "condition": run.log.condition, "seed": run.log.seed})
+        rows.append({"run_id": run_id, "condition": run.log.condition, "seed": run.log.seed})
         if run.new:
-            about = {"schema": 1, "run_id": name, "source": SOURCE, "run": fields}
+            about = {"schema": 1, "run_id": run_id, "source": SOURCE, "run": fields}
             files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
             scalars = run.points[["tag", "step", "value", "superseded"]]
             files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
-            status = Status("done", run.steps, identity=Identity(name, run.log.seed, run.steps))
-            files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
-            store.save_run(name, status, files)
+            status = Status("done", run.steps, identity=Identity(run_id, run.log.seed, run.steps))
+            files[ROW_FILE] = encode_row(cells_of_files(run_id, status, files))
+            store.save_run(run_id, status, files)
     about = {"title": study, "baseline": rows[0]["condition"], "source": SOURCE, "runs": rows}
     store.save_listing(study, about)
     return study, [*found.values()], notes

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from pneuma.config import Run, as_fields, make_run
 from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import check_environment, slot_seeds
-from pneuma.engines.gymnasium_env import Slots, make_env
+from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
 from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
@@ -52,7 +52,7 @@ def corridor(**arguments: Any) -> Run:
 @pytest.mark.parametrize("env", ["CartPole-v1", "MountainCar-v0"])
 def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
     run = make_run({**SMALL, "env": env})
-    slots = Slots(run, slot_seeds(run))
+    slots = GymnasiumSlots(run, slot_seeds(run))
     theirs = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
     seen, _ = theirs.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])
     generator, ends = np.random.default_rng(0), 0

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from pneuma.config import Run, make_run
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.sb3 import extract_policy
@@ -44,7 +44,7 @@ def vec_normalize(run: Run) -> Any:
 @pytest.mark.parametrize("env", ["CartPole-v1", "Pendulum-v1"])
 def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
     run = normalized(env=env, engine="sb3")
-    slots, theirs = Slots(run, slot_seeds(run), training=True), vec_normalize(run)
+    slots, theirs = GymnasiumSlots(run, slot_seeds(run), training=True), vec_normalize(run)
     seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
     for _ in range(450):
         np.testing.assert_array_equal(slots.seen, seen)
@@ -96,10 +96,10 @@ def test_a_run_is_normalised_alike_by_both_engines_and_alone_as_in_company(engin
 
 def test_a_fork_of_another_gamma_goes_on_with_what_was_learned() -> None:
     run = normalized()
-    slots = Slots(run, slot_seeds(run), training=True)
+    slots = GymnasiumSlots(run, slot_seeds(run), training=True)
     for _ in range(60):
         slots.step(np.zeros(3, np.int64))
-    fork = Slots(replace(run, gamma=0.5), slot_seeds(run), training=True)
+    fork = GymnasiumSlots(replace(run, gamma=0.5), slot_seeds(run), training=True)
     fork.restore_state(slots.saved_state())
     np.testing.assert_equal(fork.saved_state(), slots.saved_state())
     np.testing.assert_array_equal(fork.seen, slots.seen)

@@ -98,7 +98,7 @@ def test_every_file_with_kernels_is_listed() -> None:
     makes_kernels = {"env/layouts.py", "env/state.py"}  # whose constants they hold
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        if {"njit", "cached", "entry", "kernel", "part"} & (
+        if {"njit", "cached", "entry", "kernel", "inlined"} & (
             _imported(tree, "numba") | _imported(tree, "pneuma.env.state")
         ):
             makes_kernels.add(path.relative_to(PACKAGE).as_posix())

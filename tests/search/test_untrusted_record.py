@@ -62,7 +62,7 @@ GAME = '{"env_path": "game"}'
 
 @pytest.mark.usefixtures("mark")
 @pytest.mark.parametrize(
-    ("of_file", "of_record", "deed"),
+    ("of_file", "of_record", "use"),
     [
         (SAFE, {"env_module": "marking.deep"}, "run the module marking.deep"),
         (SAFE, {"wrappers": ("marking.deep:Own",)}, "run the wrapper"),
@@ -75,13 +75,13 @@ GAME = '{"env_path": "game"}'
     ],
 )
 def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_s_file(
-    make_task: MakeTask, store: Store, of_file: dict[str, Any], of_record: dict[str, Any], deed: str
+    make_task: MakeTask, store: Store, of_file: dict[str, Any], of_record: dict[str, Any], use: str
 ) -> None:
     task = make_task(more="[run]\n" + "".join(f"{key} = '{value}'\n" for key, value in of_file.items()))
     save_record(store, task)
     assert read_record(store, task.search.name, "text").task == task
     save_record(store, replace(task, over=of_record))
-    with pytest.raises(UserError, match=f"search formula would {deed}.*only its file may say so"):
+    with pytest.raises(UserError, match=f"search formula would {use}.*only its file may say so"):
         read_record(store, task.search.name, "text")
 
 

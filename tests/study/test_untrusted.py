@@ -101,7 +101,7 @@ def test_no_module_can_unpickle() -> None:
         assert loads <= ({"load"} if "safetensors.numpy" in imported else set()), path
 
 
-def test_sealed_nonsense_is_damage_or_no_record(store: Store) -> None:
+def test_checksummed_nonsense_is_damage_or_no_record(store: Store) -> None:
     change: Any
     for change in (
         {"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"status": ["done"]}, {"seed": "0"},

@@ -10,7 +10,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.rollout import Rollout, empty_rollout
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import Slots
+from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Layers, flat, sizes
@@ -23,7 +23,7 @@ class GymnasiumCollector:
     def __init__(self, run: Run) -> None:
         self._run = run
         self.layout = "seeds and actions"
-        self.slots = Slots(run, slot_seeds(run), training=True)
+        self.slots = GymnasiumSlots(run, slot_seeds(run), training=True)
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
         self.features = self.slots.observations.shape[1]
         self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr, arg-type]

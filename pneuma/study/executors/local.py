@@ -197,7 +197,7 @@ class Supervisor:
         line = worker.events.readline()
         if not line:
             self._selector.unregister(worker.events)
-            self._bury(worker)
+            self._reap(worker)
             return
         try:
             event = parse_json(line)
@@ -218,7 +218,7 @@ class Supervisor:
                 worker.ended.add(name)
             self._on_event(event)
 
-    def _bury(self, worker: _Worker) -> None:
+    def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
         code, words = worker.wait_and_read_stderr()
         group, tries = worker.task.group, worker.task.tries
