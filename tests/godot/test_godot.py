@@ -228,7 +228,7 @@ def test_a_game_of_wrong_arguments_leaves_nothing_behind(monkeypatch: pytest.Mon
     monkeypatch.setattr(sys, "unraisablehook", ignored.append)
     for wrong in ({"arguments": "speedup=8"}, {"speedup": 8}):
         with pytest.raises((TypeError, ValueError)) as refused:
-            GodotGame(**wrong)  # type: ignore[arg-type]
+            GodotGame(**wrong)
         del refused
         gc.collect()
     assert not ignored
