@@ -76,15 +76,15 @@ def run_study(
     selection = _selection(seeds, steps, conditions, settings, preset)
     most = _count("workers", workers) or available_cores()
     asked = spec.load_study(os.fspath(study), world)
-    if asked.outcomes:
-        from pneuma.analysis.outcomes import check_outcomes
-
-        check_outcomes(asked.outcomes)
     if preset == spec.CLAIMS:
         from pneuma.analysis.claims import with_claims
 
         asked = with_claims(asked, selection.steps)
     planned, store = plan.make_plan(asked, selection), _store(results)
+    if asked.outcomes:
+        from pneuma.analysis.outcomes import check_outcomes
+
+        check_outcomes(asked.outcomes, {cell.run.env for cell in planned.cells})
     how = ExecutorConfig(workers=most, keep_checkpoints=planned.study.keep_checkpoints)
     todo, _ = execute.prepare(planned, store)
     with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:

@@ -11,7 +11,7 @@ mean of the last 5 % of the budget.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from pneuma.algorithms import MAILMAN
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, common_step, view
 from pneuma.config import is_gymnasium_id
-from pneuma.env_fields import ACTION_NAMES
+from pneuma.env_fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.series import EXTREMES, mean_height
 
@@ -53,6 +53,7 @@ class Outcome:
         measure: the function that computes it.
         requires_learning: whether it is 0 for a run that never learned, and meaningful only for others.
         alike: how near the floor or ceiling a run counts as there, if a claim has no margin.
+        column: of the evaluations, from which it is taken; empty if it is not.
     """
 
     words: str
@@ -63,6 +64,11 @@ class Outcome:
     measure: Measure
     requires_learning: bool = False
     alike: float = 1e-9
+    column: str = ""
+
+    def can_be_had_in(self, env: str) -> bool:
+        own = env in ENVIRONMENTS
+        return (self.column or self.source) not in (OF_OTHERS if own else OF_PNEUMA)
 
 
 def is_return(name: str) -> bool:
@@ -137,14 +143,25 @@ def find_outcome(name: str) -> Outcome:
     else:
         raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
     measure = partial(_steps_to, least=least, column=column)
-    return Outcome(f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure)
+    return Outcome(
+        f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure, column=column
+    )
 
 
-def check_outcomes(names: Iterable[str]) -> None:
-    """Refuse unknown outcomes of a study's file before anything is trained."""
+def check_outcome(name: str, environments: Collection[str]) -> None:
+    """Refuse an outcome that is unknown, or that runs in none of some environments can have."""
+    if not any(map(find_outcome(name).can_be_had_in, environments)):
+        known = [each for each, one in OUTCOMES.items() if any(map(one.can_be_had_in, environments))]
+        raise unknown_name(
+            f"outcome of {', '.join(sorted(environments))}", name, (*known, "steps-to-return:X")
+        )
+
+
+def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
+    """Refuse such outcomes of a study's file before anything is trained."""
     for name in names:
         try:
-            find_outcome(name)
+            check_outcome(name, environments)
         except UserError as error:
             raise UserError(f"the study's file, outcomes: {error}") from None
 
@@ -282,6 +299,12 @@ def _pace(seen: RunView) -> float:
 # --- The list --------------------------------------------------------------------------------------
 
 UP, DOWN, EVALUATED = "higher", "lower", "evaluations"
+OF_PNEUMA = (
+    "share_killed", "argmax_share_killed", "score", "died", "steps_to_clear", "hp_lost", "kill_evenness",
+    "hp",
+)  # fmt: skip
+"""What runs in Pneuma's worlds alone record."""
+OF_OTHERS = ("success",)
 
 
 def _evaluated(
@@ -293,7 +316,7 @@ def _evaluated(
         _, values = seen.evaluations(column)
         return float(take(values)) if len(values) else NAN
 
-    return Outcome(words, unit, better, bounds, EVALUATED, measure, **more)
+    return Outcome(words, unit, better, bounds, EVALUATED, measure, column=column, **more)
 
 
 def _trained(
@@ -317,7 +340,7 @@ OUTCOMES: dict[str, Outcome] = {
         (-1.2, 1.2), "share_killed", _rise, requires_learning=True),
     "auc-share-killed": Outcome(
         "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, _share_area,
-        alike=NEAR_AN_END),
+        alike=NEAR_AN_END, column="share_killed"),
     "greedy-share-killed": _killed(" by the likeliest actions", column="argmax_share_killed"),
     "normalised-score": _evaluated(
         "score (0 random player, 1 all monsters killed)", "", UP, ANYTHING, "score"),

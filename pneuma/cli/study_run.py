@@ -137,10 +137,6 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
 def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
     study = spec.load_study(name, chosen.world)
-    if study.outcomes:
-        from pneuma.analysis.outcomes import check_outcomes
-
-        check_outcomes(study.outcomes)
     fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
     named_code = dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values())
     for use in (use for use in named_code if use.startswith("run ")):
@@ -150,6 +146,10 @@ def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
 
         study = with_claims(study, chosen.selection.steps)
     planned = plan.make_plan(study, chosen.selection)
+    if study.outcomes:
+        from pneuma.analysis.outcomes import check_outcomes
+
+        check_outcomes(study.outcomes, {cell.run.env for cell in planned.cells})
     if not unpublished:
         return planned
     from pneuma.analysis.run_index import RunIndex

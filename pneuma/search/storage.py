@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from optuna.storages import BaseStorage, JournalStorage
 from optuna.storages.journal import BaseJournalBackend, JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from pneuma.analysis.outcomes import check_outcome
 from pneuma.config import Run
 from pneuma.env_fields import read_fields
 from pneuma.errors import UserError
@@ -68,9 +70,11 @@ def run_search(
         UserError: before anything is trained, for a search that cannot be run here.
         Unfinished: when a run crashed; trials that ended before are stored.
     """
-    search = task.search
+    search, runs = task.search, [run for _, run in task.search.space.corners()]
     check_budget(search, task.budget)
-    check_environments(run for _, run in search.space.corners())
+    check_environments(runs)
+    for objective, env in product(search.objectives, sorted({run.env for run in runs})):
+        check_outcome(objective.outcome, [env])
     store.check_writable()
     with run_lock(store.root / "searches" / f".{search.label}") as mine:
         if not mine:

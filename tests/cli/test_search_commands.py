@@ -146,3 +146,19 @@ def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(tmp_path: Path) ->
     assert (
         described("search", "run", path, "--results", results, "--seeds", "1", "--json")["trials"] == trials
     )
+
+
+def test_an_outcome_that_the_environment_cannot_have_is_refused_before_training(tmp_path: Path) -> None:
+    """In a search, and as one that a study asks about."""
+    search, study, at = tmp_path / "search.toml", tmp_path / "study.toml", ("--results", tmp_path / "results")
+    text = SEARCH.replace("[run]", '[run]\nenv = "CartPole-v1"')
+    search.write_text(text)
+    told = "unknown outcome of CartPole-v1 'auc-share-killed'"
+    assert told in (line := refused("search", "run", search, *at)) and "return" in line
+    described("search", "show", search, "--json")
+    head, _, rest = text.partition("[objectives.killed]")
+    presets = rest.partition("[presets.quick]\ntrials = 4")[2]
+    study.write_text(f'outcomes = ["auc-share-killed"]{head}[conditions.one]\n[presets.quick]{presets}')
+    study.write_text(study.read_text().replace("generation = 2", ""))
+    assert told in refused("study", "run", study, *at)
+    assert not (tmp_path / "results").exists()
