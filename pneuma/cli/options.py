@@ -1,7 +1,8 @@
 """Options: how they are declared, those that several commands share, and those that come together.
 
 A command's options are its parameters, whose defaults declare them, or the fields of a dataclass that is a
-parameter of it: `Picked`, `Chosen` or `Place`. It returns a `Result`, which `--json` prints for programs.
+parameter of it: `Picked`, `Chosen`, `Place` or `PlaceToLeave`. It returns a `Result`,
+which `--json` prints for programs.
 """
 
 from __future__ import annotations
@@ -280,7 +281,7 @@ class Place:
         "What jobs of --executor slurm ask for: partition, time, mem, …",
         _key_and_value("--slurm", "partition=short"),
     )
-    detach: bool = flag("--detach", "Leave once jobs of --executor slurm are submitted (no search).")
+    detach = False
 
     def config(self) -> ExecutorConfig:
         """Return where and how runs train.
@@ -294,6 +295,13 @@ class Place:
         slurm = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
         place = ExecutorConfig(executor=self.executor, address=self.address, slurm=slurm, detach=self.detach)
         return replace(place, workers=most_workers(self.workers, place))
+
+
+@dataclass(frozen=True)
+class PlaceToLeave(Place):
+    """The same, for a command that need not wait for its runs."""
+
+    detach: bool = flag("--detach", "Leave once jobs of --executor slurm are submitted.")
 
 
 def most_workers(asked: int | None, place: ExecutorConfig = LOCAL_CONFIG) -> int:

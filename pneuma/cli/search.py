@@ -170,8 +170,6 @@ def run(
     from pneuma.search import storage
     from pneuma.search.trials import Unfinished, best_number
 
-    if place.detach:
-        raise UserError("--detach: a search asks for trials by how those before did; leave it by Ctrl-C")
     store = Store(results)
     task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = place.config()

@@ -61,7 +61,7 @@ def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLI
 
 def run(
     chosen: opt.Chosen,
-    place: opt.Place,
+    place: opt.PlaceToLeave,
     name: str = opt.STUDY,
     checkpoint_seconds: float = opt.number(
         "--checkpoint-seconds", "Between two checkpoints of a run.", 15.0, metavar="S", min=0.01

@@ -162,3 +162,9 @@ def test_an_outcome_that_the_environment_cannot_have_is_refused_before_training(
     study.write_text(study.read_text().replace("generation = 2", ""))
     assert told in refused("study", "run", study, *at)
     assert not (tmp_path / "results").exists()
+
+
+def test_a_search_which_must_wait_for_its_runs_has_no_detach() -> None:
+    assert "--detach" in printed("study", "run", "--help")
+    assert "--detach" not in printed("search", "run", "--help")
+    assert "--detach" in refused("search", "run", "ppo", "--detach")
