@@ -151,9 +151,13 @@ def evaluation_updates(run: Run) -> set[int]:
     return _spread(run.updates, EVALUATIONS)
 
 
-def evaluation_step(run: Run, number: int) -> int:
-    """Return the agent step of an evaluation, counted from 1; those of a run with fewer coincide."""
-    return -(-run.updates * number // EVALUATIONS) * run.steps_per_update
+def evaluation_steps(run: Run) -> dict[int, int]:
+    """Return the agent step of each evaluation, by the number of whole twentieths of training before it.
+
+    A run of fewer than `EVALUATIONS` updates lacks some numbers; the last one has them all.
+    """
+    updates = sorted(evaluation_updates(run))
+    return {EVALUATIONS * each // run.updates: each * run.steps_per_update for each in updates}
 
 
 def checkpoint_steps(run: Run, count: int) -> set[int]:

@@ -99,7 +99,7 @@ PRUNERS = {
     ),
     "wilcoxon": Kind(pruners.WilcoxonPruner, {"p_threshold": 0.1, "n_startup_steps": 2}),
 }
-"""By name. The steps of a pruner are a run's evaluations, of which there are 20; Wilcoxon's are seeds."""
+"""By name. The steps of a pruner are twentieths of a run's training; Wilcoxon's are seeds."""
 
 LEAST = {
     "min_resource": 1, "max_resource": 1, "reduction_factor": 2, "n_ei_candidates": 1, "popsize": 2,

@@ -11,7 +11,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,8 @@ import optuna
 
 from pneuma.analysis.frames import FinishedRun, StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, as_fields
-from pneuma.engines.loop import EVALUATIONS, evaluation_step
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
+from pneuma.engines.loop import EVALUATIONS, evaluation_steps
 from pneuma.errors import UserError
 from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
@@ -87,7 +86,8 @@ class EndedTrial:
         params: the suggested values.
         state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
         values: one for each objective; for a pruned trial, its last report.
-        reports: what its pruner saw: values by evaluation, counted from 1, or by seed, counted from 0.
+        reports: what its pruner saw: values by evaluation, numbered as in `evaluation_steps`, or by seed,
+            counted from 0.
         note: why it failed, or that one of its runs diverged.
     """
 
@@ -149,26 +149,29 @@ class Round:
 
     Attributes:
         seeds: which are trained.
-        reports: what is reported then: evaluations, counted from 1, or the place of a seed.
-        pause: the evaluation up to which is trained; the last is the end.
+        pause: up to the first evaluation of this number, or a greater one, is trained.
     """
 
     seeds: tuple[int, ...]
-    reports: range
     pause: int = EVALUATIONS
+
+    def steps(self, run: Run) -> dict[int, int]:
+        """Return the steps of a run's evaluations up to the end of the round, by number."""
+        steps = evaluation_steps(run)
+        end = min(number for number in steps if number >= self.pause)
+        return {number: step for number, step in steps.items() if number <= end}
 
 
 def rounds(task: Task) -> list[Round]:
     """Return the rounds of each generation: between its pruner's evaluations, or seed by seed."""
     seeds = task.budget.seeds
     if task.search.spec.pruner.name == BY_SEED:
-        return [Round((seed,), range(i, i + 1)) for i, seed in enumerate(seeds)]
-    ends = [0, *pauses(task.search), EVALUATIONS]
-    return [Round(seeds, range(start + 1, end + 1), end) for start, end in pairwise(ends)]
+        return [Round((seed,)) for seed in seeds]
+    return [Round(seeds, pause) for pause in (*pauses(task.search), EVALUATIONS)]
 
 
 def pauses(search: Search) -> list[int]:
-    """Return the evaluations, counted from 1, at which the pruner may stop a trial.
+    """Return the numbers of evaluations at which the pruner may stop a trial.
 
     Training pauses there, so that all trials of a generation are compared with the same earlier ones.
     """
@@ -213,7 +216,7 @@ def conduct(task: Task, train: Train, outcomes: Outcomes, log: JournalLog) -> It
                 train(make_trial_plan(task, trained), until)
             for each in pending:
                 _report(task, part, each, outcomes, log)
-                each.pruned = part is not parts[-1] and each.trial.should_prune()
+                each.pruned = not _is_trained(part, each, parts[-1]) and each.trial.should_prune()
         yield [_tell(study, search.objectives, each, outcomes, log) for each in asked]
 
 
@@ -227,11 +230,16 @@ def _cells(task: Task, asked: PendingTrial) -> list[Cell]:
 def _to_train(part: Round, pending: Sequence[PendingTrial]) -> dict[str, int]:
     """Return the runs of a round, by id, with the step up to which they are trained; 0 is the end."""
     return {
-        cell.run_id: evaluation_step(cell.run, part.pause) if part.pause < EVALUATIONS else 0
+        cell.run_id: 0 if EVALUATIONS in (steps := part.steps(cell.run)) else max(steps.values())
         for each in pending
         for cell in each.cells
         if cell.seed in part.seeds
     }
+
+
+def _is_trained(part: Round, asked: PendingTrial, last: Round) -> bool:
+    """Return whether all runs of a trial have been trained to their end."""
+    return part.seeds == last.seeds and EVALUATIONS in part.steps(asked.cells[0].run)
 
 
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
@@ -254,29 +262,30 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
 
 def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: JournalLog) -> None:
     """Report a trial's values in the first objective, if it is the only one and they are finite."""
-    sought, known = task.search.objectives[0], log.ended.get(asked.trial.number)
     if len(task.search.objectives) > 1:
         return
-    if known:
-        found = {step: known.reports[step] for step in part.reports if step in known.reports}
+    sought, known = task.search.objectives[0], log.ended.get(asked.trial.number)
+    if task.search.spec.pruner.name == BY_SEED:
+        numbers = [task.budget.seeds.index(seed) for seed in part.seeds]
+        values = (outcomes.read(asked.cells[number], sought.outcome) for number in numbers)
     else:
-        found = dict(zip(part.reports, _values(task, sought, part, asked.cells, outcomes), strict=True))
-    for step, value in found.items():
-        if np.isfinite(value):
-            asked.reports[step] = value
-            asked.trial.report(value, step)
+        steps = {k: at for k, at in part.steps(asked.cells[0].run).items() if k not in asked.reports}
+        numbers, values = [*steps], _values(sought, asked.cells, [*steps.values()], outcomes)
+    found = known.reports if known else dict(zip(numbers, values, strict=True))
+    for number in numbers:
+        if np.isfinite(value := found.get(number, np.nan)):
+            asked.reports[number] = value
+            asked.trial.report(value, number)
             if not known:
-                log.report(asked.trial.number, step, value)
+                log.report(asked.trial.number, number, value)
 
 
 def _values(
-    task: Task, sought: Objective, part: Round, cells: Sequence[Cell], outcomes: Outcomes
-) -> list[float]:
-    if task.search.spec.pruner.name == BY_SEED:
-        return [outcomes.read(cell, sought.outcome) for cell in cells if cell.seed in part.seeds]
-    steps = [evaluation_step(cells[0].run, number) for number in part.reports]
+    sought: Objective, cells: Sequence[Cell], steps: Sequence[int], outcomes: Outcomes
+) -> Iterator[float]:
+    """Yield a trial's values at steps of its runs."""
     each = np.array([outcomes.read_early(cell, sought.outcome, steps) for cell in cells])
-    return [over_seeds(sought.over_seeds, column) for column in each.T]
+    yield from (over_seeds(sought.over_seeds, column) for column in each.T)
 
 
 def _tell(

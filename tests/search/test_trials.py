@@ -102,6 +102,7 @@ def test_training_pauses_where_the_pruner_decides(
 def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
     """By hand: those below the median of the complete trials of earlier generations, of 4 each."""
     more = '[sampler]\nname = "random"\n[pruner]\nname = "median"\nn_warmup_steps = 10\ninterval_steps = 10'
+    more = f"[run]\nhorizon = 64\n{more}"  # 32 updates
     told = solve(make_task(24, more + "\nn_startup_trials = 4"))
     assert all(trial.state == "complete" and [*trial.reports] == [*range(1, 21)] for trial in told[:4])
     for place, trial in enumerate(told[4:], 4):
@@ -111,6 +112,25 @@ def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
         assert (trial.state == "pruned") == bool(best < median)
         if trial.state == "pruned":
             assert [*trial.reports] == [*range(1, 11)] and trial.values == (trial.reports[10],)
+
+
+@pytest.mark.parametrize(
+    ("step", "paused", "reports"),
+    [  # by hand: 4 updates are 5, 10, 15 and 20 twentieths; the first from 6 on is 10, and from 16 on 20
+        (6, 1024, [5, 10]),
+        (16, 0, [5, 10, 15, 20]),
+    ],
+)
+def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
+    make_task: MakeTask, step: int, paused: int, reports: list[int]
+) -> None:
+    more = f'name = "median"\nn_startup_trials = 1\nn_warmup_steps = {step}\ninterval_steps = 20'
+    asked: list[Mapping[str, int]] = []
+    told = solve(make_task(24, f"[run]\nhorizon = 512\n[pruner]\n{more}"), asked=asked)
+    assert {*asked[0].values()} == {paused}
+    assert {trial.state for trial in told} == {"complete", "pruned"} - ({"pruned"} if paused == 0 else set())
+    for trial in told:
+        assert [*trial.reports] == ([5, 10, 15, 20] if trial.state == "complete" else reports)
 
 
 def test_a_pruned_trial_is_trained_no_further(make_task: MakeTask) -> None:
