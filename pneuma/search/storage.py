@@ -64,7 +64,8 @@ def run_search(
 ) -> Iterator[list[EndedTrial]]:
     """Search, training only runs that are not stored; yield all trials after each generation.
 
-    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside.
+    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far the
+    search is.
 
     Raises:
         UserError: before anything is trained, for a search that cannot be run here.
@@ -80,7 +81,7 @@ def run_search(
         if not mine:
             raise UserError(f"search {search.name}: another process searches in {store.root} now")
         log, trials = _open_log(store, task, say), []
-        for generation in conduct(task, train, Outcomes(task, store), log):
+        for generation in conduct(task, train, Outcomes(task, store), log, say):
             trials += generation
             yield trials
 

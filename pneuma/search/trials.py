@@ -186,10 +186,13 @@ def pauses(search: Search) -> list[int]:
     return []
 
 
-def conduct(task: Task, train: Train, outcomes: Outcomes, log: JournalLog) -> Iterator[list[EndedTrial]]:
+def conduct(
+    task: Task, train: Train, outcomes: Outcomes, log: JournalLog, say: Callable[[str], None]
+) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
-    `log` knows the trials that ended before, and notes the others.
+    `log` knows the trials that ended before, and notes the others; `say` tells which are trained, and which are
+    stopped.
 
     Raises:
         Unfinished: when a run crashed.
@@ -212,11 +215,18 @@ def conduct(task: Task, train: Train, outcomes: Outcomes, log: JournalLog) -> It
             trained += each.cells
         for part in parts:
             pending = [each for each in asked if each.cells and not each.pruned]
-            if until := _to_train(part, [each for each in pending if each.trial.number not in log.ended]):
+            begun = [each for each in pending if each.trial.number not in log.ended]
+            if until := _to_train(part, begun):
+                if part is parts[0] or part.seeds != budget.seeds:
+                    seed = "" if part.seeds == budget.seeds else f", seed {part.seeds[0]}"
+                    numbers = f"s {first} to {first + len(asked) - 1}" if asked[1:] else f" {first}"
+                    say(f"trial{numbers} of {budget.trials}{seed}")
                 train(make_trial_plan(task, trained), until)
             for each in pending:
                 _report(task, part, each, outcomes, log)
                 each.pruned = not _is_trained(part, each, parts[-1]) and each.trial.should_prune()
+            if stopped := [f"trial {each.trial.number}" for each in begun if each.pruned]:
+                say(f"{', '.join(stopped)} stopped early")
         yield [_tell(study, search.objectives, each, outcomes, log) for each in asked]
 
 

@@ -126,7 +126,7 @@ class ProgressDisplay:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._targets = {name: until.get(name) or run.steps for name, run in to_train.items()}
+        self._whole, self._until = {name: run.steps for name, run in to_train.items()}, until
         self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
         self._ended: set[str] = set()
         self._bar = Progress(
@@ -139,7 +139,7 @@ class ProgressDisplay:
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
         )
-        steps, so_far = sum(self._targets.values()), sum(self._steps.values())
+        steps, so_far = sum(self._whole.values()), sum(self._steps.values())
         self._task = self._bar.add_task(self._runs(), total=steps, completed=so_far)
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
@@ -161,20 +161,20 @@ class ProgressDisplay:
             if self._show or event["event"] == "note":
                 print_aside(f"{label}: {event['text']}")
             return
-        target = self._targets[name]
-        self._steps[name] = target if status in FINISHED else max(self._steps[name], event["step"])
-        if status in ("stopped", "partial") and self._steps[name] >= target:
+        whole = self._whole[name]
+        self._steps[name] = whole if status in FINISHED else max(self._steps[name], event["step"])
+        if status in ("stopped", "partial") and self._steps[name] >= (self._until.get(name) or whole):
             status = "paused"
-        if status not in ("", "stopped"):
+        if status not in ("", "stopped", "paused"):
             self._ended.add(name)
         self._bar.update(self._task, completed=sum(self._steps.values()), description=self._runs())
         now = time.monotonic()
         if self._show and not self._live and (status or now >= self._next_line):
             self._next_line = now + LINE_SECONDS
-            whole = self._bar.tasks[0]
-            left = f", {duration(whole.time_remaining)} left" if whole.time_remaining else ""
+            of_all = self._bar.tasks[0]
+            left = f", {duration(of_all.time_remaining)} left" if of_all.time_remaining else ""
             what = f"{label}: {status}; " if status else ""
-            print_aside(f"{what}{self._runs()} ended, {whole.percentage:.0f}% of all steps{left}")
+            print_aside(f"{what}{self._runs()} ended, {of_all.percentage:.0f}% of all steps{left}")
 
     def _runs(self) -> str:
         return f"{len(self._ended)}/{len(self._steps)} runs"

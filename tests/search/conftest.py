@@ -77,8 +77,9 @@ def solve(
     plans: list[Plan] | None = None,
     outcomes: Formula | None = None,
     asked: list[Mapping[str, int]] | None = None,
+    said: list[str] | None = None,
 ) -> list[EndedTrial]:
-    """Conduct a task on the formula and return its trials; lists get what would be trained, and how far."""
+    """Conduct a task on the formula and return its trials; lists get what is trained, how far, and said."""
 
     def train(plan: Plan, until: Mapping[str, int]) -> None:
         if plans is not None:
@@ -87,7 +88,8 @@ def solve(
             asked.append(until)
 
     log = JournalLog(InMemoryStorage(), task)
-    return [ended for group in conduct(task, train, outcomes or Formula(), log) for ended in group]
+    say = (said if said is not None else []).append
+    return [ended for group in conduct(task, train, outcomes or Formula(), log, say) for ended in group]
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def search(task: Task, store: Store, most: int = 99) -> tuple[list[EndedTrial], 
             ended = group
     except Killed:
         pass
-    return ended, notes
+    return ended, [note for note in notes if not note.startswith("trial")]
 
 
 def load(path: Path, name: str = "formula") -> optuna.Study:
