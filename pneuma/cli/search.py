@@ -24,6 +24,7 @@ from pneuma.cli.output import (
 )
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.schema import shown as shown_value
 from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
@@ -81,9 +82,24 @@ def _show(search: Search) -> Iterator[str | Table]:
     yield "Objectives:"
     for objective in search.objectives:
         yield f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
+    yield ""
+    start = f"; the first trials are {', '.join(search.spec.start)}" if search.spec.start else ""
+    yield f"Base: {search.space.base}{start}"
+    yield f"All trials: {_pairs(search.space.fixed) or 'as the base'}"
+    for head, chosen in (("Sampler", search.spec.sampler), ("Pruner", search.spec.pruner)):
+        arguments = _pairs(chosen.arguments)
+        yield f"{head}: {chosen.name or 'none'}" + (f" ({arguments})" if arguments else "")
+    yield f"Suggested together: {counted(search.spec.generation, 'trial')}"
+    yield ""
+    yield "Presets:"
     for preset, budget in search.spec.presets.items():
         trials, seeds = counted(budget.trials, "trial"), counted(len(budget.seeds), "seed")
         yield f"  {preset:<9} {trials}, {seeds} each, {budget.steps:,} steps a run"
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    words = {key: shown_value("none" if value is None else value) for key, value in values.items()}
+    return ", ".join(f"{key} = {word}" for key, word in words.items())
 
 
 @app.command()

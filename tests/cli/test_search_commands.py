@@ -168,3 +168,15 @@ def test_a_search_which_must_wait_for_its_runs_has_no_detach() -> None:
     assert "--detach" in printed("study", "run", "--help")
     assert "--detach" not in printed("search", "run", "--help")
     assert "--detach" in refused("search", "run", "ppo", "--detach")
+
+
+def test_a_search_is_shown_with_all_that_its_file_says() -> None:
+    told = printed("search", "show", "ppo")
+    for line in (
+        "Base: table-6-2; the first trials are table-6-1, table-6-2",
+        'All trials: env = "pneuma/PneumaArena-v0"',
+        "Sampler: tpe (n_startup_trials = 16, ",
+        "Pruner: median (n_startup_trials = 5, n_warmup_steps = 7, interval_steps = 7, n_min_trials = 1)",
+        "Suggested together: 8 trials",
+    ):
+        assert line in told
