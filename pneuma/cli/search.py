@@ -264,7 +264,7 @@ def train(
     from pneuma.search.trials import Unfinished
 
     todo, notes = execute.prepare(planned, store, retry_failed, until)
-    for note in notes:
+    for note in (*planned.notes, *notes):
         say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
         noted.add(note)
     with ProgressDisplay(todo, store, quiet, until) as display:

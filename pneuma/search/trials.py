@@ -25,7 +25,7 @@ from pneuma.search.optuna_study import STATES, ask, create_study, ended_study
 from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
 from pneuma.study.identity import run_id, user_files_digest
 from pneuma.study.measure import row_until, stored_row
-from pneuma.study.plan import Cell, Plan
+from pneuma.study.plan import Cell, Plan, rounding_notes
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
@@ -267,7 +267,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         conditions={cell.condition: {} for cell in cells},
         world=task.search.world,
     )
-    return Plan(study, tuple(cells))
+    return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))
 
 
 def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, log: JournalLog) -> None:

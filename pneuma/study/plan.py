@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
@@ -278,13 +278,18 @@ _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FI
 
 def _notes(asked: Configurations, runs: Mapping[str, Run], steps: Mapping[str, int]) -> Iterator[str]:
     """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
-    budgets = [(steps[name], run.steps, run.steps_per_update) for name, run in runs.items()]
-    for requested, planned, update in dict.fromkeys(budgets):
-        if requested != planned:
-            yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"
+    yield from rounding_notes((steps[name], run) for name, run in runs.items())
     for names in asked.same:
         yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
     for name in asked.engine_left_open:
         if runs[name].engine != ENGINES[0]:
             reason = beyond_engine(runs[name]) or "such actions"
             yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"
+
+
+def rounding_notes(budgets: Iterable[tuple[int, Run]]) -> Iterator[str]:
+    """Yield notes on runs of more steps than were asked for."""
+    numbers = [(requested, run.steps, run.steps_per_update) for requested, run in budgets]
+    for requested, planned, update in dict.fromkeys(numbers):
+        if requested != planned:
+            yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"

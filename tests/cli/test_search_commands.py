@@ -180,3 +180,12 @@ def test_a_search_is_shown_with_all_that_its_file_says() -> None:
         "Suggested together: 8 trials",
     ):
         assert line in told
+
+
+def test_steps_that_are_rounded_up_are_told_as_in_a_study(
+    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By hand: whole updates of 64 steps, of which 100 need two; the runs of 128 steps are stored."""
+    shutil.copytree(searched[1] / "runs", tmp_path / "runs")
+    words = ("search", "run", searched[0], "--trials", 2, "--steps", 100, "--results", tmp_path)
+    assert call(*words).err.count("100 steps are rounded up to 128, whole updates of 64") == 1
