@@ -107,11 +107,17 @@ def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.
     """Show how far a search is, and its best trials."""
     from pneuma.search.storage import read_record
 
-    searched = read_record(Store(results), name, world)
+    store = Store(results)
+    searched = read_record(store, name, world)
     budget = searched.task.budget
     amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
     document = {**_document(searched.task, searched.trials), **amount}
-    return Result(document, _status(searched, _asked_words(name, world, results)))
+    shown = [*_status(searched, _asked_words(name, world, results))]
+    trials = f"search-{searched.task.search.label}"
+    if searched.running and store.listing_path(trials).exists():
+        runs = command("study", "status", trials, "--results", results)
+        shown.append(f"Other trials have not ended. See their runs with: {runs}")
+    return Result(document, shown)
 
 
 def _asked_words(name: str, world: str | None, results: Path) -> list[object]:

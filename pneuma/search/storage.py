@@ -48,10 +48,11 @@ MAKES_NO_SENSE = (KeyError, TypeError, ValueError, AttributeError, OverflowError
 
 @dataclass(frozen=True)
 class RecordedSearch:
-    """A recorded search: its file, its budget, and the trials that have ended."""
+    """A recorded search: its file, its budget, the trials that have ended, and whether others have begun."""
 
     task: Task
     trials: tuple[EndedTrial, ...]
+    running: bool = False
 
     @property
     def best(self) -> int | list[int] | None:
@@ -278,7 +279,9 @@ def _read(path: Path, search: Search) -> RecordedSearch:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
-        return RecordedSearch(task, tuple(_ended(study.get_trials(deepcopy=False), search)))
+        noted = study.get_trials(deepcopy=False)
+        ended = tuple(_ended(noted, search))
+        return RecordedSearch(task, ended, running=len(ended) < len(noted))
     except MAKES_NO_SENSE:
         raise _damaged(path) from None
 

@@ -189,3 +189,18 @@ def test_steps_that_are_rounded_up_are_told_as_in_a_study(
     shutil.copytree(searched[1] / "runs", tmp_path / "runs")
     words = ("search", "run", searched[0], "--trials", 2, "--steps", 100, "--results", tmp_path)
     assert call(*words).err.count("100 steps are rounded up to 128, whole updates of 64") == 1
+
+
+def test_trials_that_have_not_ended_name_the_command_that_shows_their_runs(
+    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "results"
+    shutil.copytree(searched[1], results)
+    words = ("search", "status", searched[0], "--results", results)
+    line = f"pneuma study status search-small-arena --results {results}"
+    assert line not in printed(*words)
+    log = results / "searches" / "small-arena.log"
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[:-1]))  # the last trial has not ended
+    assert line in printed(*words)
+    printed("study", "status", "search-small-arena", "--results", results)
