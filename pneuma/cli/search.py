@@ -329,9 +329,17 @@ def promote(
     text = winners_study(winners, seeds, steps).encode()
     searched_names = [searched.task.search.name for searched in searches]
     chosen: list[dict[str, Any]] = [
-        {"search": name, "trial": winner.trial.number, "params": winner.trial.params}
+        {
+            "search": name,
+            "trial": winner.trial.number,
+            "params": winner.trial.params,
+            "is_base": winner.is_base,
+        }
         for name, winner in zip(searched_names, winners, strict=True)
     ]
+    if trial is None and all(winner.is_base for winner in winners):
+        said = "the search found nothing better than its base"
+        return Result({"winners": chosen}, [f"{name}: {said}" for name in searched_names])
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():

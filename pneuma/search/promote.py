@@ -39,6 +39,11 @@ class Winner:
     def tuned(self) -> str:
         return f"{self.name}-tuned"
 
+    @property
+    def is_base(self) -> bool:
+        space = self.searched.task.search.space
+        return space.make_run(self.trial.params) == space.make_run({})
+
 
 @dataclass(frozen=True)
 class Gain:

@@ -204,3 +204,17 @@ def test_trials_that_have_not_ended_name_the_command_that_shows_their_runs(
     log.write_text("".join(lines[:-1]))  # the last trial has not ended
     assert line in printed(*words)
     printed("study", "status", "search-small-arena", "--results", results)
+
+
+def test_a_search_that_found_nothing_better_than_its_base_promotes_nothing(
+    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pneuma.search.promote import Winner
+
+    results = tmp_path / "results"
+    shutil.copytree(searched[1] / "searches", results / "searches")
+    monkeypatch.setattr(Winner, "is_base", property(lambda self: True))
+    words = ("search", "promote", searched[0], "--results", results)
+    assert printed(*words) == "small: the search found nothing better than its base\n"
+    (winner,) = described(*words, "--json")["winners"]
+    assert winner["is_base"] and not (results / "runs").exists()

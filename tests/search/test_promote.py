@@ -69,6 +69,12 @@ def test_the_promoted_condition_is_the_trial(make_task: MakeTask, tmp_path: Path
         assert {c.run.learning_rate for c in planned.cells if c.condition == "formula"} == {3e-4}
 
 
+def test_a_trial_of_the_bases_own_values_is_its_base(make_task: MakeTask) -> None:
+    first, *others = (own := searched(make_task(4, OPTIMIZERS, start='start = ["table-6-2"]'))).trials
+    assert Winner(own, first, "formula").is_base
+    assert not any(Winner(own, trial, "formula").is_base for trial in others)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", shipped_names(studies_folder() / "search"))
