@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from optuna.exceptions import ExperimentalWarning
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
@@ -45,7 +45,7 @@ def search_page(searched: RecordedSearch) -> Page | None:
         return None
     search, budget = searched.task.search, searched.task.budget
     importances = drawn.importances()
-    wide = Panel(drawn.history, "History", "Trial", drawn.label, y_ticks=drawn.ticks)
+    wide = Panel(drawn.history, "History", "Trial", drawn.label, x_ticks=_whole, y_ticks=drawn.ticks)
     top: list[Panel | None] = [wide] * COLUMNS
     if importances:
         bars = Panel(partial(_draw_bars, shares=importances), "Importance", "Share")
@@ -57,7 +57,7 @@ def search_page(searched: RecordedSearch) -> Page | None:
     elif len(search.space.parameters) > 1:
         rows.append([Panel(drawn.parallel, "Best trials")] * COLUMNS)
     ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
-    runs, caption = [sample(search.name, "", ids, budget.seeds)], drawn.caption()
+    runs, caption = [sample(search.name, "", ids, budget.seeds)], drawn.caption(bool(importances))
     inches = ROW_INCHES * len(rows)
     return Page(f"search-{search.label}", rows, inches, search.title, runs, caption=caption)
 
@@ -98,7 +98,7 @@ class _Drawn:
             if trial.values:
                 look: Any = {"marker": MARKERS[place], "color": INK, "markersize": 5, "linestyle": ""}
                 axes.plot([number], trial.values[:1], label=base, zorder=4, **look)
-        axes.set_xlim(-1, last + 1)
+        axes.set_xlim(-0.5, last + 0.5)
 
     def _starts(self) -> dict[str, int]:
         """Return the numbers of the trials of the bases that the search starts with."""
@@ -112,6 +112,8 @@ class _Drawn:
         self, axes: Axes, trials: Sequence[EndedTrial], places: Sequence[float], pruned: bool = False
     ) -> None:
         look: Any = {"marker": "x", "color": GREY} if pruned else {"marker": "o", "color": COMPLETE}
+        if not trials:  # nor is it in the legend
+            return
         label = "stopped early, at its last value" if pruned else "complete trial"
         axes.plot(
             places, [trial.values[0] for trial in trials], linestyle="", markersize=3, alpha=0.65,
@@ -164,12 +166,12 @@ class _Drawn:
     def parallel(self, axes: Axes) -> None:
         """Draw each complete trial as a line through its values, each from 0 to 1; the best in front."""
         ranked = sorted(self.complete, key=lambda trial: self.sign * trial.values[0])
-        first = len(ranked) - max(BEST_TRIALS, math.ceil(BEST_SHARE * len(ranked)))
+        best = min(max(BEST_TRIALS, math.ceil(BEST_SHARE * len(ranked))), len(ranked))
         for rank, trial in enumerate(ranked):
             heights = [_height(each, trial.params.get(each.name)) for each in self.search.space.parameters]
-            good = rank >= first
+            good = rank >= len(ranked) - best
             look: Any = {"color": BEST, "alpha": 0.8} if good else {"color": COMPLETE, "alpha": 0.15}
-            label = f"best {BEST_SHARE:.0%}".replace("%", " %") if rank == len(ranked) - 1 else None
+            label = f"best {counted(best, 'trial')}" if rank == len(ranked) - 1 else None
             axes.plot(range(len(heights)), heights, linewidth=1.0 if good else 0.6, label=label, **look)
         names = [each.name.replace("_", "\n") for each in self.search.space.parameters]
         axes.set_xticks(range(len(names)), names, fontsize=0.8 * TYPE_POINTS)
@@ -192,18 +194,19 @@ class _Drawn:
         names = [each.name for each in self.search.space.parameters if each.name in found]
         return {name: found[name] for name in sorted(names, key=lambda name: -found[name])}
 
-    def caption(self) -> list[str]:
-        """Return what the search consists of."""
+    def caption(self, importances: bool) -> list[str]:
+        """Return what the search consists of, and what importances are if they are drawn."""
         states = [trial.state for trial in self.trials]
         counts = ", ".join(
             f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
         )
         seeds, steps = counted(len(self.task.budget.seeds), "seed"), self.task.budget.steps
         sampler = self.search.spec.sampler.name
-        return [
-            f"{counts} trials of {seeds} and {steps:,} steps each; sampler {sampler}; {self.task.digest}.",
-            "Importance: which parameters tell the best tenth of the trials from the others (PED-ANOVA).",
-        ]
+        lines = [f"{counts} trials of {seeds} and {steps:,} steps each; sampler {sampler}."]
+        if importances:
+            best = "five trials" if len(self.complete) * BEST_SHARE < BEST_TRIALS else "tenth of the trials"
+            lines.append(f"Importance: which parameters tell the best {best} from the others (PED-ANOVA).")
+        return lines
 
 
 # --- Winners on fresh seeds -------------------------------------------------------------------------
@@ -271,6 +274,10 @@ def _draw_bars(axes: Axes, shares: Mapping[str, float]) -> None:
         axes.annotate(name.replace("_", " "), (share, place), (3, 0), textcoords="offset points", **small)
     axes.set(xlim=(0, 1.6 * max(shares.values())), ylim=(len(shares) - 0.4, -0.6), yticks=())
     axes.grid(axis="y", visible=False)
+
+
+def _whole(axis: Axis) -> None:
+    axis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
 
 
 def _logarithmic(axis: Axis) -> None:
