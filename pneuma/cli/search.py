@@ -133,7 +133,7 @@ def _status(searched: RecordedSearch, asked: Sequence[object]) -> Iterator[str |
     for trial in searched.trials:
         params = ", ".join(
             f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
-            for key, value in trial.params.items()
+            for key, value in searched.task.search.space.named(trial.params).items()
         )
         mark = "*" if trial.number in among else ""
         rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))

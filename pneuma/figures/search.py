@@ -150,8 +150,9 @@ class _Drawn:
                 axes.plot([at], trial.values[:1], marker="D", color=BEST, markersize=5, linestyle="",
                           label="best", zorder=4)  # fmt: skip
         for place, base in enumerate(self._starts(), 1):
-            value = self.search.space.params_of(base).get(parameter.name)
-            if value is not None:
+            params = self.search.space.params_of(base)
+            if parameter.name in params:
+                value = params[parameter.name]
                 at = choices.index(value) if choices else value
                 line: Any = {"color": INK, "linewidth": 0.8, "linestyle": ("--", ":")[place % 2]}
                 axes.axvline(at, zorder=1.2, label=f"value of {base}", **line)
@@ -168,7 +169,7 @@ class _Drawn:
         ranked = sorted(self.complete, key=lambda trial: self.sign * trial.values[0])
         best = min(max(BEST_TRIALS, math.ceil(BEST_SHARE * len(ranked))), len(ranked))
         for rank, trial in enumerate(ranked):
-            heights = [_height(each, trial.params.get(each.name)) for each in self.search.space.parameters]
+            heights = [_height(each, trial.params) for each in self.search.space.parameters]
             good = rank >= len(ranked) - best
             look: Any = {"color": BEST, "alpha": 0.8} if good else {"color": COMPLETE, "alpha": 0.15}
             label = f"best {counted(best, 'trial')}" if rank == len(ranked) - 1 else None
@@ -254,10 +255,11 @@ TABLES = ("table-6-1", "table-6-2")
 """Bases whose values are marked: the thesis's."""
 
 
-def _height(parameter: Parameter, value: Any) -> float:
-    """Return where a value lies in its range, from 0 to 1; NaN if a trial lacks it."""
-    if value is None:
+def _height(parameter: Parameter, params: Mapping[str, Any]) -> float:
+    """Return where a trial's value lies in its range, from 0 to 1; NaN if it lacks it."""
+    if parameter.name not in params:
         return math.nan
+    value = params[parameter.name]
     if parameter.choices:
         return [*parameter.choices].index(value) / (len(parameter.choices) - 1)
     low, high = parameter.extremes
@@ -288,7 +290,7 @@ def _logarithmic(axis: Axis) -> None:
 
 
 def _choices(axis: Axis, parameter: Parameter) -> None:
-    names = [name.replace("[", "").replace("]", "").replace(", ", ",\n") for name in parameter.choices]
+    names = [name.replace("[", "").replace("]", "").replace(", ", ",\n") for name in parameter.names]
     axis.axes.set_xticks(range(len(names)), names, rotation=40 if len(names) > MOST_UPRIGHT else 0)
     axis.axes.set_xlim(-0.5, len(names) - 0.5)
 

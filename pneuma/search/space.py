@@ -37,7 +37,8 @@ class Parameter(Table):
     Attributes:
         name: of the field.
         low, high: the ends of a range, which includes both; `log` for a logarithmic scale.
-        choices: the values of a list, by their names in trials.
+        choices: the values of a list, by what they are in trials: themselves, or the text of what Optuna does
+            not take.
         when: earlier parameters or fields, with the values for which this one is searched.
     """
 
@@ -45,7 +46,7 @@ class Parameter(Table):
     low: int | float | None = None
     high: int | float | None = None
     log: bool = False
-    choices: dict[str, Any] = {}
+    choices: dict[Any, Any] = {}
     when: dict[str, Any] = {}
 
     @model_validator(mode="before")
@@ -65,7 +66,7 @@ class Parameter(Table):
             raise wrong("choices: a list of two values or more", "choices")
         if values and (ends or "log" in data):
             raise wrong("choices stand for themselves: leave out low, high and log", "choices")
-        choices = {_name(value): value for value in (read("choices", each) for each in values)}
+        choices = {_param(value): value for value in (read("choices", each) for each in values)}
         if len(choices) < len(values):
             raise wrong("choices: two values are equal", "choices")
         return {**data, **ends, "choices": choices}
@@ -85,11 +86,16 @@ class Parameter(Table):
 
     def __str__(self) -> str:
         ends = f"{self.low} to {self.high}" + (", logarithmic" if self.log else "")
-        values = "one of " + ", ".join(self.choices) if self.choices else ends
+        values = "one of " + ", ".join(self.names) if self.choices else ends
         when = " and ".join(
-            f"{name} is {' or '.join(map(str, allowed))}" for name, allowed in self.when.items()
+            f"{name} is {' or '.join(map(_name, allowed))}" for name, allowed in self.when.items()
         )
         return f"{values}, where {when}" if when else values
+
+    @property
+    def names(self) -> list[str]:
+        """Return the choices in words."""
+        return [*map(_name, self.choices)]
 
     @property
     def whole(self) -> bool:
@@ -102,7 +108,7 @@ class Parameter(Table):
     @property
     def identity(self) -> dict[str, Any]:
         numbers = {"low": self.low, "high": self.high, "log": self.log, "whole": self.whole}
-        choices = {choice: {self.name: value} for choice, value in self.choices.items()}
+        choices = {_name(choice): {self.name: value} for choice, value in self.choices.items()}
         domain = {"settings_of": choices} if choices else numbers
         return {"name": self.name, "domain": domain, "when": self.when}
 
@@ -111,14 +117,19 @@ class Parameter(Table):
         numbers = {"low": self.low, "high": self.high, "log": self.log}
         return {**({"choices": [*self.choices.values()]} if self.choices else numbers), "when": self.when}
 
-    def param_of(self, value: Any) -> Any:
-        """Return the name of a field's value in trials; None if it is not in the space."""
+    def find(self, value: Any) -> list[Any]:
+        """Return what a field's value is in trials; nothing if it is not in the space."""
         if self.low is None or self.high is None:
-            return next((name for name, choice in self.choices.items() if choice == as_tuple(value)), None)
-        return value if value is not None and self.low <= value <= self.high else None
+            return [param for param, choice in self.choices.items() if choice == as_tuple(value)]
+        return [value] if value is not None and self.low <= value <= self.high else []
 
     def counts(self, known: Mapping[str, Any]) -> bool:
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
+
+
+def _param(value: Any) -> Any:
+    """Return a value as Optuna takes it."""
+    return value if value is None or isinstance(value, bool | int | float | str) else _name(value)
 
 
 def _name(value: Any) -> str:
@@ -153,10 +164,10 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
         if earlier is None:
             return number
         if earlier.choices:
-            if _name(number) not in earlier.choices:
-                raise unknown_name(f"choice of {name}", _name(number), earlier.choices)
-            return _name(number)
-        if not earlier.whole or earlier.param_of(number) is None:
+            if _param(number) not in earlier.choices:
+                raise unknown_name(f"choice of {name}", _name(number), earlier.names)
+            return _param(number)
+        if not earlier.whole or not earlier.find(number):
             raise UserError(f"{name} is searched in a range, which never meets {shown(value)}")
         return number
 
@@ -237,10 +248,15 @@ class Space:
         given = self._usual_fields(base)
         params: dict[str, Any] = {}
         for parameter in self.parameters:
-            value = parameter.param_of(given.get(parameter.name))
-            if value is not None and parameter.counts({**given, **params}):
-                params[parameter.name] = value
+            for param in parameter.find(given.get(parameter.name)):
+                if parameter.counts({**given, **params}):
+                    params[parameter.name] = param
         return params
+
+    def named(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters with their choices in words."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        return {name: _name(value) if known[name].choices else value for name, value in params.items()}
 
     def check(self, unread: Iterable[str] = ()) -> None:
         """Refuse a space whose corners make no valid run, or that has parameters without effect.
@@ -274,7 +290,7 @@ class Space:
             try:
                 yield params, self.make_run(params)
             except UserError as error:
-                trial = ", ".join(f"{name} = {value}" for name, value in params.items())
+                trial = ", ".join(f"{name} = {value}" for name, value in self.named(params).items())
                 raise UserError(f"{error}, with {trial}") from None
 
     def _usual_fields(self, base: str) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class Task:
             "fixed": search.space.fixed,
             "space": [parameter.identity for parameter in search.space.parameters],
             "objectives": [objective.model_dump() for objective in search.objectives],
-            "start": search.first_trials,
+            "start": [search.space.named(params) for params in search.first_trials],
             "generation": search.spec.generation,
             "sampler": search.spec.sampler.model_dump(),
             "pruner": search.spec.pruner.model_dump(),

@@ -71,6 +71,24 @@ def test_optuna_opens_the_log(make_task: MakeTask, store: Store) -> None:
     assert study.best_trial.number == RecordedSearch(task, tuple(told)).best
 
 
+def test_choices_are_values_and_lists_their_text(make_task: MakeTask, store: Store) -> None:
+    """And a log of before, when all were text, is refused in one line."""
+    more = (
+        '[space.gradient_limit]\nchoices = [0.5, "none"]\n[space.betas]\nchoices = [[0.9, 0.99], [0.9, 0.9]]'
+    )
+    task = make_task(8, more)
+    told, _ = search(task, store)
+    path = log_path(store, task.search.label)
+    found = [trial.params for trial in load(path).trials]
+    assert found == [trial.params for trial in told]
+    assert {params["gradient_limit"] for params in found} == {0.5, None}
+    assert {params["betas"] for params in found} == {"[0.9, 0.99]", "[0.9, 0.9]"}
+    path.write_text(path.read_text().replace("[0.5, null]", '[\\"0.5\\", \\"none\\"]'))
+    for use in (lambda: read_record(store, task.search.name, "text"), lambda: search(task, store)):
+        with pytest.raises(UserError, match="trial 0 is outside the search's space"):
+            use()
+
+
 def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) -> None:
     when = '[space.gamma]\nlow = 0.8\nhigh = 0.9\nwhen = { betas = [[0.9, 0.9]], activation = "relu" }\n'
     task = make_task(8, more=MEDIAN + when, start='start = ["table-6-1"]')

@@ -72,7 +72,7 @@ def test_a_grid_is_walked_through_once(make_task: MakeTask) -> None:
     text = path.read_text().replace("low = 1e-5\nhigh = 1e-2\nlog = true", "choices = [1e-4, 1e-3, 1e-2]")
     path.write_text(text + '[sampler]\nname = "grid"\n')
     told = solve(replace(made, search=load_search("formula", "text")))
-    rates, activations = ("0.0001", "0.001", "0.01"), ("tanh", "relu")
+    rates, activations = (1e-4, 1e-3, 1e-2), ("tanh", "relu")
     found = {(trial.params["learning_rate"], trial.params["activation"]) for trial in told}
     assert found == {(rate, name) for rate in rates for name in activations}
 
