@@ -65,8 +65,8 @@ def run_search(
 ) -> Iterator[list[EndedTrial]]:
     """Search, training only runs that are not stored; yield all trials after each generation.
 
-    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far the
-    search is.
+    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far
+    the search is.
 
     Raises:
         UserError: before anything is trained, for a search that cannot be run here.

@@ -191,8 +191,8 @@ def conduct(
 ) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
-    `log` knows the trials that ended before, and notes the others; `say` tells which are trained, and which are
-    stopped.
+    `log` knows the trials that ended before, and notes the others; `say` tells which are trained
+    or stopped.
 
     Raises:
         Unfinished: when a run crashed.
