@@ -277,7 +277,7 @@ def _report(task: Task, part: Round, asked: PendingTrial, outcomes: Outcomes, lo
     sought, known = task.search.objectives[0], log.ended.get(asked.trial.number)
     if task.search.spec.pruner.name == BY_SEED:
         numbers = [task.budget.seeds.index(seed) for seed in part.seeds]
-        values = (outcomes.read(asked.cells[number], sought.outcome) for number in numbers)
+        values: Iterator[float] = (outcomes.read(asked.cells[number], sought.outcome) for number in numbers)
     else:
         steps = {k: at for k, at in part.steps(asked.cells[0].run).items() if k not in asked.reports}
         numbers, values = [*steps], _values(sought, asked.cells, [*steps.values()], outcomes)
