@@ -36,9 +36,10 @@ from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import robustness_page, study_maps
 from pneuma.figures.origin import read_origin
-from pneuma.figures.search import search_page
+from pneuma.figures.search import search_page, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
+from pneuma.search.promote import find_winners
 from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
@@ -62,6 +63,10 @@ THESIS_FIGURES = {
 THESIS_QUANTITIES = ("return", "share_killed")
 IN_THE_CODE = {"small": "small-code"}
 """A condition as the published code has it, which is shown where there are no runs of the text's."""
+WINNERS = {
+    "tuned-optimizers": ("tune-adam", "tune-sgd", "tune-momentum", "tune-rmsprop", "tune-l2", "tune-upgd")
+}
+"""A study of winners on fresh seeds, and the searches that found them."""
 WHOLE = ("architecture", "activation")
 """Studies of which the thesis's figure shows every condition."""
 EARLIER = {"slots": 1}
@@ -168,7 +173,10 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         if of == study:
             columns = {_title(world): thesis_runs(index, study, world, conditions) for world in WORLDS}
             pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
-    if study not in WHOLE:
+    if searches := WINNERS.get(study):
+        found = [read_record(Store(results), name, stored=False) for name in searches]
+        pages.append(winners_page(study, find_winners(found, None, ()), open_study(index, study)))
+    elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
     return _save(folder, pages)
 
