@@ -63,9 +63,7 @@ THESIS_FIGURES = {
 THESIS_QUANTITIES = ("return", "share_killed")
 IN_THE_CODE = {"small": "small-code"}
 """A condition as the published code has it, which is shown where there are no runs of the text's."""
-WINNERS = {
-    "tuned-optimizers": ("tune-adam", "tune-sgd", "tune-momentum", "tune-rmsprop", "tune-l2", "tune-upgd")
-}
+WINNERS = {"tuned-optimizers": ("tune-adam", "tune-sgd", "tune-rmsprop")}
 """A study of winners on fresh seeds, and the searches that found them."""
 WHOLE = ("architecture", "activation")
 """Studies of which the thesis's figure shows every condition."""

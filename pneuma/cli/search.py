@@ -24,7 +24,6 @@ from pneuma.cli.output import (
 )
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.schema import shown as shown_value
 from pneuma.search import FIRST_SEED
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
@@ -98,7 +97,9 @@ def _show(search: Search) -> Iterator[str | Table]:
 
 
 def _pairs(values: Mapping[str, Any]) -> str:
-    words = {key: shown_value("none" if value is None else value) for key, value in values.items()}
+    from pneuma.schema import shown  # pydantic: not for `--help`
+
+    words = {key: shown("none" if value is None else value) for key, value in values.items()}
     return ", ".join(f"{key} = {word}" for key, word in words.items())
 
 

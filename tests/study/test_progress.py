@@ -24,14 +24,14 @@ def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tm
 
 
 def test_runs_that_pause_have_not_ended(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """As in the rounds of a search; by hand: of 5,120 steps, 960 are 19 %, and 3,200 are 62 or 63."""
-    plan = make_plan(load_study("activation"), Selection(seeds=(0, 1), steps=2560, conditions=("tanh",)))
+    """As in the rounds of a search; by hand: of 6,144 steps, 960 are 16 %, and 3,712 are 60 %."""
+    plan = make_plan(load_study("activation"), Selection(seeds=(0, 1), steps=3072, conditions=("tanh",)))
     first, second = plan.cells
     until = {first.run_id: 640, second.run_id: 1280}
     todo = {cell.run_id: cell.run for cell in plan.cells}
     with ProgressDisplay(todo, Store(tmp_path), quiet=False, until=until) as display:
         display.update(second, {"event": "step", "step": 320})
         display.update(first, {"event": "end", "status": "stopped", "step": 640})
-        assert "tanh seed 0: paused; 0/2 runs ended, 19% of all steps" in capsys.readouterr().err
-        display.update(second, {"event": "end", "status": "done", "step": 2560})
-        assert "tanh seed 1: done; 1/2 runs ended, 62% of all steps" in capsys.readouterr().err
+        assert "tanh seed 0: paused; 0/2 runs ended, 16% of all steps" in capsys.readouterr().err
+        display.update(second, {"event": "end", "status": "done", "step": 3072})
+        assert "tanh seed 1: done; 1/2 runs ended, 60% of all steps" in capsys.readouterr().err
