@@ -33,20 +33,26 @@ def table(name: str, fields: Fields) -> str:
     return "\n".join([f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in fields.items()), ""])
 
 
+def named(condition: str) -> str:
+    return f"conditions.{json.dumps(condition)}"
+
+
 def rungs(
     file: Fields, results: str, seeds: list[int], steps: int
 ) -> Iterator[tuple[str, Fields, dict[str, float]]]:
     """Yield each change taken, all fields changed so far, and the mean outcome of every change tried."""
     left = {name: fields for name, fields in file["conditions"].items() if name != file["baseline"]}
-    taken: dict[str, Any] = {}
+    taken: dict[str, Any] = dict(file["conditions"][file["baseline"]])
     with tempfile.TemporaryDirectory() as folder:
         while left:
             head = [f"{key} = {json.dumps(file[key])}" for key in ("base", "worlds")]
-            tried = [table(f"conditions.{name}", {**taken, **fields}) for name, fields in left.items()]
+            tried = [table(named(name), {**taken, **fields}) for name, fields in left.items()]
             path = Path(folder) / f"rung-{len(left)}.toml"
-            path.write_text("\n".join(['title = "A rung"', *head, table("run", file["run"]), PRESET, *tried]))
+            path.write_text(
+                "\n".join(['title = "A rung"', *head, table("run", file.get("run", {})), PRESET, *tried])
+            )
             data = run_study(path, results, seeds=seeds, steps=steps)
-            means = {name: float(np.mean(outcome_values(data, name, OUTCOME))) for name in left}
+            means = {name: float(np.nan_to_num(outcome_values(data, name, OUTCOME)).mean()) for name in left}
             best = max(means, key=means.__getitem__)
             taken |= left.pop(best)
             yield best, dict(taken), means

@@ -135,7 +135,7 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
 
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:
-    """Draw every search that is published, whose log names it and its world."""
+    """Draw every shipped search that is published; its log names it and its world."""
     logs = sorted((results / PUBLISHED).glob("search-*.log"))
     labels = (log.stem.removeprefix("search-").rpartition("-") for log in logs)
     searched = (read_record(Store(results), name, world, stored=False) for name, _, world in labels)

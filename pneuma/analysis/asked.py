@@ -83,7 +83,9 @@ class Shown:
         entries = [entry for *_, entry in self.runs]
         published = sum(entry.table is not None for entry in entries)
         origin = (
-            f"published; none is in {root}" if published == len(entries) else f"{published} of them published"
+            f"published; none was trained in {root}"
+            if published == len(entries)
+            else f"{published} of them published"
         )
         parts = [f"{self.asked.where}: {counted(len(entries), 'run')}"]
         parts += [f"of {self.budget:,} steps"] if self.budget else []

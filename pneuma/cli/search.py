@@ -338,7 +338,7 @@ def promote(
         }
         for name, winner in zip(searched_names, winners, strict=True)
     ]
-    if trial is None and all(winner.is_base for winner in winners):
+    if trial is None and out is None and all(winner.is_base for winner in winners):
         said = "the search found nothing better than its base"
         return Result({"winners": chosen}, [f"{name}: {said}" for name in searched_names])
     if out is not None:
@@ -357,7 +357,8 @@ def promote(
     how = ExecutorConfig(workers=opt.most_workers(workers))
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
-    document = {"study": path, "seeds": seeds, "run_ids": ends, "winners": chosen}
+    diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
+    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged, "winners": chosen}
     shown: list[str | Table] = []
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
@@ -370,13 +371,12 @@ def promote(
         for winner, row in zip(winners, chosen, strict=True):
             row["objectives"] = gains(winner, data)
             shown += _show_gains(winner, row["objectives"], len(seeds))
-        again = command("search", "promote", *names, "--seeds", ",".join(map(str, seeds)), "--steps", steps)
+        given = ["--seeds", ",".join(map(str, seeds)), "--steps", steps, "--results", results]
+        given += ["--trial", trial] * (trial is not None) + ["--world", world] * (world is not None)
+        again = command("search", "promote", *names, *given)
         page = winners_page(study, winners, data)
         document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
         shown += wrote(document["figures"])
-        document["diverged"] = diverged = {
-            arm: sum(run.status == "diverged" for run in data.of_condition(arm)) for arm in data.conditions
-        }
         shown += [
             f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
             for arm, count in diverged.items()

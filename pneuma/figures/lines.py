@@ -269,7 +269,7 @@ def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str
     if blank:
         of = ", ".join(f"{count} of {name}" for name, count in blank.items())
         whose = of if len(blank) <= MOST_NAMED else f"of {len(blank)} conditions"
-        notes.append(f"Some runs lack values, and count in no mean of them: {whose}.")
+        notes.append(f"Some runs have no value in a panel, and count in no mean there: {whose}.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
     if {*curves} & {*EPISODE_QUANTITIES}:
         last = f"the last {data.averaged_over or 100} episodes"

@@ -221,23 +221,26 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     objective = winners[0].searched.task.search.objectives[0]
     words, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
     found = {winner.name: gains(winner, data)[objective.name] for winner in winners}
+    means = objective.over_seeds == "mean"
     sign = -1 if objective.direction == "maximize" else 1
     ranked = dict(sorted(found.items(), key=lambda pair: sign * pair[1].fresh))
     panel = Panel(
-        partial(_draw_gains, found=[*ranked.values()]),
+        partial(_draw_gains, found=[*ranked.values()], means=means),
         x=f"{objective.over_seeds} of {words.words.partition(',')[0]}",
         x_ticks=grid.shares if words.unit == "share" else grid.few,
         rows=[*ranked],
     )
     inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
     title = f"Winners of searches, on {counted(seeds, 'fresh seed')}"
-    caption = ["Bars: where the base plus the gain lies, with 95 % probability."]
+    shown = means and any(np.isfinite(gain.interval).all() for gain in found.values())
+    caption = ["Bars: the untuned value plus the 95 % interval of the gain."] * shown
     return Page(basename, [[panel]], inches, title, samples_of(data), caption=caption)
 
 
-def _draw_gains(axes: Axes, found: Sequence[Gain]) -> None:
+def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool) -> None:
+    """Draw a row for each gain; with `means`, whose difference has the interval, that of the gain too."""
     for place, gain in enumerate(found):
-        low, high = (gain.fresh_baseline + end for end in gain.interval)
+        low, high = (gain.fresh_baseline + end * (1 if means else math.nan) for end in gain.interval)
         axes.plot([gain.fresh, gain.seen], [place, place], color=GREY, linewidth=0.8, zorder=1.5)
         grid.draw_interval(axes, place, {"value": gain.fresh, "low": low, "high": high}, markerfacecolor=BEST)
         look: Any = {"markersize": 4.5, "linestyle": "", "color": COMPLETE, "zorder": 2.6}
@@ -246,7 +249,8 @@ def _draw_gains(axes: Axes, found: Sequence[Gain]) -> None:
     shown: Any = {"color": COMPLETE, "marker": "o", "linestyle": "", "markersize": 4.5}
     axes.plot([], [], label="untuned", **shown)
     axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": BEST})
-    axes.plot([], [], label="tuned, in its search: the gap is luck", markerfacecolor="white", **shown)
+    gap = "" if any(math.isnan(gain.luck) for gain in found) else ": the gap is luck"
+    axes.plot([], [], label=f"tuned, in its search{gap}", markerfacecolor="white", **shown)
 
 
 GOLDEN = (5**0.5 - 1) / 2

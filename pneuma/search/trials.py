@@ -219,8 +219,8 @@ def conduct(
             if until := _to_train(part, begun):
                 if part is parts[0] or part.seeds != budget.seeds:
                     seed = "" if part.seeds == budget.seeds else f", seed {part.seeds[0]}"
-                    numbers = f"s {first} to {first + len(asked) - 1}" if asked[1:] else f" {first}"
-                    say(f"trial{numbers} of {budget.trials}{seed}")
+                    numbers = f" {begun[0].trial.number}" + f" to {begun[-1].trial.number}" * bool(begun[1:])
+                    say(f"trial{'s' * bool(begun[1:])}{numbers} of {budget.trials}{seed}")
                 train(make_trial_plan(task, trained), until)
             for each in pending:
                 _report(task, part, each, outcomes, log)

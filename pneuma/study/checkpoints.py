@@ -169,10 +169,10 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)
+        of_run, history = about["run_id"], about["history"]
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
-    run, history = file.path.parent.parent.name, about["history"]
-    named = checkpoint.step == file.step and about["run_id"] == run
+    named = checkpoint.step == file.step and of_run == file.path.parent.parent.name
     whole = named and matches_schema(history, History)
     return (checkpoint, history.get("attempts", [])) if whole else None
 

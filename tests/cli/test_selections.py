@@ -124,7 +124,9 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
     assert f"{every[0]} runs of 1,000,000 steps, published (--steps 1000000)" in told
     assert compare("--steps", "1e6")[1] == every[1]
     told, runs = compare("--seeds", "300..309")
-    assert runs == fresh[1] and f": {fresh[0]} runs of 1,000,000 steps (published; none is in " in told
+    assert (
+        runs == fresh[1] and f": {fresh[0]} runs of 1,000,000 steps (published; none was trained in " in told
+    )
 
 
 def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from pneuma.errors import UserError
-from pneuma.figures.grid import save_page
 from pneuma.figures.search import winners_page
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.spec import Budget, load_search
@@ -111,8 +112,16 @@ def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
     assert found.difference == pytest.approx(0.05)
     assert found.luck == pytest.approx(winner.trial.values[0] - 0.3)
 
-    (path,) = save_page(winners_page("won", [winner], data), tmp_path, ("svg",))
-    assert "untuned" in path.read_text() and winner.name in path.read_text()
+    page = winners_page("won", [winner], data)
+    (panel,) = page.grid[0]
+    assert panel and panel.rows == [winner.name]
+    panel.draw(axes := Figure().add_subplot())
+    marks = {line.get_label(): line for line in axes.get_lines()}
+    assert "tuned, in its search: the gap is luck" in marks
+    bar = pytest.approx([found.fresh_baseline + end for end in found.interval])
+    assert bar in [list(np.asarray(line.get_xdata())) for line in axes.get_lines()]
+    points = [each[0] for line in axes.get_lines() if len(each := np.asarray(line.get_xdata())) == 1]
+    assert points == pytest.approx([0.3, winner.trial.values[0], 0.25])
 
 
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(
