@@ -180,13 +180,17 @@ class _Drawn:
         axes.set_ylim(-0.08, 1.08)
 
     def importances(self) -> dict[str, float]:
-        """Return each parameter's share of the importance, by PED-ANOVA; none from too few trials.
+        """Return each parameter's share of the importance, by PED-ANOVA; none of one, or from too few trials.
 
         It asks what tells the best tenth of the trials from the others (Watanabe et al. 2023).
         """
         values = sorted((self.sign * trial.values[0] for trial in self.complete), reverse=True)
         share = max(BEST_SHARE, BEST_TRIALS / max(len(values), 1))
-        if len(values) < LEAST_TRIALS or values[math.ceil(share * len(values)) - 1] == values[-1]:
+        if (
+            len(self.search.space.parameters) < 2
+            or len(values) < LEAST_TRIALS
+            or values[math.ceil(share * len(values)) - 1] == values[-1]
+        ):
             return {}
         study = ended_study(self.trials, self.search, objectives=1)
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
