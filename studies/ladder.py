@@ -10,7 +10,6 @@ What is printed goes into a study, whose fresh seeds tell how much each rung is 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import tomllib
@@ -22,6 +21,7 @@ import numpy as np
 
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.api import run_study
+from pneuma.schema import shown
 
 OUTCOME = "late-share-killed"
 PRESET = "[presets.quick]\nseeds = 1\nsteps = 1024\n"  # which every study has; here seeds and steps are given
@@ -29,12 +29,8 @@ Fields = Mapping[str, Any]
 
 
 def table(name: str, fields: Fields) -> str:
-    """Return a table of TOML; its values are written alike in JSON."""
-    return "\n".join([f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in fields.items()), ""])
-
-
-def named(condition: str) -> str:
-    return f"conditions.{json.dumps(condition)}"
+    """Return a table of TOML."""
+    return "\n".join([f"[{name}]", *(f"{key} = {shown(value)}" for key, value in fields.items()), ""])
 
 
 def rungs(
@@ -45,8 +41,8 @@ def rungs(
     taken: dict[str, Any] = dict(file["conditions"][file["baseline"]])
     with tempfile.TemporaryDirectory() as folder:
         while left:
-            head = [f"{key} = {json.dumps(file[key])}" for key in ("base", "worlds")]
-            tried = [table(named(name), {**taken, **fields}) for name, fields in left.items()]
+            head = [f"{key} = {shown(file[key])}" for key in ("base", "worlds")]
+            tried = [table(f"conditions.{shown(name)}", {**taken, **fields}) for name, fields in left.items()]
             path = Path(folder) / f"rung-{len(left)}.toml"
             path.write_text(
                 "\n".join(['title = "A rung"', *head, table("run", file.get("run", {})), PRESET, *tried])
@@ -71,5 +67,5 @@ if __name__ == "__main__":
         tried = ", ".join(
             f"{other} {mean:.3f}" for other, mean in sorted(means.items(), key=lambda pair: -pair[1])
         )
-        print(f"# {tried}\n{table(f'conditions.{name}', fields)}", flush=True)
+        print(f"# {tried}\n{table(f'conditions.{shown(name)}', fields)}", flush=True)
         print(f"took {name}: {means[name]:.3f}", file=sys.stderr)

@@ -108,8 +108,7 @@ def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.
     """Show how far a search is, and its best trials."""
     from pneuma.search.storage import read_record
 
-    store = Store(results)
-    searched = read_record(store, name, world)
+    searched = read_record(store := Store(results), name, world)
     budget = searched.task.budget
     amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
     document = {**_document(searched.task, searched.trials), **amount}
