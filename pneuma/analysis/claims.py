@@ -46,8 +46,9 @@ MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
 JUDGES = (
     "study/series", "study/measure", "study/rows", "study/published", "analysis/run_index", "analysis/asked",
-    "analysis/frames", "analysis/outcomes", "analysis/collapse", "analysis/claims", "analysis/claim_table",
-    "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts", "analysis/judgement",
+    "analysis/frames", "analysis/measures", "analysis/outcomes", "analysis/collapse", "analysis/claims",
+    "analysis/claim_table", "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts",
+    "analysis/judgement",
 )  # fmt: skip
 """The modules that choose runs and turn their records into verdicts."""
 

@@ -11,7 +11,7 @@ mean of the last 5 % of the budget.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,21 +21,35 @@ import numpy as np
 from pneuma.algorithms import MAILMAN
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import FinishedRun, RunView, StudyData, common_step, view
+from pneuma.analysis.measures import (
+    NAN,
+    Measure,
+    Take,
+    diagnosed,
+    last_value,
+    late_mean,
+    late_mean_of_known,
+    log_growth,
+    log_max,
+    overestimation,
+    pace,
+    peak,
+    rise,
+    roughness,
+    share_area,
+    share_of_commonest,
+    steps_to,
+    stuck_share,
+    wall_seconds,
+)
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.series import EXTREMES, mean_height
 
-Measure = Callable[[RunView], float]
-NAN = float("nan")
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
 NEAR_AN_END = 0.5 / 14
 """How close to 0 or 1 a share killed counts as equal, for claims without a margin: half a monster of 14."""
-LATE = 5
-"""The number of last evaluations from which late outcomes are taken."""
-LEAST_NORM = 1e-8
-"""Smaller gradient norms count as this, in logarithms."""
 MIN_CPU_SHARE = 0.9
 """The least share of a core for a valid time; below it, other work on the machine counts too much."""
 
@@ -142,7 +156,7 @@ def find_outcome(name: str) -> Outcome:
         words = f"{100 * least:g}% of the monsters are killed"
     else:
         raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
-    measure = partial(_steps_to, least=least, column=column)
+    measure = partial(steps_to, least=least, column=column)
     return Outcome(
         f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure, column=column
     )
@@ -179,123 +193,6 @@ def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None =
     return f"{end} has nothing that {name} is taken from ({found.source}) in {data.what}"
 
 
-# --- Measures --------------------------------------------------------------------------------------
-
-Take = Callable[[np.ndarray], float]
-"""A function from values in the order of their steps, (points,), at least one, to a number."""
-
-
-def _peak(quantity: str) -> Measure:
-    """Return a function that measures the extreme update of a quantity; NaN without a value."""
-
-    def measure(seen: RunView) -> float:
-        exact = seen.run.row.exact(quantity, "peak") if seen.until >= seen.run.budget else NAN
-        _, values = seen.peaks(quantity)
-        return exact if not np.isnan(exact) or not len(values) else float(EXTREMES[quantity].reduce(values))
-
-    return measure
-
-
-def _last(values: np.ndarray) -> float:
-    return values[-1]
-
-
-def _late(values: np.ndarray) -> float:
-    return values[-LATE:].mean()
-
-
-def _late_known(values: np.ndarray) -> float:
-    """Return the same of the evaluations that have a value; NaN if none has."""
-    known = values[-LATE:][np.isfinite(values[-LATE:])]
-    return known.mean() if len(known) else NAN
-
-
-def _rise(values: np.ndarray) -> float:
-    """Return how much a straight line through the last evaluations rises over them; NaN for one."""
-    last = values[-LATE:]
-    places = np.arange(len(last)) - (len(last) - 1) / 2
-    squares = (places**2).sum()
-    return (len(last) - 1) * (places @ last) / squares if squares > 0 else NAN
-
-
-def _roughness(values: np.ndarray) -> float:
-    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
-    if len(values) < 3:
-        return NAN
-    travelled = np.abs(np.diff(values)).sum()
-    return (travelled - abs(values[-1] - values[0])) / (len(values) - 1)
-
-
-def _log_growth(seen: RunView) -> float:
-    """Return how much the norm's logarithm grows, from the mean of the first tenth to that of the last."""
-    _, values = seen.curve("grad_norm")
-    if not len(values):
-        return NAN
-    logs = np.log(np.maximum(values, LEAST_NORM))
-    tenth = max(len(logs) // 10, 1)
-    return float(logs[-tenth:].mean() - logs[:tenth].mean())
-
-
-def _log_max(seen: RunView) -> float:
-    greatest = _peak("grad_norm")(seen)
-    return NAN if np.isnan(greatest) else float(np.log(max(greatest, LEAST_NORM)))
-
-
-def _stuck_share(seen: RunView) -> float:
-    """Return the share of updates that are stuck; NaN if not known, or up to an earlier step."""
-    stuck, updates, _ = seen.run.row.stuck
-    return stuck / updates if updates and seen.until >= seen.run.budget else NAN
-
-
-def _most_of_one(seen: RunView) -> float:
-    """Return the share of the most frequent action at the end of training."""
-    shares = [seen.statistic(f"action_{i}", "last") for i in range(len(ACTION_NAMES))]
-    most = is_gymnasium_id(seen.run.fields.get("env"))  # whose columns are the most frequent actions
-    return max(*shares, 0.0 if most else 1 - sum(shares))  # flame, heal and dash have none: together
-
-
-def _share_area(seen: RunView) -> float:
-    steps, shares = seen.evaluations("share_killed")
-    first = min(np.searchsorted(steps, seen.since), max(len(steps) - 1, 0))  # one that diverged early has one
-    return mean_height(steps[first:], shares[first:], seen.until)
-
-
-def _steps_to(seen: RunView, least: float, column: str) -> float:
-    steps, values = seen.evaluations(column)
-    reached = steps[values >= least]
-    return float(reached[0]) if len(reached) else np.inf if len(values) else NAN
-
-
-def _overestimation(seen: RunView) -> float:
-    """Return by how much the learner's estimate of its return exceeds the actual return."""
-    steps, estimates = seen.evaluations("q_estimate")
-    true_steps, true = seen.evaluations("q_true")
-    _, of_estimate, of_true = np.intersect1d(steps, true_steps, return_indices=True)
-    return float(estimates[of_estimate[-1]] - true[of_true[-1]]) if len(of_true) else NAN
-
-
-def _diagnosed(part: str) -> Measure:
-    """Return an attribute of the diagnosis of collapse; NaN if it is None or no sign can be seen."""
-
-    def measure(seen: RunView) -> float:
-        found = diagnose(seen)
-        value = None if found.undiagnosable else getattr(found, part)
-        return NAN if value is None else float(value)
-
-    return measure
-
-
-def _wall_seconds(seen: RunView) -> float:
-    """Return the seconds of training up to a step, at an even pace; without those of a fork's parent."""
-    pace = _pace(seen)
-    return max(min(seen.run.end, seen.until) - seen.run.begun, 0) / pace if pace > 0 else NAN
-
-
-def _pace(seen: RunView) -> float:
-    seconds = seen.run.row.wall_seconds
-    return (seen.run.end - seen.run.begun) / seconds if seconds else NAN
-
-
 # --- The list --------------------------------------------------------------------------------------
 
 UP, DOWN, EVALUATED = "higher", "lower", "evaluations"
@@ -308,7 +205,7 @@ OF_OTHERS = ("success",)
 
 
 def _evaluated(
-    words: str, unit: str, better: str, bounds: Bounds, column: str, take: Take = _last, **more: Any
+    words: str, unit: str, better: str, bounds: Bounds, column: str, take: Take = last_value, **more: Any
 ) -> Outcome:
     """Return the outcome that takes a number from a column of the evaluations; NaN without a value."""
 
@@ -326,20 +223,20 @@ def _trained(
     return Outcome(words, unit, better, bounds, quantity, lambda seen: seen.statistic(quantity, statistic))
 
 
-def _killed(words: str, take: Take = _last, column: str = "share_killed") -> Outcome:
+def _killed(words: str, take: Take = last_value, column: str = "share_killed") -> Outcome:
     return _evaluated(f"monsters killed{words}", "share", UP, SHARE, column, take, alike=NEAR_AN_END)
 
 
 OUTCOMES: dict[str, Outcome] = {
     "final-share-killed": _killed(", last evaluation"),
-    "late-share-killed": _killed(", mean of the last five evaluations", _late),
+    "late-share-killed": _killed(", mean of the last five evaluations", late_mean),
     "late-greedy-share-killed": _killed(
-        " by the likeliest actions, mean of the last five evaluations", _late, "argmax_share_killed"),
+        " by the likeliest actions, mean of the last five evaluations", late_mean, "argmax_share_killed"),
     "late-slope": _evaluated(
         "rise of monsters killed over the last five evaluations, by a straight line", "share", "",
-        (-1.2, 1.2), "share_killed", _rise, requires_learning=True),
+        (-1.2, 1.2), "share_killed", rise, requires_learning=True),
     "auc-share-killed": Outcome(
-        "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, _share_area,
+        "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, share_area,
         alike=NEAR_AN_END, column="share_killed"),
     "greedy-share-killed": _killed(" by the likeliest actions", column="argmax_share_killed"),
     "normalised-score": _evaluated(
@@ -358,29 +255,29 @@ OUTCOMES: dict[str, Outcome] = {
     "final-died": _evaluated("evaluation episodes that ended in death", "share", DOWN, SHARE, "died"),
     "time-to-clear": _evaluated(
         "steps until no monster is left, or the time limit, mean of the last five evaluations", "steps", DOWN,
-        POSITIVE, "steps_to_clear", _late),
+        POSITIVE, "steps_to_clear", late_mean),
     "hp-lost": _evaluated(
         "HP that a player loses in an episode, mean of the last five evaluations", "points", DOWN, POSITIVE,
-        "hp_lost", _late),
+        "hp_lost", late_mean),
     "kill-evenness": _evaluated(
         "how evenly players share the kills (0 one has all, 1 alike), mean of the last five evaluations", "",
-        UP, SHARE, "kill_evenness", _late_known),
+        UP, SHARE, "kill_evenness", late_mean_of_known),
     "final-entropy": _trained("entropy of the policy at the end", "nats", "", POSITIVE, "entropy"),
     "least-entropy": Outcome(
-        "least entropy of any update", "nats", "", POSITIVE, "entropy", _peak("entropy")),
+        "least entropy of any update", "nats", "", POSITIVE, "entropy", peak("entropy")),
     "max-grad-norm": Outcome(
         "greatest gradient norm of any update (mean over its minibatches)", "", DOWN, POSITIVE, "grad_norm",
-        _peak("grad_norm")),
+        peak("grad_norm")),
     "median-grad-norm": _trained(
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm", "median"),
     "log-max-grad-norm": Outcome(
         "natural logarithm of the greatest gradient norm of any update", "", DOWN, ANYTHING, "grad_norm",
-        _log_max),
+        log_max),
     "grad-norm-growth": Outcome(
         "growth of the logarithm of the gradient norm, from the first tenth of training to the last", "",
-        DOWN, ANYTHING, "grad_norm", _log_growth),
+        DOWN, ANYTHING, "grad_norm", log_growth),
     "stuck-share": Outcome(
-        "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", _stuck_share),
+        "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", stuck_share),
     "final-dead-units": _trained("dead hidden units at the end", "share", DOWN, SHARE, "dead_units"),
     **{
         f"final-action-{i}": _trained(
@@ -388,29 +285,29 @@ OUTCOMES: dict[str, Outcome] = {
         for i, name in enumerate(ACTION_NAMES)
     },
     "one-action": Outcome(
-        "share of the most frequent action at the end", "share", "", SHARE, "action_0", _most_of_one),
+        "share of the most frequent action at the end", "share", "", SHARE, "action_0", share_of_commonest),
     "mean-kl": _trained(
         "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl", "average"),
     "early-explained-variance": _trained(
         "share of the returns' variance that the critic explains, first tenth of training",
         "", UP, (-np.inf, 1.0), "explained_variance", "early"),
     "collapsed": Outcome(
-        "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", _diagnosed("collapsed")),
+        "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", diagnosed("collapsed")),
     "collapse-step": Outcome(
-        "onset of its collapse", "steps", "", POSITIVE, "signs", _diagnosed("onset_step")),
+        "onset of its collapse", "steps", "", POSITIVE, "signs", diagnosed("onset_step")),
     "relearned": Outcome(
         "a collapsed run played as before again (1) or not (0)", "", UP, SHARE, "signs",
-        _diagnosed("relearned")),
+        diagnosed("relearned")),
     "fall-from-best": _evaluated(
         "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, "share_killed",
         lambda values: values.max() - values[-1], requires_learning=True),
     "curve-roughness": _evaluated(
         "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
-        "share_killed", _roughness, requires_learning=True),
-    "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", _wall_seconds),
-    "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", _pace),
+        "share_killed", roughness, requires_learning=True),
+    "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", wall_seconds),
+    "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", pace),
     "q-overestimation": Outcome(
-        "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED, _overestimation),
+        "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED, overestimation),
 }  # fmt: skip
 """By name; `find_outcome` also knows steps-to:X and steps-to-return:X."""
 
