@@ -183,6 +183,12 @@ def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
     return {**{key: value for key, value in fields.items() if key not in left}, **given}
 
 
+def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with those that their observation layout implies, where they leave them open."""
+    layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
+    return {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
+
+
 def usual_episode_steps(env: str) -> int:
     steps: int = ENVIRONMENT_FIELDS[env].get("episode_steps", EnvConfig.episode_steps)
     return steps
@@ -208,8 +214,7 @@ OF_PLAYERS = ("classes", "weapons", "reward")
 
 def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
     """Fill in what an observation layout implies, and check fields that depend on each other."""
-    layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
-    values = {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
+    values = with_layout(values)
     players = values.get("players", 1)
     for key in OF_PLAYERS:
         if len(values.get(key, ("",))) not in (1, players):

@@ -16,7 +16,7 @@ from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
-from pneuma.env_fields import ENVIRONMENTS, read_field, read_fields, with_environment
+from pneuma.env_fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
 from pneuma.study.identity import describe_user_code
@@ -294,7 +294,7 @@ class Space:
                 raise UserError(f"{error}, with {trial}") from None
 
     def _usual_fields(self, base: str) -> dict[str, Any]:
-        """Return all fields that the base and the fixed fields set, not yet checked as a run."""
+        """Return the base's fields with the fixed ones and the environment's, not yet checked as a run."""
         fields = join_fields(base, self.fixed)
-        brought = with_environment(fields.get("env", ENVIRONMENTS[0]), fields)
-        return {**as_fields(Run()), **brought, **read_fields(Run, fields)}
+        env = fields.get("env", ENVIRONMENTS[0])
+        return {**as_fields(Run()), **with_layout(read_fields(Run, with_environment(env, fields)))}

@@ -139,6 +139,12 @@ def test_a_search_in_the_published_codes_world(write: Load) -> None:
     }  # fmt: skip
 
 
+def test_the_first_trials_have_what_the_world_and_its_observation_say() -> None:
+    first = load_search("godot").first_trials[0]
+    world = ("scale", "order", "xp_scope", "reward")
+    assert [first[key] for key in world] == ["raw", "fixed", "forever", '["godot"]']
+
+
 def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in_the_arena(
     write: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
