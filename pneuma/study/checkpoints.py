@@ -75,7 +75,6 @@ class RunCheckpoints:
         self.attempts = []
         for file in checkpoint_files(self._folder):
             if read := read_checkpoint(file):
-                self._say(f"goes on from step {file.step:,}")
                 checkpoint, self.attempts = read
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
