@@ -149,7 +149,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
         f"section = {shown(search.spec.section)}",
         f"base = {shown(search.space.base)}",
         f"baseline = {shown(winners[0].name)}",
-        'worlds = ["text"]',  # its environment stands in the tables below
+        f"worlds = [{shown(search.world)}]",
         "",
         "[run]",
         *_lines(shared),
