@@ -26,9 +26,8 @@ from pneuma.engines.environment import make_vec_env
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
 
-SMALL: dict[str, object] = {
-    "horizon": 96, "minibatch": 32, "epochs": 3, "steps": 384, "evaluation_episodes": 2, "episode_steps": 40,
-}  # fmt: skip
+from .trained import SMALL
+
 CASES: dict[str, dict[str, object]] = {
     "table 6.2": {"betas": (0.9, 0.9)},
     "usual Adam": {"betas": (0.9, 0.999)},
@@ -49,8 +48,8 @@ CASES: dict[str, dict[str, object]] = {
     "a limit for each": {"clip": "separate", "gradient_limit": 0.05},
     "a tight joint limit": {"gradient_limit": 0.01},
     "a last minibatch that is smaller": {"minibatch": 40},
-    "slots": {"slots": 3, "steps": 1152},
-    "players": {"players": 2, "slots": 2, "steps": 1536, "episode_steps": 70},
+    "slots": {"slots": 2, "horizon": 32, "episode_steps": 40},
+    "players": {"players": 2, "slots": 2, "horizon": 16, "episode_steps": 20},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "advantages as they are": {"normalize_advantage": False},
@@ -59,7 +58,7 @@ CASES: dict[str, dict[str, object]] = {
         **dict.fromkeys(("learning_rate_schedule", "clip_range_schedule"), "linear"),
         "clip_range": 0.02,
     },
-    "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "steps": 768, "learning_rate": 1e-5},
+    "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "horizon": 32, "learning_rate": 1e-5},
 }
 SLOW = (
     "L2 with plain descent",
@@ -230,8 +229,7 @@ def test_advantages_worked_out_by_hand() -> None:
 
 def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more updates follow, the next one shows it in its losses."""
-    small = {**SMALL, "horizon": 64, "epochs": 1, "activation": "leaky-relu"}
-    run = make_run({**small, "steps": 128})
+    run = make_run({**SMALL, "activation": "leaky-relu", "steps": 128})
     trainer, records = BatchedTrainer(run), Records()
     monkeypatch.setattr(trainer.learners[0], "learn_from", _with_huge_weights(trainer.learners[0]))
     half = run.steps_per_update

@@ -13,13 +13,13 @@ from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study.identity import run_id
 
+from . import trained
 from .trained import train
 
 SMALL: dict[str, Any] = {
-    "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 384, "actor": [8], "critic": [8],
-    "evaluation_episodes": 2, "episode_steps": 40, "xp_scope": "forever", "slots": 2,
+    **trained.SMALL, "slots": 2, "horizon": 32, "steps": 192, "episode_steps": 20, "xp_scope": "forever",
 }  # fmt: skip
-AT = 128
+AT = 64
 
 
 @pytest.fixture(scope="module", params=["batched", "sb3"])
@@ -149,5 +149,5 @@ def test_forks_of_unlike_seeds_differ_and_a_fork_goes_on_after_a_kill(
     assert whole.policy is not None and other.policy is not None and resumed.policy is not None
     assert whole.policy.to_bytes() != other.policy.to_bytes()
     assert whole.policy.to_bytes() == resumed.policy.to_bytes()
-    assert [row["step"] for row in whole.records.metrics] == [256, 384]
+    assert [row["step"] for row in whole.records.metrics] == [128, 192]
     assert whole.records.metrics == resumed.records.metrics

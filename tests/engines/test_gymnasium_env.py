@@ -22,19 +22,18 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.identity import describe_user_code, run_id
 
-from . import own_envs
+from . import own_envs, trained
 from .trained import bits, check_that_it_goes_on, train, train_once
 
-SMALL: dict[str, Any] = {
-    "slots": 3, "horizon": 32, "minibatch": 32, "epochs": 2, "steps": 288, "evaluation_episodes": 2,
-    "actor": [8], "critic": [8],
-}  # fmt: skip
+SMALL: dict[str, Any] = {**trained.SMALL, "slots": 2, "horizon": 32, "steps": 192}
 CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.own_envs"}
 NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
 CASES: dict[str, dict[str, Any]] = {
     "cartpole": {"env": "CartPole-v1"},
-    "corridor": {**CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3}},
-    "wrapped": {**CORRIDOR, "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled"},
+    "corridor": {
+        **CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3},
+        "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled",
+    },
     "sb3": {"env": "CartPole-v1", "engine": "sb3"},
     "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
     "normalized": {"env": "CartPole-v1", **NORMALIZED, "learning_rate_schedule": "linear"},
@@ -42,7 +41,7 @@ CASES: dict[str, dict[str, Any]] = {
     "pairs": {**CORRIDOR, "env_kwargs": {"kind": "pairs", "first": 3}, "engine": "sb3"},
     "bits": {**CORRIDOR, "env_kwargs": {"kind": "bits"}, "engine": "sb3", "algorithm": "trpo"},
     "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
-}
+}  # fmt: skip
 
 
 def corridor(**arguments: Any) -> Run:
@@ -51,7 +50,7 @@ def corridor(**arguments: Any) -> Run:
 
 @pytest.mark.parametrize("env", ["CartPole-v1", "MountainCar-v0"])
 def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
-    run = make_run({**SMALL, "env": env})
+    run = make_run({**SMALL, "env": env, "slots": 3})
     slots = GymnasiumSlots(run, slot_seeds(run))
     theirs = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
     seen, _ = theirs.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])

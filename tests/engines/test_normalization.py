@@ -21,13 +21,11 @@ from pneuma.errors import UserError
 from pneuma.study.identity import run_id
 from pneuma.study.spec import unread_fields
 
+from . import trained
 from .trained import bits, train, train_once
 
 NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
-SMALL: dict[str, Any] = {
-    "slots": 3, "horizon": 32, "minibatch": 32, "epochs": 2, "steps": 384, "evaluation_episodes": 2,
-    "actor": [8], "critic": [8], "gamma": 0.9,
-}  # fmt: skip
+SMALL: dict[str, Any] = {**trained.SMALL, "slots": 2, "horizon": 32, "gamma": 0.9}
 
 
 def normalized(**fields: Any) -> Run:
@@ -43,7 +41,7 @@ def vec_normalize(run: Run) -> Any:
 
 @pytest.mark.parametrize("env", ["CartPole-v1", "Pendulum-v1"])
 def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
-    run = normalized(env=env, engine="sb3")
+    run = normalized(env=env, engine="sb3", slots=3)
     slots, theirs = GymnasiumSlots(run, slot_seeds(run), training=True), vec_normalize(run)
     seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
     for _ in range(450):
@@ -89,7 +87,7 @@ def test_a_run_is_normalised_alike_by_both_engines_and_alone_as_in_company(engin
     assert alone.policy is not None and alone.policy.scaling is not None
     saved = taken[-1].arrays
     np.testing.assert_array_equal(alone.policy.scaling.mean, saved["worlds/observed_mean"])
-    assert saved["worlds/observed_count"] == pytest.approx(384 + 3, abs=1e-3)
+    assert saved["worlds/observed_count"] == pytest.approx(384 + 2, abs=1e-3)
     returns = [row["return"] for row in alone.records.episodes]
     assert returns == [float(row["length"]) for row in alone.records.episodes]  # as CartPole pays, 1 a step
 
@@ -98,7 +96,7 @@ def test_a_fork_of_another_gamma_goes_on_with_what_was_learned() -> None:
     run = normalized()
     slots = GymnasiumSlots(run, slot_seeds(run), training=True)
     for _ in range(60):
-        slots.step(np.zeros(3, np.int64))
+        slots.step(np.zeros(2, np.int64))
     fork = GymnasiumSlots(replace(run, gamma=0.5), slot_seeds(run), training=True)
     fork.restore_state(slots.saved_state())
     np.testing.assert_equal(fork.saved_state(), slots.saved_state())

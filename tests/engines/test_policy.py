@@ -46,16 +46,6 @@ def test_sampled_actions_follow_the_softmax() -> None:
     np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=0.008)
 
 
-def test_stored_policy_comes_back_whole_and_twice_with_the_same_bytes() -> None:
-    policy = tiny("leaky-relu")
-    data = policy.to_bytes()
-    again = read_sound_policy(data)
-    assert again.activation == "leaky-relu"
-    assert again.to_bytes() == data
-    np.testing.assert_array_equal(again.logits(OBSERVATION), policy.logits(OBSERVATION))
-    assert data[8:9] == b"{"  # safetensors: a length, then JSON; nothing that could run
-
-
 def test_dead_units_are_those_constant_over_the_rollout() -> None:
     observations = np.array([[-1.0, 1.0], [-2.0, 3.0]], np.float32)
     # Hidden before activation: (-1, 4) and (-2, 9). Unit 0 is never above zero, unit 1 always;

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -77,6 +79,18 @@ def test_records_have_the_columns_of_the_contract(case: str) -> None:
     assert missing == none_of["dqn" if of_values else case.removesuffix("-no-baseline")]
     added = (*(("q_estimate", "q_true") if of_values else ()), "steps_to_clear", "hp_lost")
     assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
+
+
+def test_a_trained_network_is_let_go() -> None:
+    """Hooks on gradients once kept every network of a process in memory."""
+    run = run_of("ppo")
+    model = sb3_learners.make_model(run, make_vec_env(run))
+    kept = weakref.ref(next(model.policy.parameters()))
+    with sb3.GradientNorms(model, run) as norms:
+        model.learn(64, log_interval=None)
+    del model, norms
+    gc.collect()
+    assert kept() is None
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -10,12 +10,12 @@ import pytest
 from pneuma.config import make_run
 from pneuma.engines.records import Checkpoint
 
+from . import trained
 from .trained import train_once
 
 RATE = 2.0**-10
 SMALL: dict[str, object] = {
-    "env": "CartPole-v1", "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 256, "evaluation_episodes": 2,
-    "actor": [8], "critic": [8], "learning_rate": RATE, "clip_range": 0.25,
+    **trained.SMALL, "env": "CartPole-v1", "learning_rate": RATE, "clip_range": 0.25, "steps": 256,
 }  # fmt: skip
 LINEAR = {"learning_rate_schedule": "linear", "clip_range_schedule": "linear"}
 

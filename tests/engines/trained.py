@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +13,14 @@ from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import Checkpoint
 from pneuma.study.checkpoints import TABLES, decode, encode
 from pneuma.study.tables import to_parquet
+
+SMALL: dict[str, Any] = {
+    "actor": (8,), "critic": (12,), "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 384,
+    "evaluation_episodes": 2, "episode_steps": 60,
+}  # fmt: skip
+"""A run as short as can be. The engine `batched` compiles a program for each optimizer, shape and number of
+steps an update, which takes longer than all that it trains here: tests of other slots or players take a
+shorter horizon, so that an update has 64 steps all the same."""
 
 
 def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
