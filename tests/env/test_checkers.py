@@ -14,7 +14,7 @@ from pneuma.env import MO_ENVIRONMENTS, REGISTERED
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env_fields import ENVIRONMENTS
 
-CYCLES = 400
+CYCLES = 100
 each_world = pytest.mark.parametrize("env_id", ENVIRONMENTS)
 
 

@@ -22,7 +22,7 @@ from .oracle_maps import KINDS, Map
 from .oracle_moves import CONTACT_EPS
 
 LAW = settings(
-    max_examples=60,
+    max_examples=30,
     derandomize=True,
     database=None,
     deadline=None,
