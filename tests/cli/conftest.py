@@ -21,5 +21,5 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def unshipped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Leave out Pneuma's own published tables, which take a second to read."""
+    """Leave out Pneuma's own published tables."""
     monkeypatch.setattr("pneuma.study.store.shipped_tables", lambda: tmp_path / "unshipped")

@@ -11,8 +11,6 @@ HEAVY = ("torch", "jax", "numba", "pandas", "matplotlib", "optuna")
 """Typer itself loads pydantic for a command with options, but not for the list of commands."""
 
 STATEMENTS = {
-    "import pneuma": "import pneuma",
-    "import pneuma.cli": "import pneuma.cli",
     "pneuma --help": "from pneuma.cli import main; assert main(['--help']) == 0",
     "pneuma study run --help": "from pneuma.cli import main; assert main(['study', 'run', '--help']) == 0",
     "pneuma run list": "from pneuma.cli import main; assert main(['run', 'list', '--results', '/no']) == 0",

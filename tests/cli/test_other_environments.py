@@ -12,21 +12,17 @@ from .calls import call, described, printed
 
 pytestmark = pytest.mark.usefixtures("trains_here")
 
-STUDY = """
+SHORT = "horizon = 64\nminibatch = 32\nepochs = 1\nactor = [8]\ncritic = [8]\nevaluation_episodes = 2\n"
+STUDY = f"""
 title = "Corridor"
 base = "table-6-2"
 keep_checkpoints = 1
 [run]
 env = "Tunnel-v0"
 env_module = "corridors"
-horizon = 64
-minibatch = 32
-actor = [8]
-critic = [8]
-evaluation_episodes = 2
-[conditions.sound]
+{SHORT}[conditions.sound]
 [conditions.breaks]
-env_kwargs = { raises = 70 }
+env_kwargs = {{ raises = 70 }}
 [presets.quick]
 seeds = 1
 steps = 128
@@ -55,18 +51,16 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     assert "2 done" in printed(*fork, "--trust")
 
 
-ODD = """
+ODD = f"""
 title = "Odd"
 base = "table-6-2"
 [run]
 env = "Corridor-v0"
 env_module = "tests.engines.own_envs"
-horizon = 64
-minibatch = 32
-[conditions.low]
-env_kwargs = { kind = "low" }
+{SHORT}[conditions.low]
+env_kwargs = {{ kind = "low" }}
 [conditions.double]
-env_kwargs = { kind = "double" }
+env_kwargs = {{ kind = "double" }}
 [conditions.sound]
 [presets.quick]
 seeds = 1

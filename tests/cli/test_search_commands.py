@@ -29,6 +29,8 @@ generation = 2
 [run]
 evaluation_episodes = 2
 horizon = 64
+minibatch = 32
+epochs = 1
 actor = [8]
 critic = [8]
 

@@ -18,8 +18,10 @@ from .calls import call, policy_of, printed
 RUN = "a0" * 8
 
 
-@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&- 2>&-"])
-@pytest.mark.parametrize("words", ["study list", "study list --json", "run show nothing"])
+@pytest.mark.parametrize(
+    ("words", "closed"),
+    [("study list", ">&-"), ("study list --json", "<&- >&- 2>&-"), ("run show nothing", ">&- 2>&-")],
+)
 def test_untrusted_closed_output_is_no_traceback(tmp_path: Path, words: str, closed: str) -> None:
     command = f"{sys.executable} -m pneuma {words} {closed}"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True)

@@ -1,6 +1,6 @@
-"""Executing a plan in real worker processes: what they leave behind, and what is trained when.
+"""Executing a plan: what runs leave behind, and what is trained when.
 
-One tiny study is trained once for the whole module, in two folders by two ways.
+One tiny study is trained for the whole module by two worker processes at once, and in this process.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pneuma.study.plan import Plan
 from pneuma.study.rows import decode_row
 from pneuma.study.store import Status, Store, run_identity
 
+from ..training import training_here
 from .begun import outcome
 from .tiny import tiny_plan
 
@@ -53,10 +54,11 @@ def together(tmp_path_factory: pytest.TempPathFactory) -> Executed:
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Executed, Executed]:
-    """Seed 1 alone, then seeds 0 and 1, by one worker."""
+    """Seed 1 alone, then seeds 0 and 1, in this process."""
     folder = tmp_path_factory.mktemp("alone")
-    first = _execute(tiny_plan(folder, seeds=(1,), conditions=("one",)), folder, workers=1)
-    return first, _execute(tiny_plan(folder, conditions=("one",)), folder, workers=1)
+    with training_here():
+        first = _execute(tiny_plan(folder, seeds=(1,), conditions=("one",)), folder, workers=1)
+        return first, _execute(tiny_plan(folder, conditions=("one",)), folder, workers=1)
 
 
 # --- What a run leaves behind ------------------------------------------------------------------------
@@ -84,10 +86,10 @@ def test_a_row_that_is_lost_is_made_again_as_the_worker_wrote_it(together: Execu
 # --- The same run, the same bits ---------------------------------------------------------------------
 
 
-def test_a_run_ends_with_the_same_bits_alone_in_company_and_with_any_number_of_workers(
+def test_a_run_ends_with_the_same_bits_alone_and_in_company_in_a_worker_and_here(
     together: Executed, alone: tuple[Executed, Executed]
 ) -> None:
-    """In the other folder seed 1 was trained alone, and seed 0 by a single worker."""
+    """In the other folder seed 1 was trained alone, and seed 0 after it in the same process."""
     files = outcome(together.store.root)
     assert files == outcome(alone[1].store.root)
     assert len({*files.values()}) == len(files) == 2 * 6  # no file is as the other seed's

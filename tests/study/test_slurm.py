@@ -20,6 +20,7 @@ from pneuma.study.executors.base import LOCAL_CONFIG, Detached, Event, ExecutorC
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store
 
+from ..training import training_here
 from .begun import outcome
 
 submitit = pytest.importorskip("submitit")
@@ -99,7 +100,8 @@ def test_jobs_leave_what_local_leaves_and_none_is_submitted_twice(
     assert not list(store.root.rglob("*.pkl"))
 
     beside = Store(tmp_path / "beside")
-    local.run_groups(groups, beside, HOW, lambda event: None)
+    with training_here():
+        local.run_groups(groups, beside, HOW, lambda event: None)
     assert outcome(store.root) == outcome(beside.root)
 
 
