@@ -20,9 +20,10 @@ from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.run_index import RunIndex
+from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.measure import _rounded, stored_row
-from pneuma.study.published import Published
+from pneuma.study.published import Published, encode_published
 from pneuma.study.series import GRID_POINTS
 from pneuma.study.store import ROW_FILE, Status, Store
 from pneuma.study.tables import from_ipc
@@ -156,6 +157,16 @@ def test_the_same_runs_give_the_same_bytes_and_other_programs_can_read_them(
     assert len(frame["entropy"][0]) == GRID_POINTS
     assert frame["evaluations"][0][3]["share_killed"] == 4 / 11
     assert json.loads(frame["fields"][1]) == {**hand_made.FIELDS, "seed": 0}
+
+
+def test_the_users_own_files_are_named_without_their_folders(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    updates = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 1000}]
+    fields = {"seed": 0, "reward": ["/home/me/st/rw.py:f"], "level": "/home/me/isles", "env_module": "a.b"}
+    hand_made.save_run(store, RUN, [], updates, [], 1000, "done", fields)
+    data = encode_published([stored_row(store, RUN)], {})
+    kept = Published(tmp_path / "x.parquet", data).row(RUN).fields
+    assert (kept["reward"], kept["level"], kept["env_module"]) == (["rw.py:f"], "isles", "a.b")
 
 
 def test_only_the_curves_that_are_named_are_published_but_all_outcomes(store: Store, tmp_path: Path) -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from pneuma.figures.origin import read_origin
 from pneuma.study.store import shipped_tables
 from tools import gallery
 
 
+@pytest.mark.slow
 def test_the_gallery_is_drawn_and_says_where_it_comes_from(tmp_path: Path) -> None:
     *pictures, moving = gallery.draw_gallery(tmp_path)
     assert [path.stem for path in pictures] == [

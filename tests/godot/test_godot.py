@@ -23,7 +23,6 @@ from pneuma.errors import UserError
 from pneuma.godot.game import GodotGame
 from pneuma.godot.wire import receive, send
 from pneuma.study.identity import describe_user_code
-from tests.cli.calls import call
 from tests.engines.trained import bits, train
 
 ARENA = "pneuma/PneumaArena-v0"
@@ -115,43 +114,6 @@ def test_the_package_s_cleanrl_environment_sees_what_gymnasium_s_does() -> None:
     assert game.wait(timeout=20) == 0
 
 
-# --- Trainers that fail ------------------------------------------------------------------------------
-
-
-def listening(messages: list[bytes]) -> int:
-    """Let what is no trainer listen at a port, send and leave; return the port."""
-    server = socket.create_server(("127.0.0.1", 0))
-
-    def train() -> None:
-        with server, server.accept()[0] as connection:
-            for message in messages:
-                connection.sendall(len(message).to_bytes(4, "little") + message)
-            if messages:
-                connection.recv(1 << 16)
-
-    threading.Thread(target=train, daemon=True).start()
-    return int(server.getsockname()[1])
-
-
-@pytest.mark.parametrize(
-    ("messages", "told"),
-    [
-        ([], "sent no message"),
-        ([b"GET / HTTP/1.1"], "what is no message: JSONDecodeError"),
-        ([b"[1]"], "no JSON object"),
-        ([b'{"type": "call"}'], "asks for 'call'"),
-        ([b'{"type": "action"}'], "KeyError: 'action'"),
-        ([b'{"type": "action", "action": []}'], "ValueError"),
-        ([b'{"type": "action", "action": [{"action": 5}]}'], "ValueError: 5 is no number from 0 to 4"),
-        ([b'{"type": "action", "action": [{"action": "up"}]}'], "ValueError"),
-    ],
-)
-def test_a_trainer_that_sends_no_message_is_told_in_one_line(messages: list[bytes], told: str) -> None:
-    port = listening(messages)
-    code, _, err = call("env", "serve", ARENA, "--port", port)
-    assert code == 2 and err.count("\n") == 1 and f"port {port}" in err and told in err
-
-
 # --- Games that fail -------------------------------------------------------------------------------
 
 INFO = {
@@ -194,18 +156,6 @@ def test_a_running_game_of_an_older_plugin_is_played_and_its_end_is_told() -> No
     assert game.action_space == gymnasium.spaces.Discrete(2)
     assert game.observation_space.shape == (3,)
     with pytest.raises(UserError, match="the running game: ended at 'reset'"):
-        game.reset()
-
-
-def test_a_game_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(godot, "ANSWER_SECONDS", 0.2)
-
-    def hangs(connection: socket.socket) -> None:
-        tells(INFO)(connection)
-        threading.Event().wait(2)
-
-    game = GodotGame(port=playing(hangs))
-    with pytest.raises(UserError, match=r"did not answer 'reset' within 0.2 s"):
         game.reset()
 
 

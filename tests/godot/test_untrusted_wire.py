@@ -100,6 +100,27 @@ def test_untrusted_what_is_no_seed_is_refused(sent: str) -> None:
         assert code == 2 and "the trainer sent what is no message" in told
 
 
+@pytest.mark.parametrize(
+    ("sent", "told"),
+    [
+        ("GET / HTTP/1.1", "what is no message: JSONDecodeError"),
+        ("[1]", "no JSON object"),
+        ('{"type": "call"}', "asks for 'call'"),
+        ('{"type": "action"}', "KeyError: 'action'"),
+        ('{"type": "action", "action": []}', "ValueError"),
+        ('{"type": "action", "action": [{"action": "up"}]}', "ValueError"),
+    ],
+)
+def test_untrusted_what_is_no_message_is_refused(sent: str, told: str) -> None:
+    code, line = served(ARENA, says(sent))
+    assert code == 2 and line.startswith("pneuma: port ") and told in line
+
+
+def test_untrusted_what_listens_and_sends_nothing_is_told() -> None:
+    code, told = served(ARENA, lambda connection: None)
+    assert code == 2 and "sent no message" in told
+
+
 def _goes(connection: socket.socket, reset: bool, asks: bool) -> None:
     """Leave after a question, with or without waiting for its answer, by closing or by a reset."""
     put(connection, '{"type": "env_info"}')

@@ -165,21 +165,12 @@ def test_a_copy_of_a_shipped_study_does_not_take_its_figure(tmp_path: Path) -> N
     assert load_study("activation").figure == "fig-6-5"
 
 
-@pytest.mark.parametrize("folder", [".", "examples"])
-def test_a_name_finds_a_file_here_and_in_examples(
-    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path(folder).mkdir(exist_ok=True)
-    (Path(folder) / "mine.toml").write_text(STUDY)
-    assert load_study("mine").title == "Two activations"
-
-
-def test_a_file_here_goes_before_one_of_its_name_in_examples(
+def test_a_name_finds_a_file_in_examples_and_before_it_one_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("examples").mkdir()
     Path("examples/mine.toml").write_text(STUDY.replace("Two activations", "An example"))
+    assert load_study("mine").title == "An example"
     Path("mine.toml").write_text(STUDY)
     assert load_study("mine").title == "Two activations"

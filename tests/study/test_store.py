@@ -159,11 +159,6 @@ def test_a_row_is_added_to_a_finished_run_alone_and_its_loss_damages_nothing(sto
     assert store.runs() == [NAME, other] and os.listdir(store.run_folder(other)) == ["status.json"]
 
 
-def test_planning_leaves_what_is_stored(store: Store) -> None:
-    store.plan_run(NAME, MINE)
-    assert store.status(NAME) == Status("done", 512)
-
-
 # --- Studies without a file ----------------------------------------------------------------------
 
 
