@@ -64,10 +64,10 @@ def save(
 CELLS = {("a", 0): "a0" * 8, ("a", 1): "a1" * 8, ("b", 0): "b0" * 8}
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> StudyData:
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
     """Of seed 0 a run of `a` and one of `b` that learns steadily; of seed 1 one of `a` diverged at 600."""
-    store = Store(tmp_path / "results")
+    store = Store(tmp_path_factory.mktemp("outcomes") / "results")
     save(store, "a0" * 8)
     save(store, "a1" * 8, (0.2, 0.6), end=600)
     save(store, "b0" * 8, (0.1, 0.2, 0.3, 0.4))

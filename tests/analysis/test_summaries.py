@@ -40,9 +40,9 @@ def value(data: StudyData, condition: str, outcome: str, statistic: str) -> dict
     return {str(key): cell for key, cell in row.items()}
 
 
-@pytest.fixture
-def data(tmp_path: Path) -> StudyData:
-    return study(tmp_path, FINALS)
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
+    return study(tmp_path_factory.mktemp("summaries"), FINALS)
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,6 @@ generation = 2
 [run]
 evaluation_episodes = 2
 horizon = 64
-minibatch = 32
-epochs = 1
 actor = [8]
 critic = [8]
 
