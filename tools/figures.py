@@ -4,7 +4,7 @@
 
 From the repository's root, it draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to
 6.5 with its conditions; one figure of every study in results/published, over the worlds in which it has runs;
-the collapses and maps that pages show; every search that is published there; and the verdicts on all claims.
+the collapses, maps and searches that pages show; and the verdicts on all claims.
 Figures of an earlier run that are no longer drawn are removed.
 """
 
@@ -43,7 +43,7 @@ from pneuma.search.promote import find_winners
 from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
-from pneuma.study.store import PUBLISHED, Store
+from pneuma.study.store import Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
 from tools import COMMAND
@@ -63,8 +63,12 @@ THESIS_FIGURES = {
 THESIS_QUANTITIES = ("return", "share_killed")
 IN_THE_CODE = {"small": "small-code"}
 """A condition as the published code has it, which is shown where there are no runs of the text's."""
-WINNERS = {"tuned-optimizers": ("tune-adam", "tune-sgd", "tune-rmsprop")}
+WINNERS = {
+    "tuned-optimizers": ("tune-adam", "tune-l2", "tune-upgd", "tune-sgd", "tune-momentum", "tune-rmsprop")
+}
 """A study of winners on fresh seeds, and the searches that found them."""
+SEARCHES = (("ppo", "arena"), ("ppo", "text"), ("godot", None))
+"""The published searches that a page shows, each with its world if it has several."""
 WHOLE = ("architecture", "activation")
 """Studies of which the thesis's figure shows every condition."""
 EARLIER = {"slots": 1}
@@ -135,10 +139,7 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
 
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:
-    """Draw every shipped search that is published; its log names it and its world."""
-    logs = sorted((results / PUBLISHED).glob("search-*.log"))
-    labels = (log.stem.removeprefix("search-").rpartition("-") for log in logs)
-    searched = (read_record(Store(results), name, world, stored=False) for name, _, world in labels)
+    searched = (read_record(Store(results), name, world, stored=False) for name, world in SEARCHES)
     return _save(folder, filter(None, map(search_page, searched)))
 
 

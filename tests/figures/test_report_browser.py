@@ -28,7 +28,6 @@ MEASURED = """JSON.stringify({
 })"""
 
 
-@pytest.mark.slow
 def test_a_browser_opens_it_at_any_width_and_asks_for_nothing(tmp_path: Path) -> None:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
