@@ -5,17 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.run_index import RunIndex
-from pneuma.files import read_whole
 from pneuma.study.executors.local import one_thread_environment
-from pneuma.study.published import Published
-from pneuma.study.store import Store, shipped_tables
+from pneuma.study.store import Store
 
 from .training import training_here
 
@@ -28,23 +24,6 @@ def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
     """Stable-Baselines3's own learners leave an empty folder each in the system's: here, in the tests'."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("learners")))
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _shipped_tables_are_read_once() -> Iterator[None]:
-    """Every command reads the tables that come with Pneuma, a second long; no test changes them."""
-    shipped, open_table = shipped_tables(), RunIndex._open
-    read = cache(lambda path: Published(path, read_whole(path)))
-
-    def open_once(index: RunIndex, path: Path) -> Iterator[tuple[str, Published]]:
-        if path.parent == shipped:
-            yield path.stem, read(path)
-        else:
-            yield from open_table(index, path)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RunIndex, "_open", open_once)
         yield
 
 
