@@ -93,7 +93,8 @@ def share_of_commonest(seen: RunView) -> float:
     """Return the share of the most frequent action at the end of training."""
     shares = [seen.statistic(f"action_{i}", "last") for i in range(len(ACTION_NAMES))]
     most = is_gymnasium_id(seen.run.fields.get("env"))  # whose columns are the most frequent actions
-    return max(*shares, 0.0 if most else 1 - sum(shares))  # flame, heal and dash have none: together
+    others = 0.0 if most else 1 - float(np.sum(shares))  # flame, heal and dash have none: together
+    return max(*shares, others)
 
 
 def share_area(seen: RunView) -> float:

@@ -149,7 +149,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
         if model.num_timesteps > model.learning_starts:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
             losses.append(logged_losses(model, run)["value_loss"])
-    mean = sum(losses) / len(losses) if losses else NAN
+    mean = float(np.mean(losses)) if losses else NAN  # `sum` rounds differently from Python 3.12 on
     return {"value_loss": mean, **visited_metrics(run, policy, *visited.take())}
 
 

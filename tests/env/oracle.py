@@ -130,7 +130,10 @@ class Oracle:
             if events.present or events.died:
                 events.reward = formula(player)
         if self.book.settings.shared_reward:
-            mean = sum(player.events.reward for player in self.players) / len(self.players)
+            total = 0.0  # not by `sum`, which rounds differently from Python 3.12 on
+            for player in self.players:
+                total += player.events.reward
+            mean = total / len(self.players)
             for player in self.players:
                 if player.events.present or player.events.died:
                     player.events.reward = mean

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from typing import Any
 
 import jax
@@ -43,7 +44,9 @@ class BatchedTrainer(Trainer):
         left, several = 1 - after / self.run.steps, len(self.learners)
         parts = [rollout.of_player(player, several) for player in range(several)]
         metrics = [learner.learn_from(part, left) for learner, part in zip(self.learners, parts, strict=True)]
-        means = {name: sum(own[name] for own in metrics) / several for name in metrics[0]}
+        means = {  # not by `sum`, which rounds differently from Python 3.12 on
+            name: reduce(add, (own[name] for own in metrics)) / several for name in metrics[0]
+        }
         records.metrics.append({"step": after, **means})
         if not all(learner.is_finite(own) for learner, own in zip(self.learners, metrics, strict=True)):
             return False
