@@ -67,7 +67,7 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
         for note in filter(None, [changed, *notes]):
             found.setdefault(note, []).append(title)
     return [
-        note if len(titles) == len(columns) else f"{' and '.join(titles)}: {note}"
+        note if len(titles) == len(columns) else f"{' and '.join(titles).replace(' The ', ' the ')}: {note}"
         for note, titles in found.items()
     ]
 
