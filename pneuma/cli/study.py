@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,8 @@ from pneuma.study.store import Store
 from pneuma.values import shown_value
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pneuma.analysis.asked import Asked
     from pneuma.analysis.run_index import RunIndex
 
@@ -139,6 +141,7 @@ def status(
     name: opt.Text = opt.argument(
         "NAME", "A study; left out: all that were run.", complete.studies, default=None
     ),
+    format: str = opt.OUTPUT_FORMAT,
 ) -> Result:
     """Say how far the runs of a study are."""
     from pneuma.analysis.asked import answer, ask
@@ -146,7 +149,7 @@ def status(
 
     index = RunIndex(picked.store)
     if name is None:
-        return _every_status(index, picked.world)
+        return _every_status(index, picked.world, format)
     jobs = _queued(picked.store)
     shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
     say(shown.told(index.store.root), aside=True)
@@ -165,10 +168,11 @@ def status(
         table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
     queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
     told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
-    return Result({"study": shown.asked.study.name, "runs": runs, "jobs": queued}, told)
+    document = {"study": shown.asked.study.name, "runs": runs, "jobs": queued}
+    return Result(document, told, table=_frame(runs, format), form=format)
 
 
-def _every_status(index: RunIndex, world: str | None) -> Result:
+def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
     """Return how far each study is of which runs are here."""
     from pneuma.analysis.held import studies_here
 
@@ -180,7 +184,20 @@ def _every_status(index: RunIndex, world: str | None) -> Result:
     ]  # fmt: skip
     rows = [(one.name, one.world, tallied(entry.status for entry in one.entries)) for one in held]
     nothing = f"No study was run in {index.store.root} yet."
-    return Result({"studies": studies}, [Table([""] * 3, rows) if rows else nothing])
+    columns = ("study", "world", "runs")
+    table = _frame([dict(zip(columns, row, strict=True)) for row in rows], format)
+    return Result(
+        {"studies": studies}, [Table([""] * 3, rows) if rows else nothing], table=table, form=format
+    )
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], format: str) -> pd.DataFrame | None:
+    """Return rows as the table of a format that has one."""
+    if format in ("table", "json"):
+        return None
+    import pandas as pd
+
+    return pd.DataFrame(rows)
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

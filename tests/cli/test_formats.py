@@ -43,6 +43,13 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")
 
 
+def test_how_far_runs_are_as_a_table(mine: list[str]) -> None:
+    rows = list(csv.DictReader(io.StringIO(printed("study", "status", *mine, "--format", "csv"))))
+    assert [(row["condition"], row["seed"], row["status"]) for row in rows[:2]] == [
+        ("high", "0", "done"), ("middle", "0", "done"),
+    ]  # fmt: skip
+
+
 def test_a_latex_table_that_is_longer_than_a_page_is_broken_over_pages() -> None:
     rows = pd.DataFrame({"condition": [f"c{k}" for k in range(60)], "runs": 3})
     short, long = (encode_frame(rows[:count], "latex").decode() for count in (40, 60))
