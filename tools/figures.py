@@ -40,10 +40,11 @@ from pneuma.figures.search import search_page, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
 from pneuma.search.promote import find_winners
+from pneuma.search.spec import load_search
 from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
-from pneuma.study.store import Store
+from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
 from tools import COMMAND
@@ -139,7 +140,12 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
 
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:
-    searched = (read_record(Store(results), name, world, stored=False) for name, world in SEARCHES)
+    """Draw the searches that pages show, if they are published in this folder."""
+    searched = [
+        read_record(Store(results), name, world, stored=False)
+        for name, world in SEARCHES
+        if (results / PUBLISHED / f"search-{load_search(name, world).label}.log").exists()
+    ]
     return _save(folder, filter(None, map(search_page, searched)))
 
 
