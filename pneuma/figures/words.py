@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pneuma.analysis.frames import StudyData
@@ -67,9 +67,14 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
         for note in filter(None, [changed, *notes]):
             found.setdefault(note, []).append(title)
     return [
-        note if len(titles) == len(columns) else f"{' and '.join(titles).replace(' The ', ' the ')}: {note}"
+        note if len(titles) == len(columns) else f"{' and '.join(_within(titles))}: {note}"
         for note, titles in found.items()
     ]
+
+
+def _within(titles: Sequence[str]) -> list[str]:
+    """Return titles as they stand in a sentence that begins with the first one."""
+    return [*titles[:1], *(title.replace("The ", "the ", title.startswith("The ")) for title in titles[1:])]
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
