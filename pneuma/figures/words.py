@@ -74,7 +74,7 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
 
 def _within(titles: Sequence[str]) -> list[str]:
     """Return titles as they stand in a sentence that begins with the first one."""
-    return [*titles[:1], *(title.replace("The ", "the ", title.startswith("The ")) for title in titles[1:])]
+    return [*titles[:1], *(re.sub("^The ", "the ", title) for title in titles[1:])]
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
