@@ -103,7 +103,7 @@ def _verdicts() -> dict[str, str]:
 
 
 def _digest(text: str) -> str:
-    """Return a checksum of a text whose numbers count to nine digits: the last ones depend on the processor."""
+    """Return a checksum of a text, its numbers to nine digits: the last ones depend on the processor."""
     coarse = re.sub(r"-?\d+\.\d+(e[+-]?\d+)?", lambda number: f"{float(number[0]):.9g}", text)
     return hashlib.sha256(coarse.encode()).hexdigest()[:16]
 

@@ -47,7 +47,7 @@ from pneuma.study.provenance import available_cores
 from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
-from tools import COMMAND
+from tools import COMMAND, noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery
 from tools.verdicts import write_verdicts
@@ -56,7 +56,7 @@ FOLDER, RESULTS = Path("paper_figures"), Path("results")
 
 THESIS_FIGURES = {
     "fig-6-2": ("architecture", ("small", "mid", "big")),
-    "fig-6-3": ("actor-size", ("small", "smallest", "big", "big-actor")),
+    "fig-6-3": ("actor-size", ("small", "smallest", "small-critic", "big", "big-actor")),
     "fig-6-4": ("optimizer", ("stationary", "non-stationary")),
     "fig-6-5": ("activation", ("tanh", "relu", "leaky-relu")),
 }
@@ -78,6 +78,8 @@ A_FEW = 10
 """Fewer runs of a configuration, as an exploratory study has, do not stand for earlier ones."""
 COLLAPSES = ("collapse",)
 """Studies whose collapses a page shows."""
+FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
+"""What names of forks have in them, and what is shown of them."""
 BESIDE = {"published-logs": "author-logs"}
 """The imported logs that are drawn with a study, and not alone."""
 BESIDE_QUANTITIES = ("return", "length", "entropy")
@@ -178,7 +180,9 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         if of == study:
             columns = {_title(world): thesis_runs(index, study, world, conditions) for world in WORLDS}
             pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
-    if searches := WINNERS.get(study):
+    if study == noise_scale.STUDY:
+        pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
+    elif searches := WINNERS.get(study):
         found = [read_record(Store(results), name, stored=False) for name in searches]
         pages.append(winners_page(study, find_winners(found, None, ()), open_study(index, study)))
     elif study not in WHOLE:
@@ -197,8 +201,12 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     data = next(iter(columns.values()))
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
-        with_logs = open_study(index, logs)
-        return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_logs, basename=study)]
+        every = open_study(index, logs)
+        with_all = replace(every, runs=[run for run in every.runs if {*held} <= {*run.row.quantities}])
+        return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_all, basename=study)]
+    if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
+        columns = {title: replace(each, outcomes=FORK_OUTCOMES) for title, each in columns.items()}
+        data = next(iter(columns.values()))
     if maps := study_maps(data):
         return [replace(robustness_page(data, maps), basename=f"{study}-map")]
     if data.outcomes:

@@ -50,8 +50,17 @@ def verify(
         return (not claims or claim.name in claims) and world in (None, where)
 
     judged = judge(known, store, asked=asked, on_progress=progress_of("verdicts"))
-    lacking = "" if any(one.run_ids for one in judged) else f"none of their runs is in {store.root}"
+    lacking = ""
+    if not any(one.run_ids for one in judged):
+        lacking = f"Note: none of their runs is in {store.root}. {_how_to_train(file)}."
     return _result(known, judged, _show_claims(known, judged, bool(claims), lacking), format)
+
+
+def _how_to_train(file: Path | None) -> str:
+    if file:
+        return "`pneuma study run STUDY` trains those of a study that it names"
+    published = f"--results {shipped_tables().parent} has those that are published"
+    return f"`make reproduction` trains them; {published}"
 
 
 # --- For people ----------------------------------------------------------------------------------
@@ -71,8 +80,7 @@ def _show_claims(
     )
 
     if lacking:
-        published = f"--results {shipped_tables().parent} has those that are published"
-        yield f"Note: {lacking}. `make reproduction` trains them; {published}."
+        yield lacking
         yield ""
     grouped, quoted = verdicts_by_claim(shown), set()
     for name, judged in grouped.items():

@@ -241,7 +241,7 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
     known = np.isfinite(curve.mean)
     if column.at_ends and known.any():
         end = curve.step[known][-1], curve.mean[known][-1]
-        leader: Any = {"color": look["color"], "linestyle": ":", "linewidth": 0.9}
+        leader: Any = {"color": look["color"], "linewidth": 0.7, "alpha": 0.5}
         if end[0] < (1 - SLACK) * column.data.budget:
             axes.plot([end[0], column.data.budget], [end[1]] * 2, **leader)
         axes.annotate(

@@ -81,7 +81,14 @@ class OutcomeRows:
         return table[table["outcome"] == self.outcome]
 
     @property
+    def of_killed(self) -> bool:
+        """Whether it is a share of monsters, which can be compared with the random player's."""
+        return self.outcome.endswith("share-killed")
+
+    @property
     def axis_label(self) -> str:
+        if self.of_killed:
+            return "Share killed"
         return find_outcome(self.named).unit if self.named else "Return of an episode"
 
     @cached_property
@@ -91,15 +98,14 @@ class OutcomeRows:
     def panel(self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, title: str) -> Panel:
         """Return the panel with a row for each name, in its colour; `short` has the names that are shown."""
         names = list(colours)
-        killed = self.outcome == PRIMARY
         labels = [
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
             partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
-            "Share killed" if killed else self.axis_label,
-            x_ticks=grid.shares if killed else grid.few,
+            self.axis_label,
+            x_ticks=grid.shares if self.of_killed else grid.few,
             rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
         )
 
@@ -182,7 +188,7 @@ def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark:
             elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
                 iqm: Any = {"marker": "s", "markerfacecolor": "white", "markersize": mark}
                 grid.draw_interval(axes, place + ABOVE, row, **iqm)
-    if found.outcome == PRIMARY:
+    if found.of_killed:
         highest = max((float(runs.max()) for runs in found.values.values() if len(runs)), default=0.0)
         grid.draw_random_player(axes, random_level(found.data, "share_killed"), highest, upright=True)
         axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
