@@ -14,6 +14,7 @@ reported.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -227,8 +228,8 @@ def _relearned(seen: RunView, played: _Played, onset: float, recovered: float | 
 
 def _update_steps(run: FinishedRun) -> int | None:
     """Return the agent steps of one update; None if the run's fields do not say."""
-    horizon = run.fields.get("horizon")
-    return horizon * run.slots or None if isinstance(horizon, int) and run.slots else None
+    counts = run.fields.get("horizon"), run.fields.get("slots"), run.fields.get("players", 1)
+    return math.prod(counts) or None if all(isinstance(count, int) for count in counts) else None
 
 
 # --- Stretches -------------------------------------------------------------------------------------

@@ -55,12 +55,6 @@ class FinishedRun:
         return self.row.status
 
     @property
-    def slots(self) -> int | None:
-        """Players, over all worlds, from which the run collects; None if unknown."""
-        slots, players = self.fields.get("slots"), self.fields.get("players", 1)
-        return slots * players if isinstance(slots, int) and isinstance(players, int) else None
-
-    @property
     def budget(self) -> int:
         return self.row.budget
 
@@ -138,13 +132,10 @@ class StudyData:
             or are_own_characters(str(run.fields.get("characters", "")))
             for run in self.runs
         )
-        worlds = [f" in {each.title}" for each in WORLDS.values() if [each.env] == self.environments]
+        environments = {str(fields.get("env")) for fields in self.fields.values()}
+        worlds = [f" in {each.title}" for each in WORLDS.values() if {each.env} == environments]
         changed = f" ({shown_settings(self.changed)})" if self.changed else ""
         return self.title + ("" if own else "".join(worlds)) + changed
-
-    @property
-    def environments(self) -> list[str]:
-        return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
 
     @property
     def what(self) -> str:

@@ -184,8 +184,6 @@ def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
     wide = characters(1.2 * TYPE_POINTS, width)  # bold letters are wider
     title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
-    if panel.draw is _draw_no_runs:
-        return
     panel.x_ticks(axes.xaxis)
     if panel.rows is None:
         panel.y_ticks(axes.yaxis)

@@ -74,10 +74,8 @@ def _panel(found: Map) -> Panel:
     """Return a panel with one row per cell, named by its levels; above the rows stand their factors."""
     cells = found.cells.to_dict("records")
     levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in cells)
-    label, shares = (
-        " less ".join(map(shown_value, found.values)),
-        find_outcome(found.outcome).bounds == (0.0, 1.0),
-    )
+    label = " less ".join(map(shown_value, found.values))
+    shares = find_outcome(found.outcome).bounds == (0.0, 1.0)
     return Panel(
         partial(_draw_cells, cells=cells, factors=_readable(", ".join(found.factors))),
         f"{_readable(found.setting)}: {found.label}",

@@ -23,7 +23,6 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis import verdict_words
-from pneuma.analysis.claims import Claim
 from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
@@ -112,16 +111,12 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
-        version=__version__, words=verdict_words, claim_of=_claim_of,
+        version=__version__, words=verdict_words,
         worlds={world: verdict_words.WORLD_NAMES[world] for world in verdict_words.worlds_of(claims)},
         counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave
-
-
-def _claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
-    return next(iter(verdicts.values())).claim
 
 
 def _anchor(kind: str, name: str) -> str:

@@ -80,10 +80,6 @@ class OutcomeRows:
         table = summary_table(self.data, [self.outcome])
         return table[table["outcome"] == self.outcome]
 
-    @property
-    def axis_label(self) -> str:
-        return find_outcome(self.named).unit if self.named else "Return of an episode"
-
     @cached_property
     def colours(self) -> dict[str, str]:
         return {name: look["color"] for name, look in styles_of(self.data).items()}
@@ -92,13 +88,14 @@ class OutcomeRows:
         """Return the panel with a row for each name, in its colour; `short` has the names that are shown."""
         names = list(colours)
         killed = self.outcome == PRIMARY
+        measured = find_outcome(self.named).unit if self.named else "Return of an episode"
         labels = [
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
             partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
-            "Share killed" if killed else self.axis_label,
+            "Share killed" if killed else measured,
             x_ticks=grid.shares if killed else grid.few,
             rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
         )

@@ -48,8 +48,6 @@ from pneuma.study.locks import is_held, remove_lock, run_lock
 STATUSES = ("planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged")
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
-FAILED = ("crashed",)
-"""Statuses of failed runs, which are trained again only when asked for."""
 
 SCALARS_FILE = "scalars.parquet"
 """The file of an imported run: every value in its logs."""
@@ -105,7 +103,7 @@ class Status:
     @property
     def failed(self) -> bool:
         """Whether the run failed and is trained again only when asked for."""
-        return self.name in FAILED
+        return self.name == "crashed"
 
 
 class Store:

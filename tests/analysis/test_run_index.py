@@ -86,7 +86,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
 ) -> None:
     again = republished(data, tmp_path / "again")
     assert again.runs == data.runs
-    for key in ("conditions", "baseline", "same", "title", "figure", "environments", "windows", "quantities"):
+    for key in ("conditions", "baseline", "same", "title", "figure", "fields", "windows", "quantities"):
         assert getattr(again, key) == getattr(data, key)
     for run, other in zip(data.runs, again.runs, strict=True):
         assert other.row.same_numbers(run.row) and other.fields == run.fields
