@@ -275,23 +275,17 @@ def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str,
 
     Conditions are called CONDITION, STUDY.
     """
-    words = [data.study for data in (one, other)]
-    if words[0] == words[1]:
-        words = [data.full_title for data in (one, other)]
-    names = [
-        {name: f"{name}, {word}" for name in data.conditions}
-        for data, word in zip((one, other), words, strict=True)
-    ]
-    parts = [(data, renamed) for data, renamed in zip((one, other), names, strict=True)]
-    fields = {renamed[name]: data.fields[name] for data, renamed in parts for name in renamed}
-    runs = [replace(run, condition=renamed[run.condition]) for data, renamed in parts for run in data.runs]
+    parts = [(data, data.full_title if one.study == other.study else data.study) for data in (one, other)]
+    fields = {f"{name}, {word}": data.fields[name] for data, word in parts for name in data.conditions}
+    runs = [replace(run, condition=f"{run.condition}, {word}") for data, word in parts for run in data.runs]
     title = f"{one.title}, and {other.title}"
     joined = StudyData(
         one.study, title, one.figure, "", fields, runs, every=[*fields], narrowed=one.narrowed,
         world=one.world, steps=one.steps if one.steps == other.steps else None,
     )  # fmt: skip
-    shared = [name for name in names[0] if one.of_condition(name) and other.of_condition(name)]
-    return joined, {name: (names[0][name], names[1][name]) for name in shared}
+    (_, first), (_, second) = parts
+    shared = [name for name in one.conditions if one.of_condition(name) and other.of_condition(name)]
+    return joined, {name: (f"{name}, {first}", f"{name}, {second}") for name in shared}
 
 
 # --- A run up to a step -----------------------------------------------------------------------------
