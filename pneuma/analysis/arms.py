@@ -38,7 +38,6 @@ class Arm:
     Attributes:
         values: (seeds,) the outcome of each run that counts, in the order of seeds; 1 or 0 if runs with an
             event are counted.
-        run_ids: of the same runs.
         reason: why it cannot be compared, if a run has no value.
         learned: whether it is shown to play better than the random player; None if unknown.
     """

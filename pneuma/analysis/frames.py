@@ -30,12 +30,7 @@ SLACK = 1 / 40
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A finished run of a study, done or diverged, which counts in every statistic.
-
-    Attributes:
-        seed: of a fork, its number in the study.
-        row: what it comes to.
-    """
+    """A finished run of a study, done or diverged. The `seed` of a fork is its number in the study."""
 
     condition: str
     seed: int
@@ -108,7 +103,6 @@ class StudyData:
     budget: int = 0
 
     def __post_init__(self) -> None:
-        """Set the budget, at which curves end, to the largest of the runs, unless it is given."""
         object.__setattr__(self, "budget", self.budget or max(run.budget for run in self.runs))
 
     def __repr__(self) -> str:

@@ -180,7 +180,6 @@ def _arm(conditions: Arms) -> str:
 
 
 def _said(row: ClaimContrast) -> str:
-    """Return what is measured, in few words."""
     named = f"{row.outcome} {row.claim.event}".strip()
     words = _SAID.get(named) or " less ".join(
         _SAID.get(part, find_outcome(part).words) for part in row.outcome.split(MINUS)

@@ -99,7 +99,6 @@ def _falls(data: StudyData, name: str, onsets: Mapping[str, int], colours: Colou
 
 
 def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
-    """Return a run's data for one of `PANELS`."""
     if name == "share_killed" or (name == "return" and is_foreign(data)):
         return view(data, run).evaluations(name)
     if name != "action":
@@ -110,7 +109,7 @@ def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
 
 
 def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
-    """Draw one of `PANELS`: steps from the onset, values and colour of each collapsed run."""
+    """Draw one of `PANELS`; `falls` are steps from the onset, values and colour of each run."""
     _, reach, threshold = PANELS[name]
     axes.axvline(0, color=GREY, linewidth=0.8)
     if threshold is not None:
@@ -145,7 +144,6 @@ def _halves(axis: Axis) -> None:
 
 
 def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_out: int) -> list[str]:
-    """Return the notes in the caption, the most important first."""
     notes = notes_of(data)
     if blind := shares["unknown"].sum():
         notes.append(f"Left out: {blind} runs without records that a collapse shows in.")

@@ -80,8 +80,6 @@ class Column:
     """A study's curves, and how they are drawn.
 
     Attributes:
-        quantities: of `curve_names`.
-        band: one of `BANDS`.
         window: of the study's windows; None for the first.
         beside: a study whose runs are drawn as dashed lines.
         labels: names of conditions in the legend, if not with the number of their runs.
@@ -105,7 +103,6 @@ class Column:
 
     @cached_property
     def others(self) -> dict[str, list[Curve]]:
-        """The curves of the study beside."""
         if self.beside is None:
             return {}
         window = self.window if self.window in self.beside.windows else self.beside.windows[0]
@@ -147,7 +144,6 @@ class Column:
 
     @property
     def meanings(self) -> dict[str, Any]:
-        """The legend's words for lines and bands."""
         drawn = [*chain.from_iterable(self.curves.values())]
         bands = [band for band in self.bands if any(_shows_band(curve, band) for curve in drawn)]
         found: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
@@ -255,7 +251,6 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
 
 
 def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
-    """Return the notes in the caption, the most important first."""
     every = [*chain.from_iterable(curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     if note := step_note(data):

@@ -52,7 +52,6 @@ class Origin(BaseModel):
     runs: Annotated[tuple[Sample, ...], FailFast()] = ()
 
     def encode(self) -> str:
-        """Return the document; invisible characters in it are codes."""
         return json.dumps(self.model_dump(), separators=(",", ":"))
 
 

@@ -52,8 +52,6 @@ ABOVE = 0.2
 
 @dataclass(frozen=True)
 class OutcomeRows:
-    """What the runs of a study came to, as its figure shows them in rows."""
-
     data: StudyData
     named: str = ""
 
@@ -102,7 +100,6 @@ class OutcomeRows:
 
     @property
     def notes(self) -> list[str]:
-        """The notes in the caption, the most important first."""
         words = find_outcome(self.outcome).words
         notes = [*notes_of(self.data, is_return(self.outcome)), f"{words[:1].upper()}{words[1:]}."]
         notes.append(step_note(self.data))
@@ -197,7 +194,6 @@ def _beside(values: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _marks(drawn: Sequence[OutcomeRows]) -> dict[str, Any]:
-    """Return the legend's words for the marks in a row."""
     most = max((len(runs) for found in drawn for runs in found.values.values()), default=0)
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
     iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}

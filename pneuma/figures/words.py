@@ -13,17 +13,11 @@ from pneuma.values import shown_settings
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
-    """Return a figure's headline: title, and what is shown.
-
-    Args:
-        data: the study.
-        shown: the end of the headline; default: the thesis's figure to which it corresponds, if any.
-    """
+    """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
     return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.figure)]))
 
 
 def after_thesis(figure: str) -> str:
-    """Return the thesis's figure to which a study's corresponds, if any."""
     counterpart = re.match(r"fig-(\d)-(\d)(?!\d)", figure)
     return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else ""
 
@@ -78,7 +72,6 @@ def _within(titles: Sequence[str]) -> list[str]:
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    """Return a condition's name with the number of its runs."""
     return f"{name or condition} ({len(data.of_condition(condition))})"
 
 
@@ -90,7 +83,6 @@ def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
 
 
 def fits_panel(data: StudyData) -> bool:
-    """Return whether the curves of all conditions that have runs fit one panel."""
     return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
 
 

@@ -57,8 +57,6 @@ class Selection:
 
 @dataclass(frozen=True)
 class Cell:
-    """One training of a plan."""
-
     condition: str
     seed: int
     run: Run
@@ -193,7 +191,7 @@ def configure(
 
 
 def round_up(run: Run, steps: int) -> int:
-    """Return a number of steps rounded up to a run's whole updates."""
+    """Round steps up to a run's whole updates."""
     return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 

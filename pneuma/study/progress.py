@@ -99,7 +99,6 @@ def _kind(settings: Mapping[str, Any]) -> str:
 
 
 def _usual(settings: Mapping[str, Any]) -> float:
-    """Return the seconds per step from the table."""
     layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
     weights = max(1, sum(before * after for sizes in layers for before, after in pairwise(sizes)))
     known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T

@@ -177,7 +177,6 @@ class Row:
     signs: Mapping[str, list[Stretch]]
 
     def cell(self, column: str) -> Any:
-        """Return a cell; None if there is no such column."""
         return self.table[column][0].as_py() if column in self._columns else None
 
     @property
