@@ -24,7 +24,7 @@ import pandas as pd
 from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import SLACK, StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.verdict_words import verdicts_by_claim
@@ -44,6 +44,7 @@ from pneuma.search.spec import load_search
 from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
+from pneuma.study.series import SLACK
 from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS

@@ -306,11 +306,11 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
 
 
 def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyData | None:
-    from pneuma.analysis.frames import FinishedRun, StudyData
+    from pneuma.analysis.frames import StudyData
 
     rows, study = index.rows(entry for *_, entry in stored), asked.study
     runs = [
-        FinishedRun(condition, seed, rows[entry.run_id])
+        replace(rows[entry.run_id], condition=condition, seed=seed)
         for condition, seed, entry in stored
         if entry.run_id in rows
     ]

@@ -1,6 +1,6 @@
 """A study's data: its finished runs, each with its row, and a run as it stood at a step.
 
-`open_study` (asked.py) → StudyData of FinishedRuns; StudyData, run and step → RunView
+`open_study` (asked.py) → StudyData of Rows; StudyData, run and step → RunView
 """
 
 from __future__ import annotations
@@ -20,50 +20,9 @@ from pneuma.env_fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row
-from pneuma.study.series import STATISTICS, Series, held_curve, make_grid
+from pneuma.study.series import SLACK, STATISTICS, Series, held_curve, make_grid
 from pneuma.values import settings_name, shown_settings
 from pneuma.worlds import WORLDS
-
-SLACK = 1 / 40
-"""Budgets that differ by less than this share are equal: half the distance between evaluations."""
-
-
-@dataclass(frozen=True)
-class FinishedRun:
-    """A finished run of a study, done or diverged. The `seed` of a fork is its number in the study."""
-
-    condition: str
-    seed: int
-    row: Row = field(compare=False, repr=False)
-
-    @property
-    def run_id(self) -> str:
-        return self.row.run_id
-
-    @property
-    def fields(self) -> Mapping[str, Any]:
-        """Its fields as recorded, which may be untrusted."""
-        return self.row.fields
-
-    @property
-    def status(self) -> str:
-        return self.row.status
-
-    @property
-    def budget(self) -> int:
-        return self.row.budget
-
-    @property
-    def begun(self) -> int:
-        """Agent steps with which the run began: for a fork, those of its parent."""
-        return self.fields.get("fork_step") or 0
-
-    @property
-    def end(self) -> int:
-        return self.row.end
-
-    def ends_before(self, step: float | None) -> bool:
-        return step is not None and self.budget * (1 + SLACK) < step
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +51,7 @@ class StudyData:
     figure: str
     baseline: str
     fields: Mapping[str, Mapping[str, Any]]
-    runs: Sequence[FinishedRun]
+    runs: Sequence[Row]
     same: Sequence[Sequence[str]] = ()
     every: Sequence[str] = ()
     narrowed: Sequence[str] = ()
@@ -136,13 +95,13 @@ class StudyData:
         """Where the runs are, for messages."""
         if self.averaged_over:
             return "a study of imported TensorBoard logs"
-        places = {run.row.published: "" for run in self.runs}
+        places = {run.published: "" for run in self.runs}
         words = {False: "the results folder", True: "the published table"}
         return " with ".join(words[place] for place in sorted(places))
 
     @property
-    def published(self) -> list[FinishedRun]:
-        return [run for run in self.runs if run.row.published]
+    def published(self) -> list[Row]:
+        return [run for run in self.runs if run.published]
 
     def engines(self, condition: str) -> set[str]:
         return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
@@ -150,7 +109,7 @@ class StudyData:
     @cached_property
     def latest_first_evaluation(self) -> float:
         """The step from which every run has an evaluation; 0 if none has any."""
-        firsts = (steps[0] for run in self.runs if len(steps := run.row.evaluations("step")))
+        firsts = (steps[0] for run in self.runs if len(steps := run.evaluations("step")))
         return max(map(float, firsts), default=0.0)
 
     @cached_property
@@ -161,16 +120,16 @@ class StudyData:
     @cached_property
     def windows(self) -> tuple[str, ...]:
         """The windows of `WINDOWS` that all returns have, the usual one first."""
-        return tuple(name for name in WINDOWS if all(name in run.row.windows for run in self.runs))
+        return tuple(name for name in WINDOWS if all(name in run.windows for run in self.runs))
 
     @cached_property
     def evaluated(self) -> bool:
-        return all(run.row.evaluation_columns for run in self.runs)
+        return all(run.evaluation_columns for run in self.runs)
 
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return next((episodes for run in self.runs if (episodes := run.row.averaged_over)), None)
+        return next((episodes for run in self.runs if (episodes := run.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
@@ -179,8 +138,8 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        published = {run.row.quantities for run in self.published}
-        some = dict.fromkeys(name for run in self.runs for name in run.row.quantities)
+        published = {run.quantities for run in self.published}
+        some = dict.fromkeys(name for run in self.runs for name in run.quantities)
         return [name for name in some if all(name in names for names in published)]
 
     def of_conditions(self, names: str | Sequence[str]) -> StudyData:
@@ -197,13 +156,13 @@ class StudyData:
             same=[group for group in same if len(group) > 1],
         )
 
-    def of_condition(self, condition: str) -> list[FinishedRun]:
+    def of_condition(self, condition: str) -> list[Row]:
         """Return a condition's finished runs, in the order of their seeds."""
         return self._by_condition.get(condition, [])
 
     @cached_property
-    def _by_condition(self) -> dict[str, list[FinishedRun]]:
-        found: dict[str, list[FinishedRun]] = {}
+    def _by_condition(self) -> dict[str, list[Row]]:
+        found: dict[str, list[Row]] = {}
         for run in self.runs:
             found.setdefault(run.condition, []).append(run)
         return found
@@ -211,14 +170,14 @@ class StudyData:
     @cached_property
     def evaluations(self) -> pd.DataFrame:
         """The evaluations of all runs: condition, seed, run_id, and the columns of the records."""
-        tables = [run.row.evaluations_table() for run in self.runs]
+        tables = [run.evaluations_table() for run in self.runs]
         frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
         counts = [table.num_rows for table in tables]
         for place, key in enumerate(("condition", "seed", "run_id")):
             frame.insert(place, key, np.repeat([getattr(run, key) for run in self.runs], counts))
         return frame
 
-    def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
+    def curve(self, run: Row, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
@@ -227,19 +186,19 @@ class StudyData:
             window: one of `windows`; default: the first. Quantities of updates have only one.
         """
         window = self.checked_window(window)
-        if quantity in self.quantities and quantity not in run.row.quantities:
+        if quantity in self.quantities and quantity not in run.quantities:
             return np.full(self.grid.shape, np.nan)
-        if quantity not in self.quantities or window not in run.row.windows_of(quantity):
+        if quantity not in self.quantities or window not in run.windows_of(quantity):
             known = ", ".join(self.quantities) or "none"
             raise UserError(
                 f"study {self.study}: {self.what} holds no {quantity} in the window {window}; "
                 f"its curves are: {known}"
             )
-        values = run.row.curve(quantity, window)
-        return values if run.budget == self.budget else held_curve(run.row.grid, values, self.grid, run.end)
+        values = run.curve(quantity, window)
+        return values if run.budget == self.budget else held_curve(run.grid, values, self.grid, run.end)
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        return all(window in run.row.windows_of(quantity) for run in self.runs)
+        return all(window in run.windows_of(quantity) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`; the first if None."""
@@ -294,7 +253,7 @@ class RunView:
         since: where means over evaluations begin.
     """
 
-    run: FinishedRun
+    run: Row
     until: float
     since: float = 0.0
 
@@ -304,23 +263,22 @@ class RunView:
 
     def evaluations(self, column: str) -> Series:
         """Return a column of the evaluations; empty if there is no such column."""
-        row = self.run.row
-        if column not in row.evaluation_columns:
+        if column not in self.run.evaluation_columns:
             return _NOTHING
-        return self._finite(row.evaluations("step"), row.evaluations(column))
+        return self._finite(self.run.evaluations("step"), self.run.evaluations(column))
 
     def curve(self, quantity: str) -> Series:
         """Return the points of a training curve that have a value; empty if there is no such quantity."""
-        if quantity not in self.run.row.quantities:
+        if quantity not in self.run.quantities:
             return _NOTHING
-        return self._finite(self.run.row.grid, self.run.row.curve(quantity))
+        return self._finite(self.run.grid, self.run.curve(quantity))
 
     def peaks(self, quantity: str) -> Series:
-        return self._finite(self.run.row.grid, self.run.row.peaks(quantity))
+        return self._finite(self.run.grid, self.run.peaks(quantity))
 
     def statistic(self, quantity: str, name: str) -> float:
         """Return one of `STATISTICS` of a curve, with all digits at the run's end; NaN if it has no value."""
-        exact = self.run.row.exact(quantity, name) if self.until >= self.run.budget else math.nan
+        exact = self.run.exact(quantity, name) if self.until >= self.run.budget else math.nan
         if not math.isnan(exact):
             return exact
         step, values = self.curve(quantity)
@@ -334,7 +292,7 @@ class RunView:
 _NOTHING: Series = np.empty(0), np.empty(0)
 
 
-def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
+def view(data: StudyData, run: Row, at_step: float | None = None) -> RunView:
     """Return a run as it stood at `at_step`, or at its own budget if that is smaller or no step is given.
 
     A step is given if runs of different budgets are compared. Each was evaluated at equal parts of its own

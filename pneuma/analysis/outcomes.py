@@ -21,11 +21,12 @@ import numpy as np
 from pneuma.algorithms import MAILMAN
 from pneuma.analysis import measures
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.frames import FinishedRun, RunView, StudyData, common_step, view
+from pneuma.analysis.frames import RunView, StudyData, common_step, view
 from pneuma.analysis.measures import NAN, Measure, Take, diagnosed, last_value, late_mean, peak
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.rows import Row
 
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
@@ -81,7 +82,7 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
     found = set()
     for name in data.conditions if conditions is None else conditions:
         runs = data.of_condition(name)
-        if runs and runs[0].row.averaged_over is None:  # logs do not tell their reward
+        if runs and runs[0].averaged_over is None:  # logs do not tell their reward
             fields = runs[0].fields
             foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
             kind = [fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)]
@@ -110,7 +111,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
         )
 
 
-def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
+def outcome(data: StudyData, run: Row, name: str, at_step: float | None = None) -> float:
     """Return a run's outcome at a step, or at its budget; NaN if it has none."""
     found = find_outcome(name)
     return NAN if run.ends_before(at_step) else found.measure(view(data, run, at_step))
@@ -161,7 +162,7 @@ def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
             raise UserError(f"the study's file, outcomes: {error}") from None
 
 
-def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
+def reason(data: StudyData, run: Row, name: str, at_step: float | None = None) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
     if not np.isnan(outcome(data, run, name, at_step)):

@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
-from pneuma.analysis.frames import SLACK, StudyData, common_step, step_note
+from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.env_fields import ACTION_NAMES
@@ -29,6 +29,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
 from pneuma.figures.words import label_of, notes_of, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.study.series import SLACK
 
 _, TRAILING_WINDOW = WINDOWS
 USUAL_BAND, INTERVAL, RUNS = BAND_NAMES[0], "ci", "runs"

@@ -58,7 +58,7 @@ class Origin(BaseModel):
 def samples_of(*studies: StudyData) -> list[Sample]:
     """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
     return [
-        sample(data.study, name, (run.row.config_id for run in runs), [run.seed for run in runs])
+        sample(data.study, name, (run.config_id for run in runs), [run.seed for run in runs])
         for data in studies
         for name in data.conditions
         if (runs := data.of_condition(name))

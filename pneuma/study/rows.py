@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from pneuma.files import parse_json
 from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import EXTREMES, GRID_POINTS, Stretch, make_grid, unpack_signs
+from pneuma.study.series import EXTREMES, GRID_POINTS, SLACK, Stretch, make_grid, unpack_signs
 from pneuma.study.tables import from_ipc
 
 NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
@@ -162,6 +162,7 @@ class Row:
         fields: its configuration, which may be untrusted.
         provenance: what produced it, and how long that took.
         signs: where each recorded sign of collapse holds.
+        condition: of the study that it is read for; the seed of a fork is then its number in the study.
     """
 
     table: pa.Table = field(repr=False)
@@ -175,6 +176,7 @@ class Row:
     fields: Mapping[str, Any]
     provenance: Mapping[str, Any]
     signs: Mapping[str, list[Stretch]]
+    condition: str = ""
 
     def cell(self, column: str) -> Any:
         return self.table[column][0].as_py() if column in self._columns else None
@@ -183,6 +185,14 @@ class Row:
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when they were logged; None if they were not."""
         return self.cell(AVERAGED_OVER)
+
+    @property
+    def begun(self) -> int:
+        """Agent steps with which the run began: for a fork, those of its parent."""
+        return self.fields.get("fork_step") or 0
+
+    def ends_before(self, step: float | None) -> bool:
+        return step is not None and self.budget * (1 + SLACK) < step
 
     @cached_property
     def grid(self) -> np.ndarray:
