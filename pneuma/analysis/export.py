@@ -49,7 +49,7 @@ def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
     if table == "evaluations" or (data.averaged_over and table != "metrics"):
         known = ", ".join(name for name in (*RECORD_TABLES, "curves", "summary") if name != table)
         raise UserError(f"study {data.study}: {data.what} holds no {table}; try {known}")
-    if published := len(data.published):
+    if published := sum(run.published for run in data.runs):
         raise UserError(f"study {data.study}: of {published} runs, only rows are published, and no {table}")
     frames = []
     for run in data.runs:

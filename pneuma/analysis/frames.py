@@ -95,13 +95,8 @@ class StudyData:
         """Where the runs are, for messages."""
         if self.averaged_over:
             return "a study of imported TensorBoard logs"
-        places = {run.published: "" for run in self.runs}
         words = {False: "the results folder", True: "the published table"}
-        return " with ".join(words[place] for place in sorted(places))
-
-    @property
-    def published(self) -> list[Row]:
-        return [run for run in self.runs if run.published]
+        return " with ".join(words[place] for place in sorted({run.published for run in self.runs}))
 
     def engines(self, condition: str) -> set[str]:
         return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
@@ -138,7 +133,7 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        published = {run.quantities for run in self.published}
+        published = {run.quantities for run in self.runs if run.published}
         some = dict.fromkeys(name for run in self.runs for name in run.quantities)
         return [name for name in some if all(name in names for names in published)]
 

@@ -15,6 +15,7 @@ from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import RunView
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
+from pneuma.study.rows import STUCK
 from pneuma.study.series import EXTREMES, mean_height
 
 Measure = Callable[[RunView], float]
@@ -85,7 +86,7 @@ def log_max(seen: RunView) -> float:
 
 def stuck_share(seen: RunView) -> float:
     """Return the share of updates that are stuck; NaN if not known, or up to an earlier step."""
-    stuck, updates, _ = seen.run.stuck
+    stuck, updates, _ = (seen.run.cell(name) or 0 for name in STUCK)
     return stuck / updates if updates and seen.until >= seen.run.budget else NAN
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -45,10 +46,8 @@ def study_maps(data: StudyData) -> list[Map]:
     """Return all maps of a study, without those whose conditions were not run."""
     found = []
     for contrast in MAPS.get(data.study, ()):
-        try:
+        with suppress(UserError):
             found.append(robustness_map(data, *contrast))
-        except UserError:
-            continue
     return found
 
 

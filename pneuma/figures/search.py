@@ -192,7 +192,6 @@ class _Drawn:
         return {name: found[name] for name in sorted(names, key=lambda name: -found[name])}
 
     def caption(self, importances: bool) -> list[str]:
-        """Return what the search consists of, and what importances are if they are drawn."""
         states = [trial.state for trial in self.trials]
         counts = ", ".join(
             f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states

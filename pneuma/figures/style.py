@@ -174,7 +174,7 @@ END = "end"
 
 def save_figure(
     figure: Figure,
-    folder: Path | str,
+    folder: Path,
     basename: str,
     formats: Sequence[str],
     origin: Origin,
@@ -187,7 +187,6 @@ def save_figure(
     for name in formats:
         if name not in _NO_DATES:
             raise unknown_name("format", name, _NO_DATES)
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))

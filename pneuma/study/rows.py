@@ -244,12 +244,6 @@ class Row:
         value = self.cell(LAST_EPISODES)
         return math.inf if value is None else float(value)
 
-    @property
-    def stuck(self) -> tuple[int, int, int]:
-        """The counts of `STUCK`; 0 each if they are not known."""
-        stuck, updates, spells = (self.cell(name) or 0 for name in STUCK)
-        return stuck, updates, spells
-
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:
         values = self.table[EVALUATIONS][0].values
