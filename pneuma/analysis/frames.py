@@ -259,13 +259,11 @@ class RunView:
     def evaluations(self, column: str) -> Series:
         """Return a column of the evaluations; empty if there is no such column."""
         if column not in self.run.evaluation_columns:
-            return _NOTHING
+            return np.empty(0), np.empty(0)
         return self._finite(self.run.evaluations("step"), self.run.evaluations(column))
 
     def curve(self, quantity: str) -> Series:
         """Return the points of a training curve that have a value; empty if there is no such quantity."""
-        if quantity not in self.run.quantities:
-            return _NOTHING
         return self._finite(self.run.grid, self.run.curve(quantity))
 
     def peaks(self, quantity: str) -> Series:
@@ -282,9 +280,6 @@ class RunView:
     def _finite(self, step: np.ndarray, values: np.ndarray) -> Series:
         finite = np.isfinite(values) & (step <= self.last_step)
         return step[finite], values[finite]
-
-
-_NOTHING: Series = np.empty(0), np.empty(0)
 
 
 def view(data: StudyData, run: Row, at_step: float | None = None) -> RunView:
