@@ -173,9 +173,9 @@ class Row:
     budget: int
     end: int
     status: str
-    fields: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-    signs: Mapping[str, list[Stretch]]
+    fields: Mapping[str, Any] = field(repr=False)
+    provenance: Mapping[str, Any] = field(repr=False)
+    signs: Mapping[str, list[Stretch]] = field(repr=False)
     condition: str = ""
 
     def cell(self, column: str) -> Any:
