@@ -188,9 +188,8 @@ def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any]) -> None:
     labels = {"\n".join(textwrap.wrap(label, characters(points) - 8)): artist
               for label, artist in entries.items()}  # fmt: skip
     longest = max((len(label) for label in labels), default=0)
-    columns = max(
-        1, min(len(labels), characters(points) // (longest + 8))
-    )  # a handle is as wide as 8 letters
+    # a handle is as wide as 8 letters
+    columns = max(1, min(len(labels), characters(points) // (longest + 8)))
     rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
     below_lines = textwrap.wrap(
         " ".join(filter(None, page.caption)),

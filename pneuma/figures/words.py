@@ -31,9 +31,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
     if len(engines) > 1:
         notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
-    units = kinds_of_return(data) | (
-        kinds_of_return(beside) if beside and not beside.averaged_over else set()
-    )
+    units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
