@@ -126,7 +126,7 @@ def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any)
     (run,) = data.runs
     assert diagnose(view(data, run)) is not None
     assert all(isinstance(outcome(data, run, own), float) for own in OUTCOMES)
-    assert encode_table(data, "curves", "csv", store) and encode_published([run.row], {})
+    assert encode_table(data, "curves", "csv", store) and encode_published([run], {})
 
 
 def _forged(data: StudyData, store: Store, about: dict[str, Any], column: str, values: Any) -> None:

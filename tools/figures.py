@@ -24,7 +24,7 @@ import pandas as pd
 from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import SLACK, StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.verdict_words import verdicts_by_claim
@@ -44,6 +44,7 @@ from pneuma.search.spec import load_search
 from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
+from pneuma.study.series import SLACK
 from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
@@ -202,7 +203,7 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     if logs:
         held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
         every = open_study(index, logs)
-        with_all = replace(every, runs=[run for run in every.runs if {*held} <= {*run.row.quantities}])
+        with_all = replace(every, runs=[run for run in every.runs if {*held} <= {*run.quantities}])
         return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_all, basename=study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {title: replace(each, outcomes=FORK_OUTCOMES) for title, each in columns.items()}

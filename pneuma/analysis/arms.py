@@ -14,12 +14,14 @@ import numpy as np
 
 from pneuma.analysis.asked import Asked, Stored, ask, read_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.frames import SLACK, FinishedRun, StudyData, view
+from pneuma.analysis.frames import StudyData, view
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
+from pneuma.study.rows import Row
+from pneuma.study.series import SLACK
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study
 from pneuma.values import shown_seeds
 from pneuma.worlds import world_option
@@ -38,7 +40,6 @@ class Arm:
     Attributes:
         values: (seeds,) the outcome of each run that counts, in the order of seeds; 1 or 0 if runs with an
             event are counted.
-        run_ids: of the same runs.
         reason: why it cannot be compared, if a run has no value.
         learned: whether it is shown to play better than the random player; None if unknown.
     """
@@ -70,7 +71,7 @@ class ClaimRuns:
     def budget(self, condition: str) -> int:
         return round_up(self.asked.runs[condition], self.claim.steps[condition])
 
-    def found(self, condition: str) -> list[FinishedRun]:
+    def found(self, condition: str) -> list[Row]:
         return self.data.of_condition(condition) if self.data else []
 
     def why_incomparable(self, outcome: str, names: Sequence[str]) -> str:
@@ -100,7 +101,7 @@ class ClaimRuns:
 
     def _machines(self, names: Sequence[str]) -> str:
         """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
-        rows = [run.row for name in names for run in self.found(name)]
+        rows = [row for name in names for row in self.found(name)]
         origins = [row.provenance for row in rows]
         if len({(on, str(origin.get("threads"))) for origin in origins for on in processors(origin)}) > 1:
             return "timed on different machines"
@@ -127,7 +128,7 @@ class ClaimRuns:
         return Arm(values, tuple(run.run_id for run in runs), why, _learned(data, runs, at_step))
 
 
-def _learned(data: StudyData, runs: Sequence[FinishedRun], at_step: float | None) -> bool | None:
+def _learned(data: StudyData, runs: Sequence[Row], at_step: float | None) -> bool | None:
     """Return whether an arm plays better than the random player, by a one-sided Student's test.
 
     The test uses each run's mean score over all evaluations, where 0 is the random player; the greatest score

@@ -56,7 +56,6 @@ class Asked:
 
     @property
     def where(self) -> str:
-        """The study with its world and changed fields, for messages."""
         study, changed = self.study, shown_settings(self.study.settings)
         world = f" in {WORLDS[study.world].title}" if len(study.worlds) > 1 else ""
         return f"{study.name}{world}" + (f" with {changed}" if changed else "")
@@ -307,12 +306,11 @@ def read_answer(index: RunIndex, shown: Shown, tell: Tell = lambda message: None
 
 
 def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyData | None:
-    """Return the finished ones of some runs of a study; None if there are none."""
-    from pneuma.analysis.frames import FinishedRun, StudyData
+    from pneuma.analysis.frames import StudyData
 
     rows, study = index.rows(entry for *_, entry in stored), asked.study
     runs = [
-        FinishedRun(condition, seed, rows[entry.run_id])
+        replace(rows[entry.run_id], condition=condition, seed=seed)
         for condition, seed, entry in stored
         if entry.run_id in rows
     ]

@@ -84,7 +84,6 @@ class ClaimContrast:
 
 
 def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
-    """Return all contrasts of a list, claim by claim and world by world, as they are planned."""
     table: list[ClaimContrast] = []
     for claim in claims.claims.values():
         for world in claim.worlds:

@@ -112,8 +112,6 @@ Arms = tuple[str, ...]
 
 
 class ListHead(Table):
-    """The head of a list: what holds for all its claims."""
-
     title: Text = ""
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05

@@ -14,14 +14,16 @@ reported.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.frames import FinishedRun, RunView, StudyData, view
+from pneuma.analysis.frames import RunView, StudyData, view
 from pneuma.analysis.intervals import incidence_interval
+from pneuma.study.rows import Row
 from pneuma.study.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
 SHORTEST = 0.05
@@ -81,7 +83,7 @@ def diagnose(seen: RunView) -> Diagnosis:
     gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
     found = {
         sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
-        for sign, parts in run.row.signs.items()
+        for sign, parts in run.signs.items()
     }
     falls, losses = _falls(played), _losses(seen)
     sunk = _lasting(losses or [], gap, shortest)
@@ -225,10 +227,10 @@ def _relearned(seen: RunView, played: _Played, onset: float, recovered: float | 
     return bool(after >= max(RELEARNED * best, random + DEPTH))
 
 
-def _update_steps(run: FinishedRun) -> int | None:
+def _update_steps(run: Row) -> int | None:
     """Return the agent steps of one update; None if the run's fields do not say."""
-    horizon = run.fields.get("horizon")
-    return horizon * run.slots or None if isinstance(horizon, int) and run.slots else None
+    counts = run.fields.get("horizon"), run.fields.get("slots"), run.fields.get("players", 1)
+    return math.prod(counts) or None if all(isinstance(count, int) for count in counts) else None
 
 
 # --- Stretches -------------------------------------------------------------------------------------

@@ -16,11 +16,12 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.errors import unknown_name
 from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES
+from pneuma.study.rows import Row
 
 Edges = tuple[np.ndarray, np.ndarray]
 """Lower and upper edge of a band, (points,) each; NaN where fewer than two runs have a value."""
@@ -142,11 +143,11 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
     }
 
 
-def _groups(data: StudyData) -> list[list[FinishedRun]]:
+def _groups(data: StudyData) -> list[list[Row]]:
     return [runs for condition in data.conditions if (runs := data.of_condition(condition))]
 
 
-def _curve(runs: Sequence[FinishedRun], step: np.ndarray, values: np.ndarray) -> Curve:
+def _curve(runs: Sequence[Row], step: np.ndarray, values: np.ndarray) -> Curve:
     return Curve(runs[0].condition, step, values, tuple(run.status == "diverged" for run in runs))
 
 

@@ -9,14 +9,14 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis import EDGED_BANDS
+from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
 from pneuma.study.measure import record_frame
-from pneuma.study.quantities import EPISODE_QUANTITIES, RECORD_TABLES
+from pneuma.study.quantities import EPISODE_QUANTITIES
 from pneuma.study.store import Store
 
 
@@ -43,13 +43,13 @@ def encode_table(
 
 
 def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
-    """Return one of `RECORD_TABLES`: evaluations from rows, all others from the runs' folders."""
+    """Return a table of records: evaluations from rows, all others from the runs' folders."""
     if table == "evaluations" and data.evaluated:
         return data.evaluations
     if table == "evaluations" or (data.averaged_over and table != "metrics"):
-        known = ", ".join(name for name in (*RECORD_TABLES, "curves", "summary") if name != table)
+        known = ", ".join(name for name in EXPORT_TABLES if name != table)
         raise UserError(f"study {data.study}: {data.what} holds no {table}; try {known}")
-    if published := len(data.published):
+    if published := sum(run.published for run in data.runs):
         raise UserError(f"study {data.study}: of {published} runs, only rows are published, and no {table}")
     frames = []
     for run in data.runs:

@@ -1,6 +1,6 @@
 """A study's data: its finished runs, each with its row, and a run as it stood at a step.
 
-`open_study` (asked.py) → StudyData of FinishedRuns; StudyData, run and step → RunView
+`open_study` (asked.py) → StudyData of Rows; StudyData, run and step → RunView
 """
 
 from __future__ import annotations
@@ -20,61 +20,9 @@ from pneuma.env_fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row
-from pneuma.study.series import STATISTICS, Series, held_curve, make_grid
+from pneuma.study.series import SLACK, STATISTICS, Series, held_curve, make_grid
 from pneuma.values import settings_name, shown_settings
 from pneuma.worlds import WORLDS
-
-SLACK = 1 / 40
-"""Budgets that differ by less than this share are equal: half the distance between evaluations."""
-
-
-@dataclass(frozen=True)
-class FinishedRun:
-    """A finished run of a study, done or diverged, which counts in every statistic.
-
-    Attributes:
-        seed: of a fork, its number in the study.
-        row: what it comes to.
-    """
-
-    condition: str
-    seed: int
-    row: Row = field(compare=False, repr=False)
-
-    @property
-    def run_id(self) -> str:
-        return self.row.run_id
-
-    @property
-    def fields(self) -> Mapping[str, Any]:
-        """Its fields as recorded, which may be untrusted."""
-        return self.row.fields
-
-    @property
-    def status(self) -> str:
-        return self.row.status
-
-    @property
-    def slots(self) -> int | None:
-        """Players, over all worlds, from which the run collects; None if unknown."""
-        slots, players = self.fields.get("slots"), self.fields.get("players", 1)
-        return slots * players if isinstance(slots, int) and isinstance(players, int) else None
-
-    @property
-    def budget(self) -> int:
-        return self.row.budget
-
-    @property
-    def begun(self) -> int:
-        """Agent steps with which the run began: for a fork, those of its parent."""
-        return self.fields.get("fork_step") or 0
-
-    @property
-    def end(self) -> int:
-        return self.row.end
-
-    def ends_before(self, step: float | None) -> bool:
-        return step is not None and self.budget * (1 + SLACK) < step
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +51,7 @@ class StudyData:
     figure: str
     baseline: str
     fields: Mapping[str, Mapping[str, Any]]
-    runs: Sequence[FinishedRun]
+    runs: Sequence[Row]
     same: Sequence[Sequence[str]] = ()
     every: Sequence[str] = ()
     narrowed: Sequence[str] = ()
@@ -114,7 +62,6 @@ class StudyData:
     budget: int = 0
 
     def __post_init__(self) -> None:
-        """Set the budget, at which curves end, to the largest of the runs, unless it is given."""
         object.__setattr__(self, "budget", self.budget or max(run.budget for run in self.runs))
 
     def __repr__(self) -> str:
@@ -138,26 +85,18 @@ class StudyData:
             or are_own_characters(str(run.fields.get("characters", "")))
             for run in self.runs
         )
-        worlds = [f" in {each.title}" for each in WORLDS.values() if [each.env] == self.environments]
+        environments = {str(fields.get("env")) for fields in self.fields.values()}
+        worlds = [f" in {each.title}" for each in WORLDS.values() if {each.env} == environments]
         changed = f" ({shown_settings(self.changed)})" if self.changed else ""
         return self.title + ("" if own else "".join(worlds)) + changed
-
-    @property
-    def environments(self) -> list[str]:
-        return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
 
     @property
     def what(self) -> str:
         """Where the runs are, for messages."""
         if self.averaged_over:
             return "a study of imported TensorBoard logs"
-        places = {run.row.published: "" for run in self.runs}
         words = {False: "the results folder", True: "the published table"}
-        return " with ".join(words[place] for place in sorted(places))
-
-    @property
-    def published(self) -> list[FinishedRun]:
-        return [run for run in self.runs if run.row.published]
+        return " with ".join(words[place] for place in sorted({run.published for run in self.runs}))
 
     def engines(self, condition: str) -> set[str]:
         return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
@@ -165,7 +104,7 @@ class StudyData:
     @cached_property
     def latest_first_evaluation(self) -> float:
         """The step from which every run has an evaluation; 0 if none has any."""
-        firsts = (steps[0] for run in self.runs if len(steps := run.row.evaluations("step")))
+        firsts = (steps[0] for run in self.runs if len(steps := run.evaluations("step")))
         return max(map(float, firsts), default=0.0)
 
     @cached_property
@@ -176,16 +115,16 @@ class StudyData:
     @cached_property
     def windows(self) -> tuple[str, ...]:
         """The windows of `WINDOWS` that all returns have, the usual one first."""
-        return tuple(name for name in WINDOWS if all(name in run.row.windows for run in self.runs))
+        return tuple(name for name in WINDOWS if all(name in run.windows for run in self.runs))
 
     @cached_property
     def evaluated(self) -> bool:
-        return all(run.row.evaluation_columns for run in self.runs)
+        return all(run.evaluation_columns for run in self.runs)
 
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return next((episodes for run in self.runs if (episodes := run.row.averaged_over)), None)
+        return next((episodes for run in self.runs if (episodes := run.averaged_over)), None)
 
     @cached_property
     def quantities(self) -> list[str]:
@@ -194,8 +133,8 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        published = {run.row.quantities for run in self.published}
-        some = dict.fromkeys(name for run in self.runs for name in run.row.quantities)
+        published = {run.quantities for run in self.runs if run.published}
+        some = dict.fromkeys(name for run in self.runs for name in run.quantities)
         return [name for name in some if all(name in names for names in published)]
 
     def of_conditions(self, names: str | Sequence[str]) -> StudyData:
@@ -212,13 +151,13 @@ class StudyData:
             same=[group for group in same if len(group) > 1],
         )
 
-    def of_condition(self, condition: str) -> list[FinishedRun]:
+    def of_condition(self, condition: str) -> list[Row]:
         """Return a condition's finished runs, in the order of their seeds."""
         return self._by_condition.get(condition, [])
 
     @cached_property
-    def _by_condition(self) -> dict[str, list[FinishedRun]]:
-        found: dict[str, list[FinishedRun]] = {}
+    def _by_condition(self) -> dict[str, list[Row]]:
+        found: dict[str, list[Row]] = {}
         for run in self.runs:
             found.setdefault(run.condition, []).append(run)
         return found
@@ -226,14 +165,14 @@ class StudyData:
     @cached_property
     def evaluations(self) -> pd.DataFrame:
         """The evaluations of all runs: condition, seed, run_id, and the columns of the records."""
-        tables = [run.row.evaluations_table() for run in self.runs]
+        tables = [run.evaluations_table() for run in self.runs]
         frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
         counts = [table.num_rows for table in tables]
         for place, key in enumerate(("condition", "seed", "run_id")):
             frame.insert(place, key, np.repeat([getattr(run, key) for run in self.runs], counts))
         return frame
 
-    def curve(self, run: FinishedRun, quantity: str, window: str | None = None) -> np.ndarray:
+    def curve(self, run: Row, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
@@ -242,19 +181,19 @@ class StudyData:
             window: one of `windows`; default: the first. Quantities of updates have only one.
         """
         window = self.checked_window(window)
-        if quantity in self.quantities and quantity not in run.row.quantities:
+        if quantity in self.quantities and quantity not in run.quantities:
             return np.full(self.grid.shape, np.nan)
-        if quantity not in self.quantities or window not in run.row.windows_of(quantity):
+        if quantity not in self.quantities or window not in run.windows_of(quantity):
             known = ", ".join(self.quantities) or "none"
             raise UserError(
                 f"study {self.study}: {self.what} holds no {quantity} in the window {window}; "
                 f"its curves are: {known}"
             )
-        values = run.row.curve(quantity, window)
-        return values if run.budget == self.budget else held_curve(run.row.grid, values, self.grid, run.end)
+        values = run.curve(quantity, window)
+        return values if run.budget == self.budget else held_curve(run.grid, values, self.grid, run.end)
 
     def has_curve(self, quantity: str, window: str) -> bool:
-        return all(window in run.row.windows_of(quantity) for run in self.runs)
+        return all(window in run.windows_of(quantity) for run in self.runs)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`; the first if None."""
@@ -284,23 +223,17 @@ def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str,
 
     Conditions are called CONDITION, STUDY.
     """
-    words = [data.study for data in (one, other)]
-    if words[0] == words[1]:
-        words = [data.full_title for data in (one, other)]
-    names = [
-        {name: f"{name}, {word}" for name in data.conditions}
-        for data, word in zip((one, other), words, strict=True)
-    ]
-    parts = [(data, renamed) for data, renamed in zip((one, other), names, strict=True)]
-    fields = {renamed[name]: data.fields[name] for data, renamed in parts for name in renamed}
-    runs = [replace(run, condition=renamed[run.condition]) for data, renamed in parts for run in data.runs]
+    parts = [(data, data.full_title if one.study == other.study else data.study) for data in (one, other)]
+    fields = {f"{name}, {word}": data.fields[name] for data, word in parts for name in data.conditions}
+    runs = [replace(run, condition=f"{run.condition}, {word}") for data, word in parts for run in data.runs]
     title = f"{one.title}, and {other.title}"
     joined = StudyData(
         one.study, title, one.figure, "", fields, runs, every=[*fields], narrowed=one.narrowed,
         world=one.world, steps=one.steps if one.steps == other.steps else None,
     )  # fmt: skip
-    shared = [name for name in names[0] if one.of_condition(name) and other.of_condition(name)]
-    return joined, {name: (names[0][name], names[1][name]) for name in shared}
+    (_, first), (_, second) = parts
+    shared = [name for name in one.conditions if one.of_condition(name) and other.of_condition(name)]
+    return joined, {name: (f"{name}, {first}", f"{name}, {second}") for name in shared}
 
 
 # --- A run up to a step -----------------------------------------------------------------------------
@@ -315,7 +248,7 @@ class RunView:
         since: where means over evaluations begin.
     """
 
-    run: FinishedRun
+    run: Row
     until: float
     since: float = 0.0
 
@@ -325,23 +258,20 @@ class RunView:
 
     def evaluations(self, column: str) -> Series:
         """Return a column of the evaluations; empty if there is no such column."""
-        row = self.run.row
-        if column not in row.evaluation_columns:
-            return _NOTHING
-        return self._finite(row.evaluations("step"), row.evaluations(column))
+        if column not in self.run.evaluation_columns:
+            return np.empty(0), np.empty(0)
+        return self._finite(self.run.evaluations("step"), self.run.evaluations(column))
 
     def curve(self, quantity: str) -> Series:
         """Return the points of a training curve that have a value; empty if there is no such quantity."""
-        if quantity not in self.run.row.quantities:
-            return _NOTHING
-        return self._finite(self.run.row.grid, self.run.row.curve(quantity))
+        return self._finite(self.run.grid, self.run.curve(quantity))
 
     def peaks(self, quantity: str) -> Series:
-        return self._finite(self.run.row.grid, self.run.row.peaks(quantity))
+        return self._finite(self.run.grid, self.run.peaks(quantity))
 
     def statistic(self, quantity: str, name: str) -> float:
         """Return one of `STATISTICS` of a curve, with all digits at the run's end; NaN if it has no value."""
-        exact = self.run.row.exact(quantity, name) if self.until >= self.run.budget else math.nan
+        exact = self.run.exact(quantity, name) if self.until >= self.run.budget else math.nan
         if not math.isnan(exact):
             return exact
         step, values = self.curve(quantity)
@@ -352,10 +282,7 @@ class RunView:
         return step[finite], values[finite]
 
 
-_NOTHING: Series = np.empty(0), np.empty(0)
-
-
-def view(data: StudyData, run: FinishedRun, at_step: float | None = None) -> RunView:
+def view(data: StudyData, run: Row, at_step: float | None = None) -> RunView:
     """Return a run as it stood at `at_step`, or at its own budget if that is smaller or no step is given.
 
     A step is given if runs of different budgets are compared. Each was evaluated at equal parts of its own

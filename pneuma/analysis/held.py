@@ -55,7 +55,6 @@ class Held:
     Attributes:
         name: the study's name, or its file.
         world: empty for a study without a file.
-        entries: its runs in the folder.
         whole: whether every condition has a finished run there.
     """
 

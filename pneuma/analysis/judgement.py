@@ -110,7 +110,6 @@ def judge(
 
 
 def _combine(claim: Claim, world: str, table: tuple[ClaimContrast, ...]) -> Verdict:
-    """Return the verdict on a claim, given those on its contrasts, with the reason for it."""
     each = [combine_contrasts([row.verdict for row in rows]) for rows in _by_outcome(table)]
     untestable = any(row.verdict == UNTESTABLE for row in table)
     verdict = combine_outcomes(each) or (UNTESTABLE if untestable else INCONCLUSIVE)

@@ -15,6 +15,7 @@ from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import RunView
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
+from pneuma.study.rows import STUCK
 from pneuma.study.series import EXTREMES, mean_height
 
 Measure = Callable[[RunView], float]
@@ -31,7 +32,7 @@ def peak(quantity: str) -> Measure:
     """Return a function that measures the extreme update of a quantity; NaN without a value."""
 
     def measure(seen: RunView) -> float:
-        exact = seen.run.row.exact(quantity, "peak") if seen.until >= seen.run.budget else NAN
+        exact = seen.run.exact(quantity, "peak") if seen.until >= seen.run.budget else NAN
         _, values = seen.peaks(quantity)
         return exact if not np.isnan(exact) or not len(values) else float(EXTREMES[quantity].reduce(values))
 
@@ -85,7 +86,7 @@ def log_max(seen: RunView) -> float:
 
 def stuck_share(seen: RunView) -> float:
     """Return the share of updates that are stuck; NaN if not known, or up to an earlier step."""
-    stuck, updates, _ = seen.run.row.stuck
+    stuck, updates, _ = (seen.run.cell(name) or 0 for name in STUCK)
     return stuck / updates if updates and seen.until >= seen.run.budget else NAN
 
 
@@ -136,5 +137,5 @@ def wall_seconds(seen: RunView) -> float:
 
 
 def pace(seen: RunView) -> float:
-    seconds = seen.run.row.wall_seconds
+    seconds = seen.run.wall_seconds
     return (seen.run.end - seen.run.begun) / seconds if seconds else NAN

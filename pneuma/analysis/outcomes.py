@@ -19,32 +19,14 @@ from typing import Any
 import numpy as np
 
 from pneuma.algorithms import MAILMAN
+from pneuma.analysis import measures
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.frames import FinishedRun, RunView, StudyData, common_step, view
-from pneuma.analysis.measures import (
-    NAN,
-    Measure,
-    Take,
-    diagnosed,
-    last_value,
-    late_mean,
-    late_mean_of_known,
-    log_growth,
-    log_max,
-    overestimation,
-    pace,
-    peak,
-    rise,
-    roughness,
-    share_area,
-    share_of_commonest,
-    steps_to,
-    stuck_share,
-    wall_seconds,
-)
+from pneuma.analysis.frames import RunView, StudyData, common_step, view
+from pneuma.analysis.measures import NAN, Measure, Take, diagnosed, last_value, late_mean, peak
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
+from pneuma.study.rows import Row
 
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
@@ -100,7 +82,7 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
     found = set()
     for name in data.conditions if conditions is None else conditions:
         runs = data.of_condition(name)
-        if runs and runs[0].row.averaged_over is None:  # logs do not tell their reward
+        if runs and runs[0].averaged_over is None:  # logs do not tell their reward
             fields = runs[0].fields
             foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
             kind = [fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)]
@@ -129,7 +111,7 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
         )
 
 
-def outcome(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> float:
+def outcome(data: StudyData, run: Row, name: str, at_step: float | None = None) -> float:
     """Return a run's outcome at a step, or at its budget; NaN if it has none."""
     found = find_outcome(name)
     return NAN if run.ends_before(at_step) else found.measure(view(data, run, at_step))
@@ -156,7 +138,7 @@ def find_outcome(name: str) -> Outcome:
         words = f"{100 * least:g}% of the monsters are killed"
     else:
         raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
-    measure = partial(steps_to, least=least, column=column)
+    measure = partial(measures.steps_to, least=least, column=column)
     return Outcome(
         f"steps until {words} (inf: never)", "steps", DOWN, POSITIVE, EVALUATED, measure, column=column
     )
@@ -180,7 +162,7 @@ def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
             raise UserError(f"the study's file, outcomes: {error}") from None
 
 
-def reason(data: StudyData, run: FinishedRun, name: str, at_step: float | None = None) -> str:
+def reason(data: StudyData, run: Row, name: str, at_step: float | None = None) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
     if not np.isnan(outcome(data, run, name, at_step)):
@@ -234,9 +216,9 @@ OUTCOMES: dict[str, Outcome] = {
         " by the likeliest actions, mean of the last five evaluations", late_mean, "argmax_share_killed"),
     "late-slope": _evaluated(
         "rise of monsters killed over the last five evaluations, by a straight line", "share", "",
-        (-1.2, 1.2), "share_killed", rise, requires_learning=True),
+        (-1.2, 1.2), "share_killed", measures.rise, requires_learning=True),
     "auc-share-killed": Outcome(
-        "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, share_area,
+        "monsters killed, mean over all evaluations", "share", UP, SHARE, EVALUATED, measures.share_area,
         alike=NEAR_AN_END, column="share_killed"),
     "greedy-share-killed": _killed(" by the likeliest actions", column="argmax_share_killed"),
     "normalised-score": _evaluated(
@@ -261,7 +243,7 @@ OUTCOMES: dict[str, Outcome] = {
         "hp_lost", late_mean),
     "kill-evenness": _evaluated(
         "how evenly players share the kills (0 one has all, 1 alike), mean of the last five evaluations", "",
-        UP, SHARE, "kill_evenness", late_mean_of_known),
+        UP, SHARE, "kill_evenness", measures.late_mean_of_known),
     "final-entropy": _trained("entropy of the policy at the end", "nats", "", POSITIVE, "entropy"),
     "least-entropy": Outcome(
         "least entropy of any update", "nats", "", POSITIVE, "entropy", peak("entropy")),
@@ -272,12 +254,12 @@ OUTCOMES: dict[str, Outcome] = {
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm", "median"),
     "log-max-grad-norm": Outcome(
         "natural logarithm of the greatest gradient norm of any update", "", DOWN, ANYTHING, "grad_norm",
-        log_max),
+        measures.log_max),
     "grad-norm-growth": Outcome(
         "growth of the logarithm of the gradient norm, from the first tenth of training to the last", "",
-        DOWN, ANYTHING, "grad_norm", log_growth),
+        DOWN, ANYTHING, "grad_norm", measures.log_growth),
     "stuck-share": Outcome(
-        "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", stuck_share),
+        "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", measures.stuck_share),
     "final-dead-units": _trained("dead hidden units at the end", "share", DOWN, SHARE, "dead_units"),
     **{
         f"final-action-{i}": _trained(
@@ -285,7 +267,8 @@ OUTCOMES: dict[str, Outcome] = {
         for i, name in enumerate(ACTION_NAMES)
     },
     "one-action": Outcome(
-        "share of the most frequent action at the end", "share", "", SHARE, "action_0", share_of_commonest),
+        "share of the most frequent action at the end", "share", "", SHARE, "action_0",
+        measures.share_of_commonest),
     "mean-kl": _trained(
         "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl", "average"),
     "early-explained-variance": _trained(
@@ -303,11 +286,13 @@ OUTCOMES: dict[str, Outcome] = {
         lambda values: values.max() - values[-1], requires_learning=True),
     "curve-roughness": _evaluated(
         "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
-        "share_killed", roughness, requires_learning=True),
-    "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", wall_seconds),
-    "steps-per-second": Outcome("agent steps trained per second", "steps/s", UP, POSITIVE, "times", pace),
+        "share_killed", measures.roughness, requires_learning=True),
+    "wall-seconds": Outcome("time that training took", "s", DOWN, POSITIVE, "times", measures.wall_seconds),
+    "steps-per-second": Outcome(
+        "agent steps trained per second", "steps/s", UP, POSITIVE, "times", measures.pace),
     "q-overestimation": Outcome(
-        "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED, overestimation),
+        "estimated value of play less what it returned", "", DOWN, ANYTHING, EVALUATED,
+        measures.overestimation),
 }  # fmt: skip
 """By name; `find_outcome` also knows steps-to:X and steps-to-return:X."""
 

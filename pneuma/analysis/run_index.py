@@ -77,7 +77,6 @@ class RunIndex:
 
     @cached_property
     def tables(self) -> dict[str, Published]:
-        """The published tables that can be read, by name."""
         return {
             name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
         }

@@ -64,8 +64,6 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
     asked = (outcomes,) if isinstance(outcomes, str) else outcomes or data.outcomes or usual
     names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
-    for name in names:
-        find_outcome(name)
     rows = [
         (condition, name, statistic, value, interval.low, interval.high, interval.method, runs)
         for condition in data.conditions

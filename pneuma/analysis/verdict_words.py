@@ -163,7 +163,7 @@ def effect(row: ClaimContrast) -> str:
         a, b, size, low, high = (_factor(number) for number in numbers)
         difference = " times as much"
     else:
-        if row.claim.event or _unit(row.outcome) == "share":
+        if row.claim.event or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
         places = _places(*numbers[2:])
         a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
@@ -180,7 +180,6 @@ def _arm(conditions: Arms) -> str:
 
 
 def _said(row: ClaimContrast) -> str:
-    """Return what is measured, in few words."""
     named = f"{row.outcome} {row.claim.event}".strip()
     words = _SAID.get(named) or " less ".join(
         _SAID.get(part, find_outcome(part).words) for part in row.outcome.split(MINUS)
@@ -188,10 +187,6 @@ def _said(row: ClaimContrast) -> str:
     if row.claim.event and named not in _SAID:
         words = f"runs with {words} {row.claim.event}"
     return _OF_KIND.get(row.claim.kind, "{}").format(words)
-
-
-def _unit(outcome: str) -> str:
-    return find_outcome(outcome.split(MINUS)[0]).unit
 
 
 def _places(size: float, low: float, high: float) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 
 from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.frames import FinishedRun, step_note
+from pneuma.analysis.frames import step_note
 from pneuma.analysis.held import studies_here
 from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
@@ -22,6 +22,7 @@ from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, Verdicts, numbers_table, study_pictures
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
+from pneuma.study.rows import Row
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 from pneuma.worlds import WORLDS
@@ -170,7 +171,7 @@ def _value(value: Any) -> str:
     return shown if len(shown) <= LONGEST_VALUE else shown[:LONGEST_VALUE] + "…"
 
 
-def _facts(run: FinishedRun) -> dict[str, str]:
-    found = run.row.provenance
+def _facts(run: Row) -> dict[str, str]:
+    found = run.provenance
     facts = {key: _value(found[key]) for key in ORIGIN_FACTS if found.get(key) is not None}
     return facts or {"provenance": "missing or damaged"}

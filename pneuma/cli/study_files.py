@@ -219,7 +219,7 @@ def _publish(store: Store, data: StudyData, curves: Sequence[str]) -> tuple[Path
     from pneuma.study.published import encode_published
 
     stem = table_name(data)
-    new = {run.run_id: run.row for run in data.runs if not run.row.published}
+    new = {run.run_id: run for run in data.runs if not run.published}
     if not new:
         raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
     before = RunIndex(store, shipped=False).tables.get(stem)
@@ -227,7 +227,7 @@ def _publish(store: Store, data: StudyData, curves: Sequence[str]) -> tuple[Path
     listing = store.listing(data.study)
     about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
     about |= {"listing": listing} if listing else {}
-    order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.seed))
+    order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
     path, encoded = store.published_path(stem), encode_published(order, about, curves)
     store.write(path, encoded)
     return path, encoded, len(new), len(rows) - len(new)

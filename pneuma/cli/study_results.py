@@ -52,7 +52,7 @@ def collapse(
     shares = incidence(data, found)
     collapsed = found[found["collapsed"]]
     if fork:
-        here = {run.run_id for run in data.runs if not run.row.published}
+        here = {run.run_id for run in data.runs if not run.published}
         collapsed = collapsed[collapsed["run_id"].isin(here)]
         parents = dict(zip(collapsed["run_id"], map(int, collapsed["last_healthy_step"]), strict=True))
         if not parents:

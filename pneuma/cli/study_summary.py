@@ -36,7 +36,7 @@ FEW_EPISODES = 10
 
 def _told_episodes(data: StudyData, outcomes: Iterable[str]) -> str:
     """Say how many runs' last returns average few episodes; empty if none do."""
-    counts = sorted(run.row.last_episodes for run in data.runs if 0 < run.row.last_episodes < FEW_EPISODES)
+    counts = sorted(run.last_episodes for run in data.runs if 0 < run.last_episodes < FEW_EPISODES)
     if not counts or "final-return" not in outcomes:
         return ""
     between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"

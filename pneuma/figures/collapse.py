@@ -13,7 +13,7 @@ from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 
 from pneuma.analysis.collapse import diagnoses, incidence
-from pneuma.analysis.frames import FinishedRun, StudyData, common_step, figure_basename, view
+from pneuma.analysis.frames import RunView, StudyData, common_step, figure_basename, view
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.errors import UserError
 from pneuma.figures import grid, style
@@ -89,7 +89,7 @@ def _falls(data: StudyData, name: str, onsets: Mapping[str, int], colours: Colou
     falls = [
         (step - onsets[run.run_id], values, colours[run.condition])
         for run in runs
-        for step, values in [_series(data, run, name)]
+        for step, values in [_series(data, view(data, run), name)]
         if len(step)
     ]
     shares = grid.numbers if name in ("entropy", "return") else grid.shares
@@ -98,19 +98,18 @@ def _falls(data: StudyData, name: str, onsets: Mapping[str, int], colours: Colou
     return Panel(draw, PANELS[name][0], "Steps from onset", x_ticks=ticks, y_ticks=shares) if falls else None
 
 
-def _series(data: StudyData, run: FinishedRun, name: str) -> Series:
-    """Return a run's data for one of `PANELS`."""
+def _series(data: StudyData, seen: RunView, name: str) -> Series:
     if name == "share_killed" or (name == "return" and is_foreign(data)):
-        return view(data, run).evaluations(name)
+        return seen.evaluations(name)
     if name != "action":
-        return view(data, run).curve(name)
-    shares = [data.curve(run, action) for action in ACTION_QUANTITIES if action in data.quantities]
+        return seen.curve(name)
+    shares = [data.curve(seen.run, action) for action in ACTION_QUANTITIES if action in data.quantities]
     most = np.max(shares, axis=0) if shares else np.full(data.grid.shape, np.nan)
     return data.grid[np.isfinite(most)], most[np.isfinite(most)]
 
 
 def _draw_falls(axes: Axes, name: str, falls: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
-    """Draw one of `PANELS`: steps from the onset, values and colour of each collapsed run."""
+    """Draw one of `PANELS`; `falls` are steps from the onset, values and colour of each run."""
     _, reach, threshold = PANELS[name]
     axes.axvline(0, color=GREY, linewidth=0.8)
     if threshold is not None:
@@ -145,7 +144,6 @@ def _halves(axis: Axis) -> None:
 
 
 def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_out: int) -> list[str]:
-    """Return the notes in the caption, the most important first."""
     notes = notes_of(data)
     if blind := shares["unknown"].sum():
         notes.append(f"Left out: {blind} runs without records that a collapse shows in.")

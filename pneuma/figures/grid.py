@@ -60,13 +60,11 @@ def few(axis: Axis) -> None:
 
 
 def steps(axis: Axis, most: int = 5) -> None:
-    """Format an axis as steps, such as 500k."""
     axis.set_major_locator(round_ticks(most))
     axis.set_major_formatter(EngFormatter(sep=""))
 
 
 def shares(axis: Axis) -> None:
-    """Format an axis of shares in per cent."""
     axis.set_major_locator(round_ticks(5, 2.5))
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 
@@ -79,7 +77,6 @@ def points(axis: Axis) -> None:
 
 
 def powers(axis: Axis) -> None:
-    """Make the upright axis logarithmic."""
     axis.axes.set_yscale("log", nonpositive="clip")
     low, high = axis.get_view_interval()
     if high < 10 * low:  # within a decade, powers of ten would label one tick or none
@@ -96,15 +93,10 @@ def round_ticks(most: int, *more: float) -> MaxNLocator:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One panel.
+    """One panel, with the labels of its axes, and what formats them.
 
     Attributes:
         draw: draws into its axes, and sets their limits.
-        title: above it.
-        x: the label of its horizontal axis.
-        y: the label of its upright axis.
-        x_ticks: formats the horizontal axis.
-        y_ticks: formats the upright one.
         rows: labels of rows, the first at the top; None if the upright axis has values.
     """
 
@@ -142,13 +134,11 @@ class Page:
 
 
 def in_grid(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
-    """Return panels row by row, the last row filled up."""
     padded = [*panels, *[None] * (-len(panels) % columns)]
     return [padded[start : start + columns] for start in range(0, len(padded), columns)]
 
 
 def no_runs(title: str) -> Panel:
-    """Return the panel of a world in which there are no runs."""
     return Panel(_draw_no_runs, textwrap.fill(title, 12))
 
 
@@ -184,8 +174,6 @@ def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
     wide = characters(1.2 * TYPE_POINTS, width)  # bold letters are wider
     title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
-    if panel.draw is _draw_no_runs:
-        return
     panel.x_ticks(axes.xaxis)
     if panel.rows is None:
         panel.y_ticks(axes.yaxis)
@@ -200,9 +188,8 @@ def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any]) -> None:
     labels = {"\n".join(textwrap.wrap(label, characters(points) - 8)): artist
               for label, artist in entries.items()}  # fmt: skip
     longest = max((len(label) for label in labels), default=0)
-    columns = max(
-        1, min(len(labels), characters(points) // (longest + 8))
-    )  # a handle is as wide as 8 letters
+    # a handle is as wide as 8 letters
+    columns = max(1, min(len(labels), characters(points) // (longest + 8)))
     rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
     below_lines = textwrap.wrap(
         " ".join(filter(None, page.caption)),
@@ -247,14 +234,9 @@ def _legend_entries(axes: Iterable[Axes], more: Mapping[str, Any]) -> dict[str, 
 
 
 def draw_random_player(axes: Axes, level: float | None, top: float, upright: bool = False) -> None:
-    """Draw the level of the random player, if there is one, as a grey line.
+    """Draw the level of the random player, a share, if there is one, as a grey line.
 
-    Args:
-        axes: the axes.
-        level: its level, as a share.
-        top: the highest point that is drawn; a level far above it gets no line, as it would flatten
-            everything else.
-        upright: whether levels are on the horizontal axis.
+    A level far above `top`, the highest point that is drawn, gets no line: it would flatten everything else.
     """
     if level is None:
         return

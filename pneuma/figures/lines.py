@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
-from pneuma.analysis.frames import SLACK, StudyData, common_step, step_note
+from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.env_fields import ACTION_NAMES
@@ -29,6 +29,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
 from pneuma.figures.words import label_of, notes_of, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.study.series import SLACK
 
 _, TRAILING_WINDOW = WINDOWS
 USUAL_BAND, INTERVAL, RUNS = BAND_NAMES[0], "ci", "runs"
@@ -80,8 +81,6 @@ class Column:
     """A study's curves, and how they are drawn.
 
     Attributes:
-        quantities: of `curve_names`.
-        band: one of `BANDS`.
         window: of the study's windows; None for the first.
         beside: a study whose runs are drawn as dashed lines.
         labels: names of conditions in the legend, if not with the number of their runs.
@@ -105,7 +104,6 @@ class Column:
 
     @cached_property
     def others(self) -> dict[str, list[Curve]]:
-        """The curves of the study beside."""
         if self.beside is None:
             return {}
         window = self.window if self.window in self.beside.windows else self.beside.windows[0]
@@ -147,7 +145,6 @@ class Column:
 
     @property
     def meanings(self) -> dict[str, Any]:
-        """The legend's words for lines and bands."""
         drawn = [*chain.from_iterable(self.curves.values())]
         bands = [band for band in self.bands if any(_shows_band(curve, band) for curve in drawn)]
         found: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
@@ -255,7 +252,6 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
 
 
 def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
-    """Return the notes in the caption, the most important first."""
     every = [*chain.from_iterable(curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     if note := step_note(data):

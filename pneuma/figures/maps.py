@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -45,10 +46,8 @@ def study_maps(data: StudyData) -> list[Map]:
     """Return all maps of a study, without those whose conditions were not run."""
     found = []
     for contrast in MAPS.get(data.study, ()):
-        try:
+        with suppress(UserError):
             found.append(robustness_map(data, *contrast))
-        except UserError:
-            continue
     return found
 
 
@@ -74,10 +73,8 @@ def _panel(found: Map) -> Panel:
     """Return a panel with one row per cell, named by its levels; above the rows stand their factors."""
     cells = found.cells.to_dict("records")
     levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in cells)
-    label, shares = (
-        " less ".join(map(shown_value, found.values)),
-        find_outcome(found.outcome).bounds == (0.0, 1.0),
-    )
+    label = " less ".join(map(shown_value, found.values))
+    shares = find_outcome(found.outcome).bounds == (0.0, 1.0)
     return Panel(
         partial(_draw_cells, cells=cells, factors=_readable(", ".join(found.factors))),
         f"{_readable(found.setting)}: {found.label}",

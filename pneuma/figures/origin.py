@@ -52,14 +52,13 @@ class Origin(BaseModel):
     runs: Annotated[tuple[Sample, ...], FailFast()] = ()
 
     def encode(self) -> str:
-        """Return the document; invisible characters in it are codes."""
         return json.dumps(self.model_dump(), separators=(",", ":"))
 
 
 def samples_of(*studies: StudyData) -> list[Sample]:
     """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
     return [
-        sample(data.study, name, (run.row.config_id for run in runs), [run.seed for run in runs])
+        sample(data.study, name, (run.config_id for run in runs), [run.seed for run in runs])
         for data in studies
         for name in data.conditions
         if (runs := data.of_condition(name))

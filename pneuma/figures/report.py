@@ -23,7 +23,6 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis import verdict_words
-from pneuma.analysis.claims import Claim
 from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
@@ -57,10 +56,7 @@ class Part:
         label: the study, with its world if it has several.
         words: the words of a command that ask for it.
         where: its heading: in which world its runs are played.
-        notes: important sentences, shown first.
         fix: the command that trains what is missing.
-        extent: the number of conditions, runs and steps.
-        pictures: the result of `study_pictures`.
         conditions: the `differing` fields, as a table; and those that are `alike`, by name.
         runs: of each its id, condition, seed, status and engine.
         origins: the provenance of runs: facts by name, and the number of runs for which they hold.
@@ -86,15 +82,10 @@ def report_page(
     unjudged: str = "",
     title: str = "",
 ) -> bytes:
-    """Return the page's bytes.
+    """Return the page's bytes, of what `cli/report.py` gathers.
 
-    Args:
-        claims: the verdicts on each claim, in the order of the table.
-        studies: in the order of the page, as `cli/report.py` gathers them: `study`, `title`, `section`,
-            `about`, and `parts`, one for each world.
-        note: the list of claims with its checksum and error rate.
-        unjudged: why no claim could be judged; usually empty.
-        title: of the page; empty if it is about the thesis.
+    Studies have `study`, `title`, `section`, `about`, and `parts`, one for each world. `note` is on the list
+    of claims, and `unjudged` says why none could be judged. Without a title the page is about the thesis.
     """
     environment = Environment(
         loader=PackageLoader("pneuma.figures", ""),
@@ -112,16 +103,12 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
-        version=__version__, words=verdict_words, claim_of=_claim_of,
+        version=__version__, words=verdict_words,
         worlds={world: verdict_words.WORLD_NAMES[world] for world in verdict_words.worlds_of(claims)},
         counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave
-
-
-def _claim_of(verdicts: Mapping[str, Verdict]) -> Claim:
-    return next(iter(verdicts.values())).claim
 
 
 def _anchor(kind: str, name: str) -> str:

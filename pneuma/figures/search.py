@@ -134,26 +134,18 @@ class _Drawn:
         return Panel(draw, parameter.name.replace("_", " "), x_ticks=x_ticks, y_ticks=y_ticks)
 
     def _slice(self, axes: Axes, parameter: Parameter) -> None:
-        choices = [*parameter.choices]
         for trials, pruned in ((self.pruned, True), (self.complete, False)):
             having = [trial for trial in trials if parameter.name in trial.params]
-            values = [trial.params[parameter.name] for trial in having]
-            places = [float(choices.index(value)) for value in values] if choices else values
-            if choices:  # beside each other, in the order of the trials
-                places = [place + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5)
-                          for place, trial in zip(places, having, strict=True)]  # fmt: skip
-            self._points(axes, having, places, pruned)
+            self._points(axes, having, [_place(parameter, trial) for trial in having], pruned)
         for trial in self.best[:1]:
             if parameter.name in trial.params:
-                value = trial.params[parameter.name]
-                at = choices.index(value) + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5) if choices else value
-                axes.plot([at], trial.values[:1], marker="D", color=BEST, markersize=5, linestyle="",
-                          label="best", zorder=4)  # fmt: skip
+                look: Any = {"marker": "D", "color": BEST, "markersize": 5, "linestyle": ""}
+                axes.plot([_place(parameter, trial)], trial.values[:1], label="best", zorder=4, **look)
         for place, base in enumerate(self._starts(), 1):
             params = self.search.space.params_of(base)
             if parameter.name in params:
                 value = params[parameter.name]
-                at = choices.index(value) if choices else value
+                at = [*parameter.choices].index(value) if parameter.choices else value
                 line: Any = {"color": INK, "linewidth": 0.8, "linestyle": ("--", ":")[place % 2]}
                 axes.axvline(at, zorder=1.2, label=f"value of {base}", **line)
 
@@ -200,7 +192,6 @@ class _Drawn:
         return {name: found[name] for name in sorted(names, key=lambda name: -found[name])}
 
     def caption(self, importances: bool) -> list[str]:
-        """Return what the search consists of, and what importances are if they are drawn."""
         states = [trial.state for trial in self.trials]
         counts = ", ".join(
             f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
@@ -261,6 +252,14 @@ GOLDEN = (5**0.5 - 1) / 2
 """Its multiples lie evenly between whole numbers."""
 TABLES = ("table-6-1", "table-6-2")
 """Bases whose values are marked: the thesis's."""
+
+
+def _place(parameter: Parameter, trial: EndedTrial) -> float:
+    """Return where a trial lies on a parameter's axis; those of one choice side by side, in their order."""
+    value: Any = trial.params[parameter.name]
+    if not parameter.choices:
+        return float(value)
+    return [*parameter.choices].index(value) + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5)
 
 
 def _height(parameter: Parameter, params: Mapping[str, Any]) -> float:

@@ -174,7 +174,7 @@ END = "end"
 
 def save_figure(
     figure: Figure,
-    folder: Path | str,
+    folder: Path,
     basename: str,
     formats: Sequence[str],
     origin: Origin,
@@ -187,7 +187,6 @@ def save_figure(
     for name in formats:
         if name not in _NO_DATES:
             raise unknown_name("format", name, _NO_DATES)
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
@@ -241,9 +240,8 @@ def _spread_ends(axes: Axes, dots_per_point: float) -> None:
         return
     wanted = np.array([axes.transData.transform((0, text.xy[1]))[1] for text in ends]) / dots_per_point
     order = np.argsort(wanted, kind="stable")
-    heights = np.array([1.15 * text.get_fontsize() * (text.get_text().count("\n") + 1) for text in ends])[
-        order
-    ]
+    lines = np.array([text.get_text().count("\n") + 1 for text in ends])
+    heights = (1.15 * np.array([text.get_fontsize() for text in ends]) * lines)[order]
     middles = np.cumsum(heights) - heights / 2  # of labels upon each other
     bottom, top = (edge / dots_per_point for edge in (axes.bbox.y0, axes.bbox.y1))
     places = isotonic_regression(wanted[order] - middles).x

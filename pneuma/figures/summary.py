@@ -52,8 +52,6 @@ ABOVE = 0.2
 
 @dataclass(frozen=True)
 class OutcomeRows:
-    """What the runs of a study came to, as its figure shows them in rows."""
-
     data: StudyData
     named: str = ""
 
@@ -85,12 +83,6 @@ class OutcomeRows:
         """Whether it is a share of monsters, which can be compared with the random player's."""
         return self.outcome.endswith("share-killed")
 
-    @property
-    def axis_label(self) -> str:
-        if self.of_killed:
-            return "Share killed"
-        return find_outcome(self.named).unit if self.named else "Return of an episode"
-
     @cached_property
     def colours(self) -> dict[str, str]:
         return {name: look["color"] for name, look in styles_of(self.data).items()}
@@ -98,20 +90,20 @@ class OutcomeRows:
     def panel(self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, title: str) -> Panel:
         """Return the panel with a row for each name, in its colour; `short` has the names that are shown."""
         names = list(colours)
+        measured = find_outcome(self.named).unit if self.named else "Return of an episode"
         labels = [
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
             partial(_draw_runs, found=self, colours=colours, mark=mark),
             title,
-            self.axis_label,
+            "Share killed" if self.of_killed else measured,
             x_ticks=grid.shares if self.of_killed else grid.few,
             rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
         )
 
     @property
     def notes(self) -> list[str]:
-        """The notes in the caption, the most important first."""
         words = find_outcome(self.outcome).words
         notes = [*notes_of(self.data, is_return(self.outcome)), f"{words[:1].upper()}{words[1:]}."]
         notes.append(step_note(self.data))
@@ -206,7 +198,6 @@ def _beside(values: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _marks(drawn: Sequence[OutcomeRows]) -> dict[str, Any]:
-    """Return the legend's words for the marks in a row."""
     most = max((len(runs) for found in drawn for runs in found.values.values()), default=0)
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
     iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}

@@ -13,17 +13,11 @@ from pneuma.values import shown_settings
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
-    """Return a figure's headline: title, and what is shown.
-
-    Args:
-        data: the study.
-        shown: the end of the headline; default: the thesis's figure to which it corresponds, if any.
-    """
+    """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
     return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.figure)]))
 
 
 def after_thesis(figure: str) -> str:
-    """Return the thesis's figure to which a study's corresponds, if any."""
     counterpart = re.match(r"fig-(\d)-(\d)(?!\d)", figure)
     return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else ""
 
@@ -37,9 +31,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
     if len(engines) > 1:
         notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
-    units = kinds_of_return(data) | (
-        kinds_of_return(beside) if beside and not beside.averaged_over else set()
-    )
+    units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
@@ -78,7 +70,6 @@ def _within(titles: Sequence[str]) -> list[str]:
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    """Return a condition's name with the number of its runs."""
     return f"{name or condition} ({len(data.of_condition(condition))})"
 
 
@@ -90,7 +81,6 @@ def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
 
 
 def fits_panel(data: StudyData) -> bool:
-    """Return whether the curves of all conditions that have runs fit one panel."""
     return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
 
 

@@ -207,6 +207,6 @@ def gains(winner: Winner, data: StudyData) -> dict[str, Gain]:
             difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
         alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
         sign = 1 if objective.direction == "maximize" else -1
-        luck = sign * (seen - value) if alike and won[0].row.budget == searched_steps else math.nan
+        luck = sign * (seen - value) if alike and won[0].budget == searched_steps else math.nan
         found[objective.name] = Gain(seen, value, base, difference, interval, luck)
     return found

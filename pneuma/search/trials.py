@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import optuna
 
-from pneuma.analysis.frames import FinishedRun, StudyData
+from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
@@ -26,6 +26,7 @@ from pneuma.search.spec import BY_SEED, OVER_SEEDS, Budget, Objective, Search
 from pneuma.study.identity import run_id, user_files_digest
 from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell, Plan, rounding_notes
+from pneuma.study.rows import Row
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 
@@ -120,7 +121,7 @@ class Outcomes:
 
     def read(self, cell: Cell, name: str) -> float:
         """Return an outcome of a finished run; NaN if it has none."""
-        run = FinishedRun(cell.condition, cell.seed, stored_row(self.store, cell.run_id))
+        run = replace(stored_row(self.store, cell.run_id), condition=cell.condition)
         return counted_outcome(self.task.search, self._data(run, cell), run, name)
 
     def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
@@ -129,16 +130,15 @@ class Outcomes:
         healthy = [step for step in steps if status.name != "diverged" or step < status.step]
         values = []
         if healthy:
-            run = FinishedRun(
-                cell.condition, cell.seed, row_until(self.store, cell.run_id, cell.run, healthy[-1])
-            )
+            row = row_until(self.store, cell.run_id, cell.run, healthy[-1])
+            run = replace(row, condition=cell.condition)
             values = [outcome(self._data(run, cell), run, name, step) for step in healthy]
         return values + [self.read(cell, name) for _ in steps[len(healthy) :]]
 
     def diverged(self, cell: Cell) -> bool:
         return self.store.status(cell.run_id).name == "diverged"
 
-    def _data(self, run: FinishedRun, cell: Cell) -> StudyData:
+    def _data(self, run: Row, cell: Cell) -> StudyData:
         title = self.task.search.title
         return StudyData(title, title, title, cell.condition, {cell.condition: as_fields(cell.run)}, [run])
 
@@ -351,7 +351,7 @@ def best_number(trials: Sequence[EndedTrial], search: Search) -> int | list[int]
     return front if len(search.objectives) > 1 else min(front, default=None)
 
 
-def counted_outcome(search: Search, data: StudyData, run: FinishedRun, name: str) -> float:
+def counted_outcome(search: Search, data: StudyData, run: Row, name: str) -> float:
     """Return an outcome of a run of some data as a search counts it.
 
     A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the

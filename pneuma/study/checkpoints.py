@@ -119,7 +119,6 @@ class RunCheckpoints:
                 _remove(file.path)
 
     def _parents(self) -> Checkpoint:
-        """Return the parent's checkpoint that a fork begins with."""
         parent, step = self._run.parent, self._run.fork_step
         found = sound_checkpoint(self._store.run_folder(parent), step)
         if found is None or found.step != step:
@@ -138,8 +137,6 @@ def _remove(path: Path) -> None:
 
 
 class CheckpointFile(NamedTuple):
-    """A checkpoint file in a run's folder, with the step and checksum from its name."""
-
     step: int
     digest: str
     path: Path

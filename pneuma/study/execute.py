@@ -145,7 +145,6 @@ def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = Fal
 
 
 def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) -> list[str]:
-    """Return notes on damaged, published and failed runs."""
     labels = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
     notes = [
         f"{labels[name]}: {status.detail!r} is damaged; the run is trained again"

@@ -57,10 +57,8 @@ class ImportedRun:
     """An imported run.
 
     Attributes:
-        log: where it was found.
         steps: the last logged agent step.
         points: tag, step, value and superseded (by a restart) of every scalar, as written.
-        provenance: when it was logged, and its files.
         new: whether this call stored it.
         damage: what of it cannot be read, for each file that is damaged.
     """

@@ -25,9 +25,6 @@ LOOKS, LOOK_SECONDS = 5, 0.002
 def run_lock(folder: Path) -> Iterator[bool]:
     """Hold the lock of a run's folder, if no other process does; yield whether it is held.
 
-        with run_lock(store.run_folder(name)) as mine:
-            if mine: ...
-
     The operating system releases the lock when the process ends, however it ends.
 
     Raises:

@@ -57,8 +57,6 @@ class Selection:
 
 @dataclass(frozen=True)
 class Cell:
-    """One training of a plan."""
-
     condition: str
     seed: int
     run: Run
@@ -84,11 +82,8 @@ class Plan:
         return tuple(dict.fromkeys(cell.condition for cell in self.cells))
 
 
-def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] | None = None) -> Plan:
-    """Plan a selection of a study; with `settings` they are changed in every condition.
-
-    `engine` is as in `configure`; default: one that can train in the environment, which is made to find out.
-    """
+def make_plan(study: Study, selection: Selection) -> Plan:
+    """Plan a selection of a study. Where the engine is left open, environments are made to find one."""
     preset = find_preset(study, selection)
     amounts = {
         condition: preset.conditions.get(condition, preset)
@@ -99,7 +94,7 @@ def make_plan(study: Study, selection: Selection, engine: Callable[[Run], str] |
         if name in study.conditions and name not in amounts:
             raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
     wanted = selection.conditions or tuple(amounts)
-    asked = configure(study, selection.settings, wanted, engine or _able_engines())
+    asked = configure(study, selection.settings, wanted, _able_engines())
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
     runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
@@ -196,7 +191,7 @@ def configure(
 
 
 def round_up(run: Run, steps: int) -> int:
-    """Return a number of steps rounded up to a run's whole updates."""
+    """Round steps up to a run's whole updates."""
     return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 

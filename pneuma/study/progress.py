@@ -99,7 +99,6 @@ def _kind(settings: Mapping[str, Any]) -> str:
 
 
 def _usual(settings: Mapping[str, Any]) -> float:
-    """Return the seconds per step from the table."""
     layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
     weights = max(1, sum(before * after for sizes in layers for before, after in pairwise(sizes)))
     known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T
@@ -113,11 +112,8 @@ def _usual(settings: Mapping[str, Any]) -> float:
 class ProgressDisplay:
     """Shows on standard error how far runs are. A context manager.
 
-    Args:
-        to_train: the runs that are missing, by id.
-        store: the store, in which some of them may have begun.
-        quiet: whether to show nothing but notes.
-        until: steps at which runs pause, by run; 0 is the end.
+    Some of the runs `to_train` may have begun in the store. `until` has the steps at which they pause; 0 is
+    the end. Notes are shown even if it is quiet.
     """
 
     def __init__(

@@ -2,7 +2,6 @@
 
 WINDOWS = ("budget-5%", "trailing-100")
 """What a point of a curve of returns averages: the last twentieth of the budget, or the last 100 episodes."""
-RECORD_TABLES = ("episodes", "metrics", "evaluations")
 
 EPISODE_QUANTITIES = ("return", "length", "kills", "hp")
 """Quantities of a training curve that average over episodes."""

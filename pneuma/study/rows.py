@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from pneuma.files import parse_json
 from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import EXTREMES, GRID_POINTS, Stretch, make_grid, unpack_signs
+from pneuma.study.series import EXTREMES, GRID_POINTS, SLACK, Stretch, make_grid, unpack_signs
 from pneuma.study.tables import from_ipc
 
 NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
@@ -162,6 +162,7 @@ class Row:
         fields: its configuration, which may be untrusted.
         provenance: what produced it, and how long that took.
         signs: where each recorded sign of collapse holds.
+        condition: of the study that it is read for; the seed of a fork is then its number in the study.
     """
 
     table: pa.Table = field(repr=False)
@@ -172,18 +173,26 @@ class Row:
     budget: int
     end: int
     status: str
-    fields: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-    signs: Mapping[str, list[Stretch]]
+    fields: Mapping[str, Any] = field(repr=False)
+    provenance: Mapping[str, Any] = field(repr=False)
+    signs: Mapping[str, list[Stretch]] = field(repr=False)
+    condition: str = ""
 
     def cell(self, column: str) -> Any:
-        """Return a cell; None if there is no such column."""
         return self.table[column][0].as_py() if column in self._columns else None
 
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when they were logged; None if they were not."""
         return self.cell(AVERAGED_OVER)
+
+    @property
+    def begun(self) -> int:
+        """Agent steps with which the run began: for a fork, those of its parent."""
+        return self.fields.get("fork_step") or 0
+
+    def ends_before(self, step: float | None) -> bool:
+        return step is not None and self.budget * (1 + SLACK) < step
 
     @cached_property
     def grid(self) -> np.ndarray:
@@ -234,12 +243,6 @@ class Row:
         """The number of episodes that the last point of its return averages; infinite if it is not known."""
         value = self.cell(LAST_EPISODES)
         return math.inf if value is None else float(value)
-
-    @property
-    def stuck(self) -> tuple[int, int, int]:
-        """The counts of `STUCK`; 0 each if they are not known."""
-        stuck, updates, spells = (self.cell(name) or 0 for name in STUCK)
-        return stuck, updates, spells
 
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:

@@ -19,6 +19,8 @@ from pneuma.study.quantities import ACTION_QUANTITIES
 GRID_POINTS = 200
 WINDOW_POINTS = 10
 """A twentieth of the grid: the window of a training curve."""
+SLACK = 1 / 40
+"""Budgets that differ by less than this share are equal: half the distance between evaluations."""
 TRAILING_EPISODES = 100
 HUGE = 1e6
 """Up to which a running total of a run's values still has all their digits that are ever drawn."""

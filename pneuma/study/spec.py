@@ -222,7 +222,6 @@ def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) ->
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
-    """Refuse a user's file whose name is that of a shipped one."""
     if shipped.is_file() and path.resolve() != shipped.resolve():
         raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
 

@@ -48,8 +48,6 @@ from pneuma.study.locks import is_held, remove_lock, run_lock
 STATUSES = ("planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged")
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
-FAILED = ("crashed",)
-"""Statuses of failed runs, which are trained again only when asked for."""
 
 SCALARS_FILE = "scalars.parquet"
 """The file of an imported run: every value in its logs."""
@@ -69,12 +67,7 @@ _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 @dataclass(frozen=True)
 class Identity:
-    """What a stored run is a run of.
-
-    Attributes:
-        config_id: of its configuration, without seed and steps.
-        steps: agent steps that it is to train.
-    """
+    """What a stored run is a run of: a configuration without seed and steps, and these two."""
 
     config_id: str
     seed: int
@@ -104,13 +97,11 @@ class Status:
 
     @property
     def failed(self) -> bool:
-        """Whether the run failed and is trained again only when asked for."""
-        return self.name in FAILED
+        """Whether it is trained again only when asked for."""
+        return self.name == "crashed"
 
 
 class Store:
-    """A results folder."""
-
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = Path(root)
 
@@ -260,7 +251,6 @@ class Store:
     # --- Studies without a file, and published tables ------------------------------------------
 
     def save_listing(self, study: str, listing: Mapping[str, Any]) -> None:
-        """Record the runs of a study without a file."""
         self.write(self.listing_path(study), dump_checksummed({"study": study, **listing}))
 
     def listing(self, study: str) -> dict[str, Any] | None:

@@ -199,7 +199,6 @@ def read_study(path: Path) -> Study:
 
 
 def _preset(file: TomlFile, name: str, preset: PresetTable, conditions: Collection[str]) -> Preset:
-    """Return the seeds and steps of every condition."""
     for condition in preset.conditions:
         if condition not in conditions:
             unknown = unknown_name("condition", condition, conditions)
@@ -212,7 +211,6 @@ def _preset(file: TomlFile, name: str, preset: PresetTable, conditions: Collecti
 
 
 def _cross(file: TomlFile, factors: Factors) -> tuple[dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
-    """Return the fields of each crossed condition, and its value of each factor."""
     count = math.prod(map(len, factors.values()))
     if count > MOST_CONDITIONS:
         message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"

@@ -59,7 +59,6 @@ class Job:
 
 
 def main() -> int:
-    """Read the job, train it, and return the exit code."""
     job = json.loads(sys.stdin.readline())
     die_with(job["parent"])
     stop = threading.Event()
@@ -235,7 +234,6 @@ def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Excep
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:
-    """Obey the parent's commands, and exit when its end of the pipe closes."""
     for line in lifeline:
         if line.strip() == "stop":
             stop.set()

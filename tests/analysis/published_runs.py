@@ -52,7 +52,7 @@ def publish(data: StudyData, store: Store, *curves: str) -> Path:
     listing = {"study": data.study, "title": data.title, "baseline": data.baseline, "runs": runs}
     path = store.published_path(data.study)
     about = {"study": data.study, "world": None, "settings": {}, "listing": listing}
-    store.write(path, encode_published([run.row for run in data.runs], about, curves or None))
+    store.write(path, encode_published(data.runs, about, curves or None))
     return path
 
 

@@ -161,7 +161,7 @@ def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> Non
     first = whole.runs[0]
     store = Store(tmp_path / "results")
     save_run(store, first.run_id, [], [], [], 100, "diverged", first.fields)
-    blank = replace(first, row=stored_row(store, first.run_id))
+    blank = replace(stored_row(store, first.run_id), condition=first.condition)
     without = mapped(replace(whole, runs=[blank, *whole.runs[1:]]))
     assert without.cells["reason"][0] == "1 run without a value"
 

@@ -57,10 +57,11 @@ def test_a_run_and_its_published_row_give_the_same_bits(
     save_run(store, "b1" * 8, 1, end=600, status="diverged")
     data = hand_made.study_of(store, CELLS)
     again = republished(data, tmp_path)
-    assert [run.row.published for run in again.runs] == [True] * 4 and again.runs == data.runs
+    assert [run.published for run in again.runs] == [True] * 4
     assert outcomes_of(again, at_step) == outcomes_of(data, at_step)
     for run, other in zip(data.runs, again.runs, strict=True):
-        assert other.row.same_numbers(run.row) and other.fields == run.fields
+        assert other.same_numbers(run) and other.fields == run.fields
+        assert (other.condition, other.seed) == (run.condition, run.seed)
 
 
 def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:
@@ -182,9 +183,9 @@ def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -
     save_run(store, "b0" * 8, 0, valued=True, played=50.5)
     again = republished(data := hand_made.study_of(store, CELLS), tmp_path)
     assert outcomes_of(again) == outcomes_of(data)
-    assert all(run.row.same_numbers(own.row) for run, own in zip(again.runs, data.runs, strict=True))
-    assert "q_estimate" in again.runs[1].row.evaluation_columns
-    assert "q_estimate" not in again.runs[0].row.evaluation_columns
+    assert all(run.same_numbers(own) for run, own in zip(again.runs, data.runs, strict=True))
+    assert "q_estimate" in again.runs[1].evaluation_columns
+    assert "q_estimate" not in again.runs[0].evaluation_columns
 
 
 def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
@@ -234,7 +235,7 @@ def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wi
     data = open_study(index, "mine", tell=told.append)
     path = store.published_path("elsewhere")
     assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
-    assert not any(run.row.published for run in data.runs)
+    assert not any(run.published for run in data.runs)
     assert outcome(data, data.runs[0], "best-return") == pytest.approx(20 / 3)
 
 

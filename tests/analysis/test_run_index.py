@@ -62,7 +62,7 @@ def data(request: pytest.FixtureRequest, store: Store, tmp_path: Path) -> StudyD
             shutil.rmtree(store.run_folder(run.run_id))
         store.save_run(data.runs[2].run_id, Status("crashed", 100), {})
         data = open_study(RunIndex(store, shipped=False), data.study)
-        assert [run.row.published for run in data.runs] == [False, True, True]
+        assert [run.published for run in data.runs] == [False, True, True]
     return data
 
 
@@ -70,7 +70,7 @@ def test_every_quantity_has_a_curve_that_ends_with_its_run(data: StudyData) -> N
     assert {"return", "entropy"} <= {*data.quantities} <= {*TRAINING_QUANTITIES}
     for quantity in data.quantities:
         for run in data.runs:
-            for window in {*data.windows} & {*run.row.windows_of(quantity)}:
+            for window in {*data.windows} & {*run.windows_of(quantity)}:
                 curve = data.curve(run, quantity, window)
                 assert curve.shape == (200,)
                 if window == data.windows[0]:
@@ -85,11 +85,11 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
     data: StudyData, store: Store, tmp_path: Path
 ) -> None:
     again = republished(data, tmp_path / "again")
-    assert again.runs == data.runs
-    for key in ("conditions", "baseline", "same", "title", "figure", "environments", "windows", "quantities"):
+    for key in ("conditions", "baseline", "same", "title", "figure", "fields", "windows", "quantities"):
         assert getattr(again, key) == getattr(data, key)
     for run, other in zip(data.runs, again.runs, strict=True):
-        assert other.row.same_numbers(run.row) and other.fields == run.fields
+        assert other.same_numbers(run) and other.fields == run.fields
+        assert (other.condition, other.seed) == (run.condition, run.seed)
     for table in ("curves", "summary", *(["evaluations"] if data.evaluated else [])):
         assert encode_table(again, table, "csv", store) == encode_table(data, table, "csv", store)
     with pytest.raises(UserError, match="only rows are published|holds no episodes"):
@@ -133,7 +133,7 @@ def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no
     store: Store, name: str
 ) -> None:
     """Names become those of figures and published tables, and the folder may be anybody's."""
-    row = trained(store).runs[0].row
+    row = trained(store).runs[0]
     runs = [{"run_id": row.run_id, "condition": "a", "seed": 0}]
     for listing in ({"study": name, "title": "", "baseline": "a", "runs": runs}, {"study": "table"}, [1]):
         about = {"study": "table", "listing": listing}
@@ -146,9 +146,9 @@ def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: St
     trained(store)
     index = RunIndex(store)
     theirs = open_study(index, "activation", Selection(conditions=("tanh",), seeds=(100, 101)), "godot")
-    assert [run.row.published for run in theirs.runs] == [True, True]
+    assert [run.published for run in theirs.runs] == [True, True]
     ids = [run.run_id for run in theirs.runs]
     save_listing(store, {("tanh", 0): ids[0], ("tanh", 1): ids[1], ("ours", 0): A0}, name="both")
     data = open_study(RunIndex(store), "both")
-    assert {run.run_id: run.row.published for run in data.runs} == {ids[0]: True, ids[1]: True, A0: False}
+    assert {run.run_id: run.published for run in data.runs} == {ids[0]: True, ids[1]: True, A0: False}
     assert {*ids} <= {*index.entries} and not {*ids} & {*RunIndex(store, shipped=False).entries}

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.frames import FinishedRun
+from pneuma.analysis import run_index
 from pneuma.search.spec import SearchFile
 from pneuma.search.trials import Unfinished
+from pneuma.study.measure import stored_row
 from pneuma.study.plan import Plan
+from pneuma.study.rows import Row
 from pneuma.study.spec import studies_folder
 from pneuma.study.store import Status, Store
 
@@ -124,8 +126,11 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
         return replace(found, name="diverged") if run_id == lost else found
 
     monkeypatch.setattr(Store, "status", diverged)
-    in_row = property(lambda run: "diverged" if run.run_id == lost else "done")
-    monkeypatch.setattr(FinishedRun, "status", in_row)
+
+    def in_row(store: Store, run_id: str) -> Row:
+        return replace(stored_row(store, run_id), status="diverged" if run_id == lost else "done")
+
+    monkeypatch.setattr(run_index, "stored_row", in_row)
     again = described(*words)
     assert again["diverged"] == {"small": 0, "small-tuned": 1}
     # one of two counts with all monsters killed, the worst that is sought here

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -200,6 +199,15 @@ def test_over_seeds_by_hand(name: str, values: tuple[int, ...], expected: float)
     assert np.isnan(over_seeds(name, np.array([1.0, np.nan])))
 
 
+@dataclass(frozen=True)
+class _Row:
+    """What a search reads of a row."""
+
+    status: str = "done"
+    end: int = 0
+    condition: str = ""
+
+
 def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,9 +216,9 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     run = task.search.space.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
     cell = Cell("trial-000", 1000, run, "0" * 16)
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
-    monkeypatch.setattr(trials, "stored_row", lambda *_: SimpleNamespace(status="diverged"))
-    monkeypatch.setattr(trials, "row_until", lambda *asked: asked[-1])
+    monkeypatch.setattr(trials, "stored_row", lambda *_: _Row("diverged"))
+    monkeypatch.setattr(trials, "row_until", lambda *asked: _Row(end=asked[-1]))
     monkeypatch.setattr(Outcomes, "_data", lambda *_: None)
-    monkeypatch.setattr(trials, "outcome", lambda _, run, name, step: step / run.row)
+    monkeypatch.setattr(trials, "outcome", lambda _, run, name, step: step / run.end)
     early = Outcomes(task, store).read_early(cell, "final-share-killed", [100, 200, 300])
     assert early == [0.5, 1.0, 0.0]  # the worst share from where it diverged on

@@ -51,7 +51,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         assert entropy == pytest.approx(list(tables["metrics"]["entropy"]))
         row = stored_row(store, own)
         for name in row.evaluation_columns:
-            np.testing.assert_allclose(back.row.evaluations(name), row.evaluations(name), rtol=1e-6)
+            np.testing.assert_allclose(back.evaluations(name), row.evaluations(name), rtol=1e-6)
         assert (back.seed, back.end) == (5, 256)
         assert again.curve(back, "return")[-1] == pytest.approx(returns[-100:].mean(), rel=0.01)
     assert again.conditions == ["relu", "tanh"]

@@ -130,16 +130,10 @@ def watch(
     lost: str,
     until: Mapping[str, int],
 ) -> None:
-    """Report events of runs in jobs until all runs have ended; ended runs are removed from `left`.
+    """Report events of runs in jobs until all runs have ended; ended ones are removed from `left`.
 
-    Args:
-        left: ids of the runs.
-        store: where they are stored.
-        on_event: receives the events.
-        live: returns the remaining jobs, by the ids of their runs.
-        seconds: time between two looks.
-        lost: the reason for a run whose job has ended without results.
-        until: steps at which runs pause, by run.
+    `live` returns the remaining jobs, by the ids of their runs, and is asked every so many seconds. `lost` is
+    the reason for a run whose job has ended without results; `until` has the steps at which runs pause.
     """
     jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
     last = {**jobs}

@@ -48,18 +48,13 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NU
 
 
 def most_workers(how: ExecutorConfig) -> int:
-    """Return how many runs train at once unless the user says otherwise: one per core."""
     return available_cores()
 
 
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs in a process of its own; see `base.Executor`.
-
-    Raises:
-        KeyboardInterrupt: after Ctrl-C, when all workers have ended.
-    """
+    """Train each group of runs in a process of its own; see `base.Executor`."""
     with Interrupts() as interrupts:
         Supervisor(groups, store, how, on_event, interrupts).work()
         if interrupts.count:
@@ -153,7 +148,6 @@ class Supervisor:
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
 
     def work(self) -> None:
-        """Run all tasks; if an exception ends it, the workers are killed."""
         try:
             while self._tasks or self._workers():
                 self._start_pending()
@@ -171,7 +165,6 @@ class Supervisor:
         return [key.data for key in self._selector.get_map().values() if key.data is not None]
 
     def _heed_interrupts(self) -> None:
-        """Ask all workers to stop at the first interrupt, and kill them at the second."""
         count = self._interrupts.count
         if count == self._heeded:
             return
@@ -315,7 +308,6 @@ class _Worker:
         self._process.kill()
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
-        """Wait until the process has ended; return its exit code and standard error."""
         code = self._process.wait()
         self._orders.close()
         self.events.close()

@@ -54,12 +54,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs on a node of the cluster; see `base.Executor`.
-
-    Raises:
-        KeyboardInterrupt: after Ctrl-C, when every run has reached a checkpoint.
-        UserError: when runs cannot be trained on a node.
-    """
+    """Train each group of runs on a node of the cluster, if it is fit to; see `base.Executor`."""
     store.root.mkdir(parents=True, exist_ok=True)
     waiting = [dict(group) for group in groups]
     left = {name for group in waiting for name in group}
@@ -169,16 +164,10 @@ def train_here(
     folder: str,
     mark: str,
 ) -> None:
-    """Train runs on the node that Ray calls this on.
+    """Train runs on the node that Ray calls this on, if it has the `wanted` versions and sees the `mark`.
 
-    Args:
-        runs: by id.
-        store: the shared results folder.
-        how: how they are supervised.
-        wanted: versions that the node must have.
-        source: the version of the code that was sent.
-        folder: the current folder of the command, from which users' rewards and levels are read.
-        mark: a file in the results folder.
+    `source` is the version of the code that was sent, and `folder` the command's current one, from which
+    users' rewards and levels are read; `mark` is a file in the results folder.
     """
     installed, node = versions(), socket.gethostname()
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]

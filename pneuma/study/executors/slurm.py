@@ -58,7 +58,6 @@ SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 
 
 def most_workers(how: ExecutorConfig) -> int:
-    """Return how many jobs of an array run at once unless the user says otherwise; see `base.Executor`."""
     _executor(Path("unused"), "unused", how)
     return MOST_AT_ONCE
 
@@ -66,12 +65,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs in a job of its own; see `base.Executor`.
-
-    Raises:
-        Detached: with --detach, or after Ctrl-C; jobs go on.
-        UserError: when jobs are refused.
-    """
+    """Train each group of runs in a job of its own, if none is refused; see `base.Executor`."""
     wanted = [dict(group) for group in groups]
     left, asked = {name for group in wanted for name in group}, how.detach
     try:
@@ -98,10 +92,6 @@ class Training:
 
     Before a job's time is over Slurm sends USR2, and submitit puts the job back into the queue. TERM means
     that its node is taken away, or that it is cancelled. In both cases runs first go on to a checkpoint.
-
-    Attributes:
-        runs: by id.
-        store: the shared results folder.
     """
 
     runs: Mapping[str, Run]
@@ -183,11 +173,7 @@ def _noted(store: Store) -> dict[str, list[dict[str, int]]]:
 
 
 def _put_away(store: Store) -> dict[str, Job]:
-    """Clear away submissions that are not in the queue; the output of failed runs stays.
-
-    Returns:
-        The queue, as `queued` does.
-    """
+    """Clear away submissions that are not in the queue, which is returned; output of failed runs stays."""
     before = {name: runs for name, runs in _noted(store).items() if not is_held(_folder(store) / name)}
     live = queued(store)  # asked afterwards: what others submit meanwhile stays
     for name, groups in before.items():
