@@ -220,10 +220,7 @@ def write_file(out: Path, data: bytes) -> None:
 def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "") -> tuple[str, ...]:
     """Return the formats of figures; refuse a file given as their folder.
 
-    Args:
-        asked: the formats, if the user gave some.
-        out: the folder.
-        lacking: the option without which nothing is drawn, if it was not given.
+    `lacking` is the option without which nothing is drawn, if it was not given.
     """
     if lacking and (asked or out):
         raise UserError(f"{'--format' if asked else '--out'}: goes with {lacking}")
@@ -237,13 +234,8 @@ def draw_files(
 ) -> list[Path]:
     """Write figures into a folder given by the user, or into `figures` of the results; return the files.
 
-    In a results folder, which may be untrusted, no link is followed. If drawing fails, nothing is written.
-
-    Args:
-        store: the results folder.
-        out: where; None for the results.
-        formats: of each figure.
-        pages: the figures, each with the command that draws it.
+    Each page comes with the command that draws it. In a results folder, which may be untrusted, no link is
+    followed. If drawing fails, nothing is written.
     """
     from pneuma.figures.grid import save_page
 

@@ -46,11 +46,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
-    Attributes:
-        act: chooses actions as in training.
-        choose: chooses the best actions from the observations alone; None if they are not evaluated. (These
-            worlds are played anyway, because the random player draws for all of them.)
-        actions: the number of actions.
+    `act` chooses as in training, and `choose` the best actions from the observations alone. Without that they
+    are not evaluated, but played anyway, because the random player draws for all worlds.
     """
 
     act: Act
@@ -152,8 +149,7 @@ class Evaluation:
     def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
         """Play one episode in every world, the first ones with sampled actions, the others with the best.
 
-        Returns:
-            (N,) the return of each, the mean over its players.
+        Return the return of each, (N,), the mean over its players.
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
@@ -211,10 +207,7 @@ class Evaluation:
 def evenness(kills: np.ndarray) -> float:
     """Return how evenly players share an episode's kills, a mean over those with any: 0 one has all, 1 alike.
 
-    It is the entropy of their shares over its greatest value (Pielou 1966).
-
-    Args:
-        kills: (episodes, players), at least two.
+    It is the entropy of their shares over its greatest value (Pielou 1966), of (episodes, players >= 2).
     """
     kills = kills[kills.any(axis=1)]
     if not len(kills):

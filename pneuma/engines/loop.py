@@ -38,12 +38,9 @@ UNFIT = (KeyError, ValueError, TypeError, RuntimeError)
 
 @dataclass(frozen=True)
 class Progress:
-    """The state of one run after an update.
+    """The state of one run after an update, at an agent step counted over all slots.
 
-    Attributes:
-        step: agent steps trained, over all slots.
-        records: all records so far; the engine continues to add to them.
-        checkpoint: a function that takes a checkpoint; call it before the next update.
+    The engine continues to add to the records. `checkpoint` takes one; call it before the next update.
     """
 
     step: int
@@ -93,11 +90,7 @@ class Trainer(ABC):
 
     @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Do the update between two agent steps and record it.
-
-        Returns:
-            Whether all numbers are still finite.
-        """
+        """Do the update between two agent steps and record it; return whether all numbers are finite."""
 
     @abstractmethod
     def policy(self) -> Policy:

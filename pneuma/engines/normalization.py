@@ -51,13 +51,9 @@ class RunningMoments:
 
 
 class Normalization:
-    """The statistics that a run's slots learn in training.
+    """The statistics that a run's slots learn in training, from their first observations, (S, features), on.
 
-    Args:
-        observations: (S, features), the first ones.
-
-    Attributes:
-        seen: (S, features), the observations as the learner sees them.
+    `seen` are the current ones as the learner sees them.
     """
 
     def __init__(self, run: Run, observations: np.ndarray) -> None:

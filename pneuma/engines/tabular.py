@@ -31,11 +31,7 @@ LONGEST_ROUTE = 2
 
 
 class TableTrainer(Trainer):
-    """Trains the tables of one run.
-
-    Attributes:
-        tables: (1 or 2, places, actions) action values, 0 at first; two in double Q-learning.
-    """
+    """Trains a run's tables: (1 or 2, places, actions) values, 0 at first; two in double Q-learning."""
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
@@ -136,13 +132,8 @@ def temporal_difference(
 ) -> float:
     """Return the temporal-difference error of a step (thesis Eq. 3.2; with two tables Eq. 3.9).
 
-    The updated table chooses the next action, and the other one values it. A single table does both.
-
-    Args:
-        tables: (1 or 2, places, actions).
-        updated: the index of the table to update.
-        step: place, action, reward, and the next place; None at the end.
-        gamma: discount.
+    The step is place, action, reward, and the next place, None at the end. The updated one of the tables,
+    (1 or 2, places, actions), chooses the next action, and the other one values it. A single table does both.
     """
     place, action, reward, next_place = step
     rated = 0.0

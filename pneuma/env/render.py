@@ -128,12 +128,7 @@ class Renderer:
         return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
-        """Return the frame of one world, shape (height, width, 3) uint8.
-
-        Args:
-            world: which of the worlds.
-            player: the player that the camera follows and the panel shows.
-        """
+        """Return the frame of one world, (height, width, 3) uint8, with one of its players in view."""
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         left, top, width, height = self._window(world, player)
         canvas = self.background[top : top + height, left : left + width].copy()

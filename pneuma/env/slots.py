@@ -106,9 +106,7 @@ def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
 def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
     """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
 
-    Args:
-        worlds: the worlds to reset.
-        start: None, the index of a start place, or a list with one of these for each world.
+    `start` is None, the index of a start place, or a list with one of these for each world.
     """
     if start is None:
         return None

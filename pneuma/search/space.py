@@ -189,12 +189,9 @@ Parameters = Annotated[dict[str, Parameter], MinLen(1), BeforeValidator(named), 
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a search, in the order in which they are suggested.
+    """The parameters of a search, each after those that it depends on, in the order of suggestion.
 
-    Attributes:
-        parameters: each after those that it depends on.
-        fixed: other fields that every trial sets, on top of the base.
-        base: name of the fields to start from.
+    Every trial sets the fixed fields too, on top of those that the base names.
     """
 
     parameters: tuple[Parameter, ...]

@@ -95,10 +95,9 @@ def log_path(store: Store, label: str) -> Path:
 
 
 class JournalLog:
-    """The log of a search that is being run. Only the process that holds the search's lock may use it.
+    """The log of a search that is being run, with the trials that ended before, by number.
 
-    Attributes:
-        ended: trials that ended before, by number.
+    Only the process that holds the search's lock may use it.
     """
 
     def __init__(self, storage: BaseStorage, task: Task) -> None:
@@ -294,9 +293,7 @@ def _changed(identity: object, task: Task) -> list[str]:
 def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTrial]:
     """Return the trials that have ended, up to the first that has not.
 
-    Raises:
-        UserError: for parameters that are not in the search's space.
-        ValueError: for values that do not fit the search.
+    A ValueError says that a value does not fit the search.
     """
     names, ended, running = {state: name for name, state in STATES.items()}, [], False
     for trial in sorted(trials, key=lambda each: int(each.number)):

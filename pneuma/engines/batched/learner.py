@@ -35,17 +35,7 @@ def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> 
 
 
 class Learner:
-    """The networks, optimizer and minibatch order of one policy.
-
-    Args:
-        features: the length of an observation.
-        actions: the number of actions.
-        player: whose policy it is, where each player has its own.
-
-    Attributes:
-        networks: actor and critic, NumPy arrays.
-        generator: draws the order of minibatches.
-    """
+    """The networks, optimizer and minibatch order of a policy: all players', or one's where each has one."""
 
     def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
         self.run = run

@@ -104,12 +104,8 @@ def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
 class Collector:
     """The worlds of a run's slots, with the episodes in progress.
 
-    Attributes:
-        worlds: as many as the run's `slots`; each of their players is one slot.
-        episodes: those in progress.
-        generator: draws the actions.
-        features, actions: the length of an observation, and the number of actions.
-        layout: identifies the layout of the arrays of `saved_state`.
+    Each player of each of the worlds, which are as many as the run's `slots`, is one slot here. `layout`
+    identifies the layout of the arrays of `saved_state`.
     """
 
     scaling = None  # Pneuma's worlds scale what they show by themselves
