@@ -88,8 +88,8 @@ class Result:
         shown: for people, lines and tables; computed only for them if it is a generator.
         title: the line above all that, for people.
         notes: what must be known to read the rest: for people below the title, else on standard error.
-        table: for pages and papers, with cells as text.
-        numbers: the table as CSV, with whole numbers; `table` if None.
+        table: for pages and papers, with cells as text; or rows with equal keys.
+        numbers: the table as CSV, with whole numbers, likewise; `table` if None.
         form: one of `OUTPUT_FORMATS`, unless `--json` asks for JSON.
         code: the exit code.
     """
@@ -98,8 +98,8 @@ class Result:
     shown: Iterable[str | Table] = ()
     title: str = ""
     notes: Sequence[str] = ()
-    table: pd.DataFrame | None = None
-    numbers: pd.DataFrame | None = None
+    table: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
+    numbers: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
     form: str = "table"
     code: int = 0
 
@@ -120,11 +120,14 @@ def print_result(result: Result, form: str) -> None:
     elif form == "json":
         print_json(result.document)
     else:
+        import pandas as pd
+
         from pneuma.analysis.export import encode_frame
 
-        frame = result.table if form != "csv" or result.numbers is None else result.numbers
-        assert frame is not None, "a command without a table has no --format"
-        print("\n".join(map(plain, encode_frame(frame, form).decode().split("\n"))), end="")
+        found = result.table if form != "csv" or result.numbers is None else result.numbers
+        assert found is not None, "a command without a table has no --format"
+        text = encode_frame(pd.DataFrame(found), form).decode()
+        print("\n".join(map(plain, text.split("\n"))), end="")
 
 
 def _print_table(table: Table) -> None:

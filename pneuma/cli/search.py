@@ -225,13 +225,7 @@ def run(
     return Result(_document(task, ended_trials), [] if code or quiet else shown, code=code)
 
 
-def _task(
-    name: str,
-    world: str | None,
-    preset: str,
-    over: Mapping[str, Any],
-    **amount: Any,
-) -> Task:
+def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
     """Return a search with overridden fields, and its preset's budget with the given amounts."""
     from pneuma.config import Run
     from pneuma.env_fields import read_field
