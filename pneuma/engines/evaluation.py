@@ -103,6 +103,7 @@ class Evaluation:
         share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
+        cleared = self._tally["cleared"]  # 0 where a monster is left
         values: dict[str, float] = {}
         if self.action_values and isinstance(policy, Policy):
             values = self.action_values.measure(policy)
@@ -120,15 +121,10 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             **values,
-            "steps_to_clear": float(self._steps_to_clear()[sampled].mean()),
+            "steps_to_clear": float(np.where(cleared, cleared, self.run.episode_steps)[sampled].mean()),
             "hp_lost": float(self._tally["hp_lost"][sampled].mean()),
             **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
         }
-
-    def _steps_to_clear(self) -> np.ndarray:
-        """Return after how many steps no monster was left, (N,); the time limit where one was."""
-        cleared = self._tally["cleared"]
-        return np.where(cleared > 0, cleared, self.run.episode_steps)
 
     def _score(self, share: np.ndarray) -> float:
         """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.

@@ -8,8 +8,6 @@ computed exactly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pneuma.config import Run, stream_seed
@@ -44,8 +42,11 @@ class TableTrainer(Trainer):
         self._finished: list[Row] = []
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        steps = [self._step(taken) for taken in range(before, after)]
-        records.metrics.append({**_metrics(self.run, steps), "step": after})
+        steps = (self._step(taken) for taken in range(before, after))
+        actions, errors = (np.array(each) for each in zip(*steps, strict=True))
+        loss, shares = float((errors**2).mean()), action_shares(self.run, actions, ACTIONS)
+        row = {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, "value_loss": loss, **shares}
+        records.metrics.append(row)
         records.episodes.extend(self._finished)
         self._finished.clear()
         return bool(np.isfinite(self.tables).all())
@@ -148,16 +149,6 @@ def exploration_rate(run: Run, taken: int) -> float:
     assert run.exploration is not None and run.exploration_fraction is not None
     falling = run.exploration_fraction * run.steps
     return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
-
-
-def _metrics(run: Run, steps: Sequence[tuple[int, float]]) -> dict[str, float]:
-    """Return the metrics of some steps: action shares, and the mean squared error as the loss."""
-    actions, errors = np.array([action for action, _ in steps]), np.array([error for _, error in steps])
-    return {
-        **dict.fromkeys(METRIC_COLUMNS, NAN),
-        "value_loss": float((errors**2).mean()),
-        **action_shares(run, actions, ACTIONS),
-    }
 
 
 # --- Evaluation -----------------------------------------------------------------------------------

@@ -222,18 +222,14 @@ def read_record(store: Store, name: str, world: str | None = None, stored: bool 
     """
     search = load_search(name, world)
     own = [log_path(store, search.label)] if stored else []
-    for path in (*own, *published_logs(store, search.label)):
+    published = (store.root / PUBLISHED, shipped_tables())
+    for path in (*own, *(folder / f"search-{search.label}.log" for folder in published)):
         if path.exists():
             return _read(path, search)
     raise UserError(
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
-
-
-def published_logs(store: Store, label: str) -> list[Path]:
-    """Return where the log of a search may be published: in a results folder, or with Pneuma."""
-    return [folder / f"search-{label}.log" for folder in (store.root / PUBLISHED, shipped_tables())]
 
 
 class _Lines(BaseJournalBackend):
