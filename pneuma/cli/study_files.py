@@ -46,9 +46,7 @@ def plot(
         "NAME", "Studies; left out: all that were run.", complete.studies, default=None
     ),
     figure: opt.Text = opt.choice(
-        "--figure",
-        FIGURE_KINDS,
-        "Curves over steps (default for seven conditions or less), or a summary.",
+        "--figure", FIGURE_KINDS, "Curves over steps (default for seven conditions or less), or a summary."
     ),
     quantity: opt.SeveralRead = opt.choice(
         "--quantity",
@@ -143,10 +141,7 @@ def export(
     name: str = opt.STUDY,
     table: str = opt.choice("--table", EXPORT_TABLES, "What to export.", default=opt.REQUIRED),
     out: Path = opt.option(
-        "--out",
-        "FILE",
-        f"The file to write, in {_ENDINGS}; - prints CSV.",
-        default=opt.REQUIRED,
+        "--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.", default=opt.REQUIRED
     ),
     band: opt.Text = opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
     window: opt.Text = opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages."),

@@ -14,14 +14,7 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.loop import Trainer
 from pneuma.engines.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import (
-    EVALUATION_COLUMNS,
-    METRIC_COLUMNS,
-    Checkpoint,
-    Records,
-    Row,
-    action_shares,
-)
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, Row, action_shares
 
 NAN = float("nan")
 ENDING = "home"

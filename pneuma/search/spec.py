@@ -28,14 +28,7 @@ from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.optuna_study import PRUNERS, SAMPLERS, read_choice
 from pneuma.search.space import FIXABLE, Parameters, Space, named
-from pneuma.study.spec import (
-    PRESETS,
-    SEEDS_ALLOWED,
-    files_beside,
-    find_file,
-    read_seeds,
-    studies_folder,
-)
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, files_beside, find_file, read_seeds, studies_folder
 from pneuma.study.study_file import in_own_names
 from pneuma.values import OneOf, Reads
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
