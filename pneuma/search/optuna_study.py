@@ -120,7 +120,8 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         usual = kind.arguments[key]
         number = isinstance(each, int if isinstance(usual, int) or key == "popsize" else int | float)
         if isinstance(each, bool) != isinstance(usual, bool) or not number:
-            raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
+            kind_of = "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
+            raise wrong(f"{key} = {shown(each)} is not allowed: {kind_of}", key)
         if each < (least := LEAST.get(key, each)):
             raise wrong(f"{key} = {shown(each)} is not allowed: at least {least}", key)
     arguments = {**kind.arguments, **given}
@@ -134,10 +135,6 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         except (ValueError, TypeError, AssertionError) as error:
             raise wrong(f"{name}: {error}", next(iter(given), "name")) from None
     return {"name": name, "arguments": arguments}
-
-
-def _type(usual: Any) -> str:
-    return "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
 
 
 def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
