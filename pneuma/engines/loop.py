@@ -55,8 +55,7 @@ class Result:
     Attributes:
         status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
             `on_update`.
-        step: agent steps trained, over all slots.
-        policy: the last policy; None when it is not finite.
+        policy: the last one; None when it is not finite.
     """
 
     status: str

@@ -71,28 +71,17 @@ class Header(Table):
 
 @dataclass(frozen=True)
 class Level:
-    """A level as the rules need it; lengths in pixels, y downwards.
-
-    Attributes:
-        name: what the level was loaded as.
-        tile: side of a tile.
-        left: x of the grid's left edge.
-        top: y of the grid's upper edge.
-        ground: (rows, columns) codes of the ground, for drawing; -1 where there is none.
-        terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`.
-        starts: (S, 2) start places.
-        monsters: kind, x and y of each.
-    """
+    """A level as the rules need it; lengths in pixels, y downwards."""
 
     name: str
     title: str
     tile: float
-    left: float
+    left: float  # of the grid of tiles
     top: float
-    ground: np.ndarray
-    terrain: np.ndarray
-    starts: np.ndarray
-    monsters: tuple[tuple[str, float, float], ...]
+    ground: np.ndarray  # (rows, columns) codes, for drawing; -1 where there is none
+    terrain: np.ndarray  # (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`
+    starts: np.ndarray  # (S, 2) places
+    monsters: tuple[tuple[str, float, float], ...]  # kind, x and y of each
 
     @property
     def land(self) -> tuple[float, float, float, float]:

@@ -80,15 +80,9 @@ class Renderer:
     ) -> None:
         """Paint the background.
 
-        Args:
-            worlds: the worlds to draw, now and after later steps.
-            camera: "map" for the whole level, "follow" for a view centred on a player.
-            panel: whether a strip above the picture shows HP, XP, step and monsters left.
-            overlay: whether to draw what the rules measure over it; see `overlay.py`.
-            zoom: pixels for each art pixel of the following camera.
-
-        Raises:
-            UserError: for a level that is too large.
+        The camera "map" shows the whole level, "follow" a view centred on a player, with `zoom` pixels for
+        each art pixel. A panel above the picture shows HP, XP, step and monsters left; an overlay draws what
+        the rules measure over it.
         """
         self.worlds = worlds
         self.camera = camera

@@ -35,7 +35,6 @@ class Parameter(Table):
     """[space.NAME]: a range of a run's field, or a list of its values.
 
     Attributes:
-        name: of the field.
         low, high: the ends of a range, which includes both; `log` for a logarithmic scale.
         choices: the values of a list, by what they are in trials: themselves, or the text of what Optuna does
             not take.

@@ -83,8 +83,6 @@ class EndedTrial:
     """A trial that has ended.
 
     Attributes:
-        number: from 0, in the order of suggestion.
-        params: the suggested values.
         state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
         values: one for each objective; for a pruned trial, its last report.
         reports: what its pruner saw: values by evaluation, numbered as in `evaluation_steps`, or by seed,

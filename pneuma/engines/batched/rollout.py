@@ -298,14 +298,8 @@ def advantages(
 ) -> Any:
     """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 4.14).
 
-    Args:
-        rewards: (S, T) float32, like all other arrays.
-        values: (S, T), of the states before each step.
-        starts: (S, T), 1 where the step before ended an episode.
-        last_values: (S,), after the last step.
-        last_ends: (S,), 1 where the last step ended an episode.
-        gamma: discount.
-        decay: gamma times lambda.
+    Values are of the states before each step, (S, T), and after the last one, (S,). `starts` and `last_ends`
+    are 1 where the step before ended an episode; `decay` is gamma times lambda.
     """
     result = np.zeros_like(rewards)
     slots, steps = rewards.shape
