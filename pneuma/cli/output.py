@@ -118,7 +118,11 @@ def print_result(result: Result, form: str) -> None:
             else:
                 say(each)
     elif form == "json":
-        print_json(result.document)
+        from pydantic_core import to_jsonable_python
+
+        document = {"schema": 1, **result.document}  # of objects and tables too; NaN becomes null
+        whole = to_jsonable_python(document, inf_nan_mode="null", fallback=_as_plain)
+        print(dumps(whole, indent=2, allow_nan=False))
     else:
         import pandas as pd
 
@@ -168,14 +172,6 @@ def listed_result(kind: str, many: str, folder: Path) -> Result:
         head = read_head(name, folder)
         rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
     return rows_result(many, rows)
-
-
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print a command's JSON document; data classes and tables become objects, NaN becomes null."""
-    from pydantic_core import to_jsonable_python
-
-    whole = to_jsonable_python({"schema": 1, **document}, inf_nan_mode="null", fallback=_as_plain)
-    print(dumps(whole, indent=2, allow_nan=False))
 
 
 def _as_plain(value: Any) -> Any:
