@@ -107,7 +107,14 @@ class JournalLog:
         self._study = optuna.load_study(study_name=task.search.name, storage=storage)
         known = self._study.user_attrs.get(ABOUT)
         if not isinstance(known, dict) or known["trials_asked"] < task.budget.trials:
-            self._study.set_user_attr(ABOUT, _about(task))
+            about = {
+                "search": task.search.name,
+                "set": task.over,
+                "digest": task.digest,
+                "identity": task.identity,
+                "trials_asked": task.budget.trials,
+            }
+            self._study.set_user_attr(ABOUT, json.loads(to_json(about)))
         self._noted = {trial.number: trial for trial in self._study.get_trials()}
         self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
 
@@ -150,18 +157,6 @@ class JournalLog:
 
     def _id(self, number: int) -> int:
         return self._storage.get_trial_id_from_study_id_trial_number(self._study._study_id, number)
-
-
-def _about(task: Task) -> dict[str, Any]:
-    about = {
-        "search": task.search.name,
-        "set": task.over,
-        "digest": task.digest,
-        "identity": task.identity,
-        "trials_asked": task.budget.trials,
-    }
-    document: dict[str, Any] = json.loads(to_json(about))
-    return document
 
 
 def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLog:

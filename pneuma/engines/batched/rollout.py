@@ -196,12 +196,6 @@ class Collector:
         return count
 
 
-def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
-    """Return which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
-    limit = ended["ending"] == rules.TIME_LIMIT
-    return limit if run.time_limit == "truncate" else np.zeros_like(limit)
-
-
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
     widths, count = sizes(critic), len(observations)
