@@ -258,8 +258,7 @@ def train(
 ) -> None:
     """Train the missing runs of trials up to their steps, and print notes that are not in `noted` yet.
 
-    Raises:
-        Unfinished: when a run did not finish.
+    `Unfinished` says that a run did not finish.
     """
     from pneuma.search.trials import Unfinished
 

@@ -101,11 +101,7 @@ class Trainer(ABC):
 
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
-    """Train a run, from its start or from a checkpoint.
-
-    Raises:
-        CheckpointError: for a checkpoint from which the engine cannot resume.
-    """
+    """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
     module, name = TRAINERS[run.engine].split(":")
     trainer: Trainer = getattr(import_module(module), name)(run)
     records, step = Records(), 0

@@ -36,11 +36,7 @@ class Slots:
         self.world_over = np.zeros(len(worlds), np.bool_)
 
     def checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions in the form that the rules take, (slots,) int64.
-
-        Raises:
-            ValueError: for invalid actions, or another number of them than slots.
-        """
+        """Return actions in the form that the rules take, (slots,) int64; ValueError for invalid ones."""
         given = np.asarray(actions)
         if given.dtype.kind in "iu" and given.size == self.count:
             whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
