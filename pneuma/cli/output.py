@@ -81,26 +81,18 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What a command found, which `print_result` prints.
+    """What a command found, which `print_result` prints."""
 
-    Attributes:
-        document: for programs.
-        shown: for people, lines and tables; computed only for them if it is a generator.
-        title: the line above all that, for people.
-        notes: what must be known to read the rest: for people below the title, else on standard error.
-        table: for pages and papers, with cells as text; or rows with equal keys.
-        numbers: the table as CSV, with whole numbers, likewise; `table` if None.
-        form: one of `OUTPUT_FORMATS`, unless `--json` asks for JSON.
-        code: the exit code.
-    """
-
-    document: Mapping[str, Any]
-    shown: Iterable[str | Table] = ()
-    title: str = ""
+    document: Mapping[str, Any]  # for programs
+    shown: Iterable[str | Table] = ()  # for people; computed only for them if it is a generator
+    title: str = ""  # the line above all that, for people
     notes: Sequence[str] = ()
+    """What must be known to read the rest: for people below the title, else on standard error."""
     table: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
+    """For pages and papers, with cells as text; or rows with equal keys."""
     numbers: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
-    form: str = "table"
+    """The table as CSV, with whole numbers, likewise; `table` if None."""
+    form: str = "table"  # one of `OUTPUT_FORMATS`, unless `--json` asks for JSON
     code: int = 0
 
 

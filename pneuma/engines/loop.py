@@ -50,18 +50,13 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """The end of a run.
-
-    Attributes:
-        status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
-            `on_update`.
-        policy: the last one; None when it is not finite.
-    """
+    """The end of a run, at an agent step counted over all slots."""
 
     status: str
+    """done; diverged, if a loss, gradient, parameter or logit was not finite; or stopped by `on_update`."""
     step: int
     records: Records
-    policy: Policy | None
+    policy: Policy | None  # the last one; None when it is not finite
 
 
 OnUpdate = Callable[[Progress], bool]

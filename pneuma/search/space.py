@@ -32,21 +32,16 @@ CORNERS = 256
 
 
 class Parameter(Table):
-    """[space.NAME]: a range of a run's field, or a list of its values.
-
-    Attributes:
-        low, high: the ends of a range, which includes both; `log` for a logarithmic scale.
-        choices: the values of a list, by what they are in trials: themselves, or the text of what Optuna does
-            not take.
-        when: earlier parameters or fields, with the values for which this one is searched.
-    """
+    """[space.NAME]: a range of a run's field, which includes both ends, or a list of its values."""
 
     name: str
     low: int | float | None = None
     high: int | float | None = None
     log: bool = False
     choices: dict[Any, Any] = {}
+    """By what they are in trials: themselves, or the text of what Optuna does not take."""
     when: dict[str, Any] = {}
+    """Earlier parameters or fields, with the values for which this one is searched."""
 
     @model_validator(mode="before")
     @classmethod

@@ -66,11 +66,8 @@ def run_search(
     """Search, training only runs that are not stored; yield all trials after each generation.
 
     The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far
-    the search is.
-
-    Raises:
-        UserError: before anything is trained, for a search that cannot be run here.
-        Unfinished: when a run crashed; trials that ended before are stored.
+    the search is. A search that cannot be run here is refused before anything is trained. `Unfinished` says
+    that a run crashed; trials that ended before are stored.
     """
     search, runs = task.search, [run for _, run in task.search.space.corners()]
     check_budget(search, task.budget)

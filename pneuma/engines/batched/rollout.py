@@ -37,44 +37,26 @@ kernel: Any = cached(error_model="numpy")
 
 
 class Episodes(NamedTuple):
-    """The episodes in progress, of S slots.
+    """The episodes in progress, of S slots."""
 
-    Attributes:
-        returns, lengths: (S,) so far.
-        episodes: (S,) how many ended before.
-        begins: (S,) float32, 1 if the last step ended an episode, or there was none.
-        idle: (S,) whether the slot's player died earlier in an episode that still runs.
-    """
-
-    returns: np.ndarray
-    lengths: np.ndarray
-    episodes: np.ndarray
-    begins: np.ndarray
-    idle: np.ndarray
+    returns: np.ndarray  # (S,) so far
+    lengths: np.ndarray  # (S,) so far
+    episodes: np.ndarray  # (S,) how many ended before
+    begins: np.ndarray  # (S,) float32: 1 if the last step ended an episode, or there was none
+    idle: np.ndarray  # (S,) whether the slot's player died earlier in an episode that still runs
 
 
 class Rollout(NamedTuple):
-    """One horizon of T steps in S slots.
+    """One horizon of T steps in S slots."""
 
-    Attributes:
-        observations: (S, T, features) float32, before each step.
-        actions: (S, T) int64.
-        rewards: (S, T) float32, without the value after a time limit.
-        starts: (S, T) float32, 1 if the step before ended an episode.
-        last_observations: (S, features), after the last step.
-        last_ends: (S,) float32, 1 where the last step ended an episode.
-        ended: (K,) `ENDED`, in order.
-        terminal_observations: (K, features), the last observation of each ended episode.
-    """
-
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    starts: np.ndarray
-    last_observations: np.ndarray
-    last_ends: np.ndarray
-    ended: np.ndarray
-    terminal_observations: np.ndarray
+    observations: np.ndarray  # (S, T, features) float32, before each step
+    actions: np.ndarray  # (S, T) int64
+    rewards: np.ndarray  # (S, T) float32, without the value after a time limit
+    starts: np.ndarray  # (S, T) float32: 1 if the step before ended an episode
+    last_observations: np.ndarray  # (S, features), after the last step
+    last_ends: np.ndarray  # (S,) float32: 1 where the last step ended an episode
+    ended: np.ndarray  # (K,) `ENDED`, in order
+    terminal_observations: np.ndarray  # (K, features), the last one of each ended episode
 
     def of_player(self, player: int, players: int) -> Rollout:
         """Return the part of one of the players of each world, as a rollout of its own."""
