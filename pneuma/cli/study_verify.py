@@ -38,6 +38,7 @@ def verify(
     """
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
+    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
 
     known, store = load_claims(file), Store(results)
     for name in claims or ():
@@ -53,7 +54,13 @@ def verify(
     lacking = ""
     if not any(one.run_ids for one in judged):
         lacking = f"Note: none of their runs is in {store.root}. {_how_to_train(file)}."
-    return _result(known, judged, _show_claims(known, judged, bool(claims), lacking), format)
+    people = _show_claims(known, judged, bool(claims), lacking)
+    contrasts = {world: known.contrasts(world) for world in WORLDS}
+    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
+    document = {**head, "claims": [_document(one) for one in judged]}
+    numbers = [_record(row) for one in judged for row in one.contrasts]
+    table = verdict_table(verdicts_by_claim(judged))
+    return Result(document, people, table=table, numbers=numbers, form=format)
 
 
 def _how_to_train(file: Path | None) -> str:
@@ -121,17 +128,6 @@ def _indented(text: str, spaces: int) -> list[str]:
 
 
 # --- The table of contrasts ------------------------------------------------------------------------
-
-
-def _result(known: ClaimList, shown: Sequence[Verdict], people: Iterator[str | Table], form: str) -> Result:
-    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
-
-    contrasts = {world: known.contrasts(world) for world in WORLDS}
-    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
-    document = {**head, "claims": [_document(one) for one in shown]}
-    numbers = [_record(row) for one in shown for row in one.contrasts]
-    table = verdict_table(verdicts_by_claim(shown))
-    return Result(document, people, table=table, numbers=numbers, form=form)
 
 
 def _document(one: Verdict) -> dict[str, Any]:

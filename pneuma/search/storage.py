@@ -181,7 +181,9 @@ def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLo
 
 def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[str], None]) -> None:
     """Rename the log of an earlier search, and take back that of this one if it was set aside."""
-    aside = path.with_name(f"{path.stem}.{_digest(about)}.log")
+    digest = str(about.get("digest"))  # of a log that may be untrusted
+    named = digest if digest.isalnum() and len(digest) <= 64 else "earlier"
+    aside = path.with_name(f"{path.stem}.{named}.log")
     if os.path.lexists(aside):
         raise UserError(f"{aside}: is there already, and {path} is of the same search; move one away")
     os.replace(path, aside)
@@ -193,11 +195,6 @@ def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[
         if not isinstance(found, dict) or found.get("digest") != task.digest:
             raise _damaged(before)
         os.replace(before, path)
-
-
-def _digest(about: Mapping[str, Any]) -> str:
-    digest = str(about.get("digest"))
-    return digest if digest.isalnum() and len(digest) <= 64 else "earlier"
 
 
 def _damaged(path: Path) -> UserError:
