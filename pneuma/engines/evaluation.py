@@ -46,8 +46,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
-    `act` chooses as in training, and `choose` the best actions from the observations alone. Without the latter
-    these are not evaluated, but their worlds played anyway, as the random player draws for all of them.
+    `act` chooses as in training, and `choose` the best actions from the observations alone. Without it these
+    are not evaluated; their worlds are played anyway, as the random player draws for all of them.
     """
 
     act: Act

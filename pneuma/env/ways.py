@@ -79,7 +79,7 @@ class Ways:
     ) -> np.ndarray:
         """Return the walking distance in tiles to each of (N, M) places; infinite if there is no path.
 
-        In each of the levels, by their indices, (N,), the body is at x, y, (N,).
+        The body is at x and y, (N,), in levels by their indices, (N,).
         """
         goals = self._tiles(to_x, to_y, 0.0)
         across, down = self._offset
@@ -91,7 +91,7 @@ class Ways:
         return np.array(found).reshape(goals.shape)
 
     def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
-        """Return steps, of so far a reach, that bring a body two tiles nearer to a goal; empty if none do."""
+        """Return steps of `reach` pixels that bring a body two tiles nearer to a goal; empty if none do."""
         tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
         field = self._field(level, tile)
         first = self._length(field, *place)

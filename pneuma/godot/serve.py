@@ -38,8 +38,8 @@ from pneuma.godot.wire import (
 def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: int) -> int:
     """Play the game for a trainer that listens at a port, until it says `close`; return the steps played.
 
-    So many agents are copies of an environment, by its id, with flat observations and one action; each has
-    the seed after the last one's. Box actions come from -1 to 1 and are scaled to the space's bounds.
+    The environment must have flat observations and one action; Box actions come from -1 to 1 and are scaled
+    to the space's bounds. So many copies of it as agents are played side by side, with seeds from `seed` on.
     """
     with ExitStack() as stack:
         envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]

@@ -78,7 +78,7 @@ def _exactly(connection: socket.socket, size: int, until: float | None) -> bytea
 
 
 def number(sent: object, low: float = -LARGEST, high: float = LARGEST) -> float:
-    """Return a number from `low` to `high`; ValueError for anything else, as true, "1" and NaN are."""
+    """Return a number from `low` to `high`; ValueError for anything else, also true, "1" and NaN."""
     if type(sent) not in (int, float) or not low <= sent <= high:  # type: ignore[operator]
         raise ValueError(f"{reprlib.repr(sent)} is no number from {low:g} to {high:g}")
     return float(sent)  # type: ignore[arg-type]

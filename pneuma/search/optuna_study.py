@@ -120,8 +120,8 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         usual = kind.arguments[key]
         number = isinstance(each, int if isinstance(usual, int) or key == "popsize" else int | float)
         if isinstance(each, bool) != isinstance(usual, bool) or not number:
-            kind_of = "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
-            raise wrong(f"{key} = {shown(each)} is not allowed: {kind_of}", key)
+            allowed = "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
+            raise wrong(f"{key} = {shown(each)} is not allowed: {allowed}", key)
         if each < (least := LEAST.get(key, each)):
             raise wrong(f"{key} = {shown(each)} is not allowed: at least {least}", key)
     arguments = {**kind.arguments, **given}
