@@ -154,19 +154,20 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
     seen = _add_scaling(graph, policy.scaling) if policy.scaling else "observation"
     output = "logits" if policy.exploration is None else "action_values"
     _add_layers(graph, "actor", policy.actor, policy.activation, seen, output)
-    shapes: dict[str, list[str | int]] = {output: ["batch", policy.actions]}
-    if policy.bounds is not None:  # ONNX's `Clip` knows one bound for all numbers
+    shapes: dict[str, list[str | int]] = {"observation": ["batch", policy.features]}
+    if policy.bounds is None:
+        shapes[output] = ["batch", policy.actions]
+    else:  # ONNX's `Clip` knows one bound for all numbers
         low, high = policy.bounds.astype(np.float32)
         shaped = graph.add("Reshape", "shaped", output, graph.constant("shape", [-1, *low.shape]))
         above = graph.add("Max", "above", shaped, graph.constant("low", low))
         mean = graph.add("Min", "mean_action", above, graph.constant("high", high))
-        shapes = {mean: ["batch", *low.shape]}
+        shapes[mean] = ["batch", *low.shape]
     if policy.exploration is None:
         values = _add_layers(graph, "critic", policy.critic, policy.activation, seen, "values")
         shapes[graph.add("Reshape", "value", values, graph.constant("flat", [-1]))] = ["batch"]
     inputs, *outputs = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-        for name, shape in {"observation": ["batch", policy.features], **shapes}.items()
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()
     ]
     made = {"producer_name": "pneuma", "doc_string": MADE_BY, "ir_version": ONNX_IR_VERSION}
     model = helper.make_model(

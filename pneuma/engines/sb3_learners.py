@@ -74,7 +74,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
         **arguments,
     )
     if run.first_layer_scale != 1:
-        networks = model.policy.mlp_extractor
+        networks: Any = model.policy.mlp_extractor
         with torch.no_grad():
             for network in (networks.policy_net, networks.value_net):
                 network[0].weight.mul_(run.first_layer_scale)
