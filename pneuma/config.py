@@ -32,14 +32,7 @@ from pneuma.algorithms import (
     VALUE_BASED,
 )
 from pneuma.bases import BASES as BASES
-from pneuma.env_fields import (
-    ENVIRONMENTS,
-    MODULE,
-    EnvConfig,
-    read_fields,
-    resolve_world,
-    with_environment,
-)
+from pneuma.env_fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 

@@ -49,19 +49,14 @@ def _read_codes(value: Any) -> tuple[int, ...]:
 class EnvConfig:
     """The fields of one environment; each is a keyword of `gymnasium.make` and a key of a study.
 
-    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are
-    filled by `make_env_config`.
+    `pneuma.env.gym.PneumaEnv` tells what each means. The defaults are those of `pneuma/Pneuma-v0`, the
+    environment of the thesis's text; empty texts are filled by `make_env_config`.
     """
 
     level: Annotated[str, MinLen(1)] = "thesis"
-    """A shipped level, a folder of CSV layers, or random:train:N or random:test:N."""
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
-    """Number of random levels, from number N on; each episode draws one of them."""
     monsters: Annotated[str, OneOf(KINDS_OF_MONSTERS)] = "bamboo"
-    """On random levels: the thesis's kind; mixed: eight of these and two of each other kind of the PyGame
-    version; golems: six of these, and eight that fall to two players only."""
     characters: str = ""
-    """A file whose classes, weapons, spells and monsters override the shipped ones; or pygame."""
     players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
     classes: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a class, or a list of one a player")] = (
         "base",
@@ -70,53 +65,33 @@ class EnvConfig:
         "own",
     )
     second_weapon: Annotated[str, matching(r"|[\w-]+", "a weapon")] = ""
-    """A weapon that every player has too; two more actions take up the first and the second."""
     magic: bool = False
-    """Whether there are two more actions, flame and heal, paid from energy (thesis section 5.2)."""
     dash: bool = False
-    """Whether there is one more action, a burst straight ahead (thesis chapter 7)."""
     tokens: Annotated[int, Interval(ge=0, le=8)] = 0
-    """Number of last actions that say a token, which the other players observe at the next step."""
     reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
-    """A formula, or a list with one per player."""
     shared_reward: bool = False
-    """Whether each player gets the mean of all players' rewards."""
     observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
-    """Layout: of the thesis's text, of its PyGame version or of its Godot version."""
     perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
     order: Annotated[str, OneOf(("", *ORDERS))] = ""
     scale: Annotated[str, OneOf(("", *SCALES))] = ""
-    """unit: distances in notice radii; map: over the map's size; raw: pixels and points."""
     observe_facing: bool = False
-    """Whether the observation of a player includes its facing, as four numbers of which one is 1."""
     start: Annotated[str, OneOf(("random", "first"))] = "random"
     bodies: Annotated[str, OneOf(("block", "pass"))] = "block"
-    """Whether living bodies stop each other."""
     coast: Annotated[str, OneOf(("wall", "deadly"))] = "wall"
     trees: Annotated[str, OneOf(("wall", "pass"))] = "wall"
-    """Whether objects in the layer of obstacles, such as trees, stop bodies."""
     terrain_stops: Annotated[str, OneOf(("all", "players"))] = "all"
     slow: Annotated[tuple[int, ...], Reads(_read_codes, "a list of codes of the ground, from 0")] = ()
-    """Codes of the ground where bodies are slow; in shipped and random levels 1 snow, 2 grass, 3 sand."""
     slow_factor: Annotated[float, Interval(gt=0, le=1)] = 0.5
-    """Factor on the speed of a body whose centre is on slow ground."""
     attack_ticks: Annotated[int, Interval(ge=0, le=3600)] = 0
-    """Ticks that every attack lasts; 0: as long as the weapon says."""
     blow: Annotated[str, OneOf(("attack", "entry"))] = "attack"
-    """When a sword hits a monster: once an attack, or whenever it enters the sword's box."""
     bite_while_knocked: bool = False
     healing_cap: bool = False
-    """Whether healing by a kill stops at full HP."""
     kill_credit: Annotated[str, OneOf(("striker", "near"))] = "striker"
-    """Who earns a kill's XP and HP: its striker, or all within the dying monster's attack circle."""
     xp_scope: Annotated[str, OneOf(("episode", "forever"))] = "episode"
     ending_cost: Annotated[float, Interval(ge=0, le=1000)] = 0.0
-    """XP lost when an episode ends, except by drowning."""
     episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS)] = 1000
-    """Time limit of an episode in agent steps of 8 ticks."""
     time_limit: Annotated[str, OneOf(("truncate", "terminate"))] = "truncate"
     end_on_clear: bool = False
-    """Whether the last monster's death ends the episode."""
 
 
 ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {

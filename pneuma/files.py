@@ -67,10 +67,7 @@ def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, even if the process is killed meanwhile.
 
-    A link is refused. A pipe, a terminal or the like is written to directly.
-
-    Raises:
-        OSError: when it cannot be written.
+    A link is refused, by an OSError. A pipe, a terminal or the like is written to directly.
     """
     if path.is_symlink():
         raise OSError(errno.ELOOP, "is a link; name the file itself")
@@ -121,11 +118,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def parse_json(data: bytes | str) -> dict[str, Any]:
-    """Parse a JSON object.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Parse a JSON object; ValueError for anything else."""
     try:
         document = json.loads(data)
     except (RecursionError, MemoryError) as error:

@@ -65,10 +65,8 @@ def module_files(name: str) -> list[Path]:
     Nothing is imported or run, as the name may be untrusted. Import statements are read, wherever they stand
     in a file. They are followed if they lead to modules in the folder of the module or, for an installed
     package, in the package: what else is installed is not a user's own, and neither is Pneuma. A module that
-    is not found has no files, so that its runs still have an id under which they can fail.
-
-    Args:
-        name: of the module, in full, or the path of its file.
+    is not found has no files, so that its runs still have an id under which they can fail. The name is in
+    full, or the path of the module's file.
     """
     path = Path(name).resolve() if name.endswith(".py") else _find(name)
     if path is None or not path.is_file():

@@ -95,10 +95,7 @@ FREE = "env_kwargs"
 def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
     """Return a value in the types of models: lists as tuples, NumPy's as Python's, whole numbers as int.
 
-    The last not if `whole` is false, and never in the table `FREE`.
-
-    Raises:
-        ValueError: for lists and tables that are nested too deeply.
+    The last not if `whole` is false, and never in the table `FREE`. ValueError for those nested too deeply.
     """
     if not deepest:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")

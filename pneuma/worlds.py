@@ -11,16 +11,12 @@ from pneuma.errors import UserError, unknown_name
 
 @dataclass(frozen=True)
 class World:
-    """A world in which studies run.
-
-    Attributes:
-        title: as in "In the arena".
-        overrides: fields that its runs have instead of the base's, where the study sets none itself.
-    """
+    """A world in which studies run."""
 
     env: str
-    title: str
+    title: str  # as in "In the arena"
     overrides: Mapping[str, Any] = field(default_factory=dict)
+    """Fields that its runs have instead of the base's, where the study sets none itself."""
 
 
 TEXT, ARENA = "text", "arena"

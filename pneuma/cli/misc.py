@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, command, rows_result, say, write_file
 from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import counted
 from pneuma.study.store import Store
-
-if TYPE_CHECKING:
-    from pneuma.figures.origin import Origin
 
 logs = opt.Commands("Make a study of old logs.")
 logs.callback()(lambda: None)  # keeps the name of a group's only command
@@ -52,16 +47,11 @@ def figure(file: Path = opt.argument("FILE", "A PNG, SVG or PDF that Pneuma drew
     from pneuma.figures.origin import read_origin
 
     origin = read_origin(file)
-    return Result({"file": file, **origin.model_dump()}, _origin_lines(origin))
-
-
-def _origin_lines(origin: Origin) -> Iterator[str | Table]:
-    yield origin.command or "drawn by a script"
-    yield f"Pneuma {origin.version}"
+    shown: list[str | Table] = [origin.command or "drawn by a script", f"Pneuma {origin.version}"]
     if origin.runs:
-        yield ""
         rows = [(one.study, one.condition, one.seeds, ", ".join(one.ids)) for one in origin.runs]
-        yield Table(("study", "condition", "seeds", "runs"), rows)
+        shown += ["", Table(("study", "condition", "seeds", "runs"), rows)]
+    return Result({"file": file, **origin.model_dump()}, shown)
 
 
 def doctor(results: Path = opt.RESULTS) -> Result:

@@ -237,10 +237,7 @@ class Picked:
     def again(self, data: StudyData, *words: str, **look: Iterable[str]) -> str:
         """Return the command that draws a figure of some data again, whatever budget is trained meanwhile.
 
-        Args:
-            data: what these options select.
-            words: the command, and the study.
-            look: its other options, each with all its values.
+        `look` are its other options, each with all its values.
         """
         chosen = selecting_words(replace(self.selection, steps=data.steps or self.steps))
         chosen += ["--world", self.world] if self.world else []
@@ -284,11 +281,7 @@ class Place:
     detach = False
 
     def config(self) -> ExecutorConfig:
-        """Return where and how runs train.
-
-        Raises:
-            UserError: for options that do not go together, or a place that cannot be reached.
-        """
+        """Return where and how runs train; refuse options that do not go together."""
         for name, executor in (("address", RAY), ("slurm", SLURM), ("detach", SLURM)):
             if getattr(self, name) and self.executor != executor:
                 raise UserError(f"--{name}: goes with --executor {executor}")
@@ -305,12 +298,8 @@ class PlaceToLeave(Place):
 
 
 def most_workers(asked: int | None, place: ExecutorConfig = LOCAL_CONFIG) -> int:
-    """Return how many runs train at once: `--workers`, or what the executor has room for.
-
-    Raises:
-        UserError: when the place cannot be reached.
-    """
-    room = load_executor(place).most_workers(place)
+    """Return how many runs train at once: `--workers`, or what the executor has room for."""
+    room = load_executor(place).most_workers(place)  # refuses a place that cannot be reached
     return asked or room
 
 

@@ -81,26 +81,18 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """What a command found, which `print_result` prints.
+    """What a command found, which `print_result` prints."""
 
-    Attributes:
-        document: for programs.
-        shown: for people, lines and tables; computed only for them if it is a generator.
-        title: the line above all that, for people.
-        notes: what must be known to read the rest: for people below the title, else on standard error.
-        table: for pages and papers, with cells as text.
-        numbers: the table as CSV, with whole numbers; `table` if None.
-        form: one of `OUTPUT_FORMATS`, unless `--json` asks for JSON.
-        code: the exit code.
-    """
-
-    document: Mapping[str, Any]
-    shown: Iterable[str | Table] = ()
-    title: str = ""
+    document: Mapping[str, Any]  # for programs
+    shown: Iterable[str | Table] = ()  # for people; computed only for them if it is a generator
+    title: str = ""  # the line above all that, for people
     notes: Sequence[str] = ()
-    table: pd.DataFrame | None = None
-    numbers: pd.DataFrame | None = None
-    form: str = "table"
+    """What must be known to read the rest: for people below the title, else on standard error."""
+    table: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
+    """For pages and papers, with cells as text; or rows with equal keys."""
+    numbers: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
+    """The table as CSV, with whole numbers, likewise; `table` if None."""
+    form: str = "table"  # one of `OUTPUT_FORMATS`, unless `--json` asks for JSON
     code: int = 0
 
 
@@ -118,13 +110,20 @@ def print_result(result: Result, form: str) -> None:
             else:
                 say(each)
     elif form == "json":
-        print_json(result.document)
+        from pydantic_core import to_jsonable_python
+
+        document = {"schema": 1, **result.document}  # of objects and tables too; NaN becomes null
+        whole = to_jsonable_python(document, inf_nan_mode="null", fallback=_as_plain)
+        print(dumps(whole, indent=2, allow_nan=False))
     else:
+        import pandas as pd
+
         from pneuma.analysis.export import encode_frame
 
-        frame = result.table if form != "csv" or result.numbers is None else result.numbers
-        assert frame is not None, "a command without a table has no --format"
-        print("\n".join(map(plain, encode_frame(frame, form).decode().split("\n"))), end="")
+        found = result.table if form != "csv" or result.numbers is None else result.numbers
+        assert found is not None, "a command without a table has no --format"
+        text = encode_frame(pd.DataFrame(found), form).decode()
+        print("\n".join(map(plain, text.split("\n"))), end="")
 
 
 def _print_table(table: Table) -> None:
@@ -165,14 +164,6 @@ def listed_result(kind: str, many: str, folder: Path) -> Result:
         head = read_head(name, folder)
         rows.append({kind: name, **{key: head.get(key, "") for key in ("title", "section", "figure")}})
     return rows_result(many, rows)
-
-
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print a command's JSON document; data classes and tables become objects, NaN becomes null."""
-    from pydantic_core import to_jsonable_python
-
-    whole = to_jsonable_python({"schema": 1, **document}, inf_nan_mode="null", fallback=_as_plain)
-    print(dumps(whole, indent=2, allow_nan=False))
 
 
 def _as_plain(value: Any) -> Any:
@@ -220,10 +211,7 @@ def write_file(out: Path, data: bytes) -> None:
 def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "") -> tuple[str, ...]:
     """Return the formats of figures; refuse a file given as their folder.
 
-    Args:
-        asked: the formats, if the user gave some.
-        out: the folder.
-        lacking: the option without which nothing is drawn, if it was not given.
+    `lacking` is the option without which nothing is drawn, if it was not given.
     """
     if lacking and (asked or out):
         raise UserError(f"{'--format' if asked else '--out'}: goes with {lacking}")
@@ -237,13 +225,8 @@ def draw_files(
 ) -> list[Path]:
     """Write figures into a folder given by the user, or into `figures` of the results; return the files.
 
-    In a results folder, which may be untrusted, no link is followed. If drawing fails, nothing is written.
-
-    Args:
-        store: the results folder.
-        out: where; None for the results.
-        formats: of each figure.
-        pages: the figures, each with the command that draws it.
+    Each page comes with the command that draws it. In a results folder, which may be untrusted, no link is
+    followed. If drawing fails, nothing is written.
     """
     from pneuma.figures.grid import save_page
 

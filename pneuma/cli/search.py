@@ -225,13 +225,7 @@ def run(
     return Result(_document(task, ended_trials), [] if code or quiet else shown, code=code)
 
 
-def _task(
-    name: str,
-    world: str | None,
-    preset: str,
-    over: Mapping[str, Any],
-    **amount: Any,
-) -> Task:
+def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
     """Return a search with overridden fields, and its preset's budget with the given amounts."""
     from pneuma.config import Run
     from pneuma.env_fields import read_field
@@ -264,8 +258,7 @@ def train(
 ) -> None:
     """Train the missing runs of trials up to their steps, and print notes that are not in `noted` yet.
 
-    Raises:
-        Unfinished: when a run did not finish.
+    `Unfinished` says that a run did not finish.
     """
     from pneuma.search.trials import Unfinished
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,6 @@ from pneuma.study.store import Store
 from pneuma.values import shown_value
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from pneuma.analysis.asked import Asked
     from pneuma.analysis.run_index import RunIndex
 
@@ -169,11 +167,10 @@ def status(
     queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
     told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
     document = {"study": shown.asked.study.name, "runs": runs, "jobs": queued}
-    return Result(document, told, table=_frame(runs, format), form=format)
+    return Result(document, told, table=runs, form=format)
 
 
 def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
-    """Return how far each study is of which runs are here."""
     from pneuma.analysis.held import studies_here
 
     held, keys = studies_here(index, world), ("run_id", "status", "step")
@@ -182,22 +179,13 @@ def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
          "runs": [{key: getattr(entry, key) for key in keys} for entry in one.entries]}
         for one in held
     ]  # fmt: skip
-    rows = [(one.name, one.world, tallied(entry.status for entry in one.entries)) for one in held]
+    table = [
+        {"study": one.name, "world": one.world, "runs": tallied(entry.status for entry in one.entries)}
+        for one in held
+    ]
     nothing = f"No study was run in {index.store.root} yet."
-    columns = ("study", "world", "runs")
-    table = _frame([dict(zip(columns, row, strict=True)) for row in rows], format)
-    return Result(
-        {"studies": studies}, [Table([""] * 3, rows) if rows else nothing], table=table, form=format
-    )
-
-
-def _frame(rows: Sequence[Mapping[str, Any]], format: str) -> pd.DataFrame | None:
-    """Return rows as the table of a format that has one."""
-    if format in ("table", "json"):
-        return None
-    import pandas as pd
-
-    return pd.DataFrame(rows)
+    shown = Table([""] * 3, [[*row.values()] for row in table]) if table else nothing
+    return Result({"studies": studies}, [shown], table=table, form=format)
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,6 @@ from pneuma.study.quantities import (
 if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData
     from pneuma.figures.grid import Page
-    from pneuma.study.store import Store
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
@@ -46,9 +45,7 @@ def plot(
         "NAME", "Studies; left out: all that were run.", complete.studies, default=None
     ),
     figure: opt.Text = opt.choice(
-        "--figure",
-        FIGURE_KINDS,
-        "Curves over steps (default for seven conditions or less), or a summary.",
+        "--figure", FIGURE_KINDS, "Curves over steps (default for seven conditions or less), or a summary."
     ),
     quantity: opt.SeveralRead = opt.choice(
         "--quantity",
@@ -92,18 +89,15 @@ def plot(
         return curves_page(data, quantities, band, window, beside=other), again
 
     def pages() -> Iterator[tuple[Page, str]]:
-        if names:
-            yield from (page(name, picked) for name in names)
-            return
-        drawn, problems = 0, []
-        for name, world in _run_here(picked):
+        asked = [(name, picked) for name in names] if names else _run_here(picked)
+        problems = []
+        for name, one in asked:
             try:
-                yield page(name, replace(picked, world=world))
-                drawn += 1
+                yield page(name, one)
             except UserError as error:
                 problems.append(error)
-        if not drawn:
-            raise problems[0]
+                if names or len(problems) == len(asked):
+                    raise problems[0] from None
         for problem in problems:
             say(f"Note: {problem}.", aside=True)
 
@@ -111,8 +105,8 @@ def plot(
     return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.Picked) -> list[tuple[str, str | None]]:
-    """Return the studies, each with its world, all of whose conditions have runs in the results folder."""
+def _run_here(picked: opt.Picked) -> list[tuple[str, opt.Picked]]:
+    """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
     from pneuma.analysis.held import studies_here
     from pneuma.analysis.run_index import RunIndex
 
@@ -120,7 +114,7 @@ def _run_here(picked: opt.Picked) -> list[tuple[str, str | None]]:
     if not any(one.whole for one in held):
         names = ", ".join(dict.fromkeys(one.name for one in held)) or "one"
         raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")
-    return [(one.name, one.world or None) for one in held if one.whole]
+    return [(one.name, replace(picked, world=one.world or None)) for one in held if one.whole]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -143,10 +137,7 @@ def export(
     name: str = opt.STUDY,
     table: str = opt.choice("--table", EXPORT_TABLES, "What to export.", default=opt.REQUIRED),
     out: Path = opt.option(
-        "--out",
-        "FILE",
-        f"The file to write, in {_ENDINGS}; - prints CSV.",
-        default=opt.REQUIRED,
+        "--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.", default=opt.REQUIRED
     ),
     band: opt.Text = opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
     window: opt.Text = opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages."),
@@ -200,34 +191,29 @@ def publish(
     """
     store = picked.store
     data = picked.open(name)
+    from pneuma.analysis.frames import table_name
+    from pneuma.analysis.run_index import RunIndex
     from pneuma.study.locks import run_lock
+    from pneuma.study.published import encode_published
 
     with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
         if not alone:
             raise UserError(f"another command publishes from {store.root}: try again when it has ended")
-        path, encoded, new, staying = _publish(store, data, curves or PUBLISHED_CURVES)
+        stem = table_name(data)
+        new = {run.run_id: run for run in data.runs if not run.published}
+        if not new:
+            nothing = f"its runs are not in {store.root}: nothing is new to publish"
+            raise UserError(f"study {data.study}: {nothing}")
+        before = RunIndex(store, shipped=False).tables.get(stem)
+        rows = {**(before.rows() if before else {}), **new}
+        listing = store.listing(data.study)
+        about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
+        about |= {"listing": listing} if listing else {}
+        order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
+        path, encoded = store.published_path(stem), encode_published(order, about, curves or PUBLISHED_CURVES)
+        store.write(path, encoded)
+    staying = len(rows) - len(new)
     more = f", {staying} as they were published before" if staying else ""
-    told = f"wrote {path}: {counted(new, 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
+    told = f"wrote {path}: {counted(len(new), 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
     written = {"study": data.study, "file": path, "bytes": len(encoded)}
-    return Result({**written, "runs": new, "staying": staying}, [told])
-
-
-def _publish(store: Store, data: StudyData, curves: Sequence[str]) -> tuple[Path, bytes, int, int]:
-    """Write the table; return its path and content, and how many of its rows are new and how many stay."""
-    from pneuma.analysis.frames import table_name
-    from pneuma.analysis.run_index import RunIndex
-    from pneuma.study.published import encode_published
-
-    stem = table_name(data)
-    new = {run.run_id: run for run in data.runs if not run.published}
-    if not new:
-        raise UserError(f"study {data.study}: its runs are not in {store.root}: nothing is new to publish")
-    before = RunIndex(store, shipped=False).tables.get(stem)
-    rows = {**(before.rows() if before else {}), **new}
-    listing = store.listing(data.study)
-    about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
-    about |= {"listing": listing} if listing else {}
-    order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
-    path, encoded = store.published_path(stem), encode_published(order, about, curves)
-    store.write(path, encoded)
-    return path, encoded, len(new), len(rows) - len(new)
+    return Result({**written, "runs": len(new), "staying": staying}, [told])

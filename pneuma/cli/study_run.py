@@ -89,15 +89,7 @@ def run(
 
 
 def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: bool, quiet: bool) -> Result:
-    """Train the missing runs of a plan and show the progress.
-
-    Args:
-        planned: the plan.
-        store: where runs are kept.
-        how: where and how they are trained.
-        retry_failed: whether runs that crashed are tried again.
-        quiet: whether to print only mistakes.
-    """
+    """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
     todo, notes = execute.prepare(planned, store, retry_failed)
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)

@@ -17,7 +17,6 @@ from pneuma.cli.study_notes import with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies
-from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -154,18 +153,16 @@ def _thesis_table(
 
 def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
     """Say which conditions have no value of an outcome that was asked for, and why."""
-    known = {*zip(found["outcome"], found["condition"], strict=True)}
-    pairs = [pair for pair in product(outcomes, data.conditions) if pair not in known]
-    return [f"{name}, {condition}: {_lack(data, condition, name)}" for name, condition in pairs]
-
-
-def _lack(data: StudyData, condition: str, outcome: str) -> str:
-    """Return why no run of a condition has a value."""
     from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import reason
 
-    runs = data.of_condition(condition)
-    return reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
+    known, told = {*zip(found["outcome"], found["condition"], strict=True)}, []
+    for outcome, condition in product(outcomes, data.conditions):
+        if (outcome, condition) not in known:
+            runs = data.of_condition(condition)
+            why = reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
+            told.append(f"{outcome}, {condition}: {why}")
+    return told
 
 
 # --- compare --------------------------------------------------------------------------------------
@@ -203,8 +200,11 @@ def compare(
             raise UserError(
                 f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
             )
-        if (hint := nearest_name(a, data.conditions)) and not _is_study(picked.store, a):
-            raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
+        if hint := nearest_name(a, data.conditions):
+            from pneuma.analysis.run_index import RunIndex
+
+            if not (a.endswith(".toml") or a in (*list_studies(), *RunIndex(picked.store).listings())):
+                raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
         other = replace(picked, condition=None, set_=None).open(a)
         heads = [data.study, other.study]
         data, pairs = join_studies(data, other)
@@ -264,9 +264,3 @@ def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
         if engines[0] != engines[1]:
             return f"Note: trained by different engines ({' and '.join(engines)})."
     return ""
-
-
-def _is_study(store: Store, name: str) -> bool:
-    from pneuma.analysis.run_index import RunIndex
-
-    return name.endswith(".toml") or name in (*list_studies(), *RunIndex(store).listings())

@@ -38,6 +38,7 @@ def verify(
     """
     from pneuma.analysis.claims import load_claims
     from pneuma.analysis.judgement import judge
+    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
 
     known, store = load_claims(file), Store(results)
     for name in claims or ():
@@ -53,7 +54,13 @@ def verify(
     lacking = ""
     if not any(one.run_ids for one in judged):
         lacking = f"Note: none of their runs is in {store.root}. {_how_to_train(file)}."
-    return _result(known, judged, _show_claims(known, judged, bool(claims), lacking), format)
+    people = _show_claims(known, judged, bool(claims), lacking)
+    contrasts = {world: known.contrasts(world) for world in WORLDS}
+    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
+    document = {**head, "claims": [_document(one) for one in judged]}
+    numbers = [_record(row) for one in judged for row in one.contrasts]
+    table = verdict_table(verdicts_by_claim(judged))
+    return Result(document, people, table=table, numbers=numbers, form=format)
 
 
 def _how_to_train(file: Path | None) -> str:
@@ -123,19 +130,6 @@ def _indented(text: str, spaces: int) -> list[str]:
 # --- The table of contrasts ------------------------------------------------------------------------
 
 
-def _result(known: ClaimList, shown: Sequence[Verdict], people: Iterator[str | Table], form: str) -> Result:
-    import pandas as pd
-
-    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
-
-    contrasts = {world: known.contrasts(world) for world in WORLDS}
-    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
-    document = {**head, "claims": [_document(one) for one in shown]}
-    numbers = pd.DataFrame([_record(row) for one in shown for row in one.contrasts])
-    table = verdict_table(verdicts_by_claim(shown))
-    return Result(document, people, table=table, numbers=numbers, form=form)
-
-
 def _document(one: Verdict) -> dict[str, Any]:
     """Return the row that decides, with the claim's own verdict and reason, and all its rows."""
     from pneuma.analysis.verdict_words import word
@@ -152,19 +146,22 @@ def _document(one: Verdict) -> dict[str, Any]:
     }
 
 
-PLANNED = ("claim", "world", "outcome", "a", "b", "alpha", "spread", "half_width", "margin")
-
-
-def _record(row: ClaimContrast) -> dict[str, Any]:
-    """Return a row of the table: what was planned, and what was found."""
-    found, (a, b), means, seeds = row.contrast, row.names, row.contrast.means, row.contrast.seeds
+def _planned(row: ClaimContrast) -> dict[str, Any]:
     return {
         "claim": row.claim.name,
         "world": row.world,
         "outcome": row.outcome,
-        "a": a,
-        "b": b,
+        "a": row.names[0],
+        "b": row.names[1],
         **{key: getattr(row, key) for key in ("alpha", "spread", "half_width", "margin")},
+    }
+
+
+def _record(row: ClaimContrast) -> dict[str, Any]:
+    """Return a row of the table: what was planned, and what was found."""
+    found, means, seeds = row.contrast, row.contrast.means, row.contrast.seeds
+    return {
+        **_planned(row),
         "effect": found.effect,
         "mean_a": means[0],
         "mean_b": means[1],
@@ -193,7 +190,7 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
     refused = {(row.claim.name, row.world): row.refused for row in every if row.refused}
     plans = [
         {
-            **{key: value for key, value in _record(row).items() if key in PLANNED},
+            **_planned(row),
             "seeds": list(row.planned),
             "reason": row.why_undecidable,
             "admitted": not row.refused,
@@ -216,4 +213,4 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
     legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
     people: list[str | Table] = ["", frame_table(table), "", legend]
     document = {**head, "design": plans}
-    return Result(document, people, "", notes, table, pd.DataFrame(plans), form)
+    return Result(document, people, "", notes, table, plans, form)

@@ -18,11 +18,11 @@ def check_environment(run: Run) -> None:
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_env import check_spaces
 
-        return check_spaces(run)
-    from pneuma.env.worlds import Worlds
+        check_spaces(run)
+    else:
+        from pneuma.env.worlds import Worlds
 
-    Worlds(1, env_config(run))
-    return None
+        Worlds(1, env_config(run))
 
 
 def able_engine(run: Run) -> str:

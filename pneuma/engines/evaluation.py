@@ -46,11 +46,8 @@ Act = Callable[[np.ndarray], np.ndarray]
 class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
-    Attributes:
-        act: chooses actions as in training.
-        choose: chooses the best actions from the observations alone; None if they are not evaluated. (These
-            worlds are played anyway, because the random player draws for all of them.)
-        actions: the number of actions.
+    `act` chooses as in training, and `choose` the best actions from the observations alone. Without it these
+    are not evaluated; their worlds are played anyway, as the random player draws for all of them.
     """
 
     act: Act
@@ -106,6 +103,7 @@ class Evaluation:
         share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
+        cleared = self._tally["cleared"]  # 0 where a monster is left
         values: dict[str, float] = {}
         if self.action_values and isinstance(policy, Policy):
             values = self.action_values.measure(policy)
@@ -123,15 +121,10 @@ class Evaluation:
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
             **values,
-            "steps_to_clear": float(self._steps_to_clear()[sampled].mean()),
+            "steps_to_clear": float(np.where(cleared, cleared, self.run.episode_steps)[sampled].mean()),
             "hp_lost": float(self._tally["hp_lost"][sampled].mean()),
             **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
         }
-
-    def _steps_to_clear(self) -> np.ndarray:
-        """Return after how many steps no monster was left, (N,); the time limit where one was."""
-        cleared = self._tally["cleared"]
-        return np.where(cleared > 0, cleared, self.run.episode_steps)
 
     def _score(self, share: np.ndarray) -> float:
         """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.
@@ -152,8 +145,7 @@ class Evaluation:
     def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
         """Play one episode in every world, the first ones with sampled actions, the others with the best.
 
-        Returns:
-            (N,) the return of each, the mean over its players.
+        Return the return of each, (N,), the mean over its players.
         """
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
@@ -211,10 +203,7 @@ class Evaluation:
 def evenness(kills: np.ndarray) -> float:
     """Return how evenly players share an episode's kills, a mean over those with any: 0 one has all, 1 alike.
 
-    It is the entropy of their shares over its greatest value (Pielou 1966).
-
-    Args:
-        kills: (episodes, players), at least two.
+    It is the entropy of their shares over its greatest value (Pielou 1966), of (episodes, players >= 2).
     """
     kills = kills[kills.any(axis=1)]
     if not len(kills):

@@ -150,27 +150,31 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
         from onnx import TensorProto, checker, helper
     except ImportError:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
-    features, actions = policy.features, policy.actions
+    graph = _Graph()
+    seen = _add_scaling(graph, policy.scaling) if policy.scaling else "observation"
     output = "logits" if policy.exploration is None else "action_values"
-    nodes, arrays = _onnx_scaling(policy.scaling) if policy.scaling else ([], [])
-    seen = "seen" if policy.scaling else "observation"
-    layers, weights = _onnx_layers("actor", policy.actor, policy.activation, seen, output)
-    nodes, arrays = [*nodes, *layers], [*arrays, *weights]
-    outputs = [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", actions])]
-    if policy.bounds is not None:
-        clipping, bounds = _onnx_clip(policy.bounds, output)
-        nodes, arrays = nodes + clipping, arrays + bounds
-        shape = ["batch", *policy.bounds.shape[1:]]
-        outputs = [helper.make_tensor_value_info("mean_action", TensorProto.FLOAT, shape)]
+    _add_layers(graph, "actor", policy.actor, policy.activation, seen, output)
+    shapes: dict[str, list[str | int]] = {"observation": ["batch", policy.features]}
+    if policy.bounds is None:
+        shapes[output] = ["batch", policy.actions]
+    else:  # ONNX's `Clip` knows one bound for all numbers
+        low, high = policy.bounds.astype(np.float32)
+        shaped = graph.add("Reshape", "shaped", output, graph.constant("shape", [-1, *low.shape]))
+        above = graph.add("Max", "above", shaped, graph.constant("low", low))
+        mean = graph.add("Min", "mean_action", above, graph.constant("high", high))
+        shapes[mean] = ["batch", *low.shape]
     if policy.exploration is None:
-        critic, critic_arrays = _onnx_layers("critic", policy.critic, policy.activation, seen, "values")
-        nodes += [*critic, helper.make_node("Reshape", ["values", "flat"], ["value"])]
-        arrays += [*critic_arrays, helper.make_tensor("flat", TensorProto.INT64, [1], [-1])]
-        outputs.append(helper.make_tensor_value_info("value", TensorProto.FLOAT, ["batch"]))
-    inputs = [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", features])]
-    graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
+        values = _add_layers(graph, "critic", policy.critic, policy.activation, seen, "values")
+        shapes[graph.add("Reshape", "value", values, graph.constant("flat", [-1]))] = ["batch"]
+    inputs, *outputs = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()
+    ]
     made = {"producer_name": "pneuma", "doc_string": MADE_BY, "ir_version": ONNX_IR_VERSION}
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
+    model = helper.make_model(
+        helper.make_graph(graph.nodes, "policy", [inputs], outputs, graph.constants),
+        opset_imports=[helper.make_opsetid("", ONNX_OPSET)],
+        **made,
+    )
     named = {"actions": json.dumps(names)} if names else {}
     if policy.choices is not None:  # whose logits stand one after another
         named = {"choices": json.dumps(policy.choices.tolist())}
@@ -179,54 +183,45 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
     return model.SerializeToString(deterministic=True)
 
 
-def _onnx_scaling(scaling: Scaling) -> tuple[list[Any], list[Any]]:
-    """Return nodes and numbers from "observation" to "seen", in double precision as the policy has it."""
-    from onnx import TensorProto, helper, numpy_helper
+class _Graph:
+    """The nodes and constants of a model so far; what is added is known by its name."""
 
-    deviation, limits = np.sqrt(scaling.variance + EPSILON), np.array([-CLIP, CLIP])
-    numbers = {"mean": scaling.mean, "deviation": deviation, "least": limits[0], "most": limits[1]}
-    nodes = [
-        helper.make_node("Cast", ["observation"], ["double"], to=TensorProto.DOUBLE),
-        helper.make_node("Sub", ["double", "mean"], ["centred"]),
-        helper.make_node("Div", ["centred", "deviation"], ["scaled"]),
-        helper.make_node("Clip", ["scaled", "least", "most"], ["clipped"]),
-        helper.make_node("Cast", ["clipped"], ["seen"], to=TensorProto.FLOAT),
-    ]
-    return nodes, [numpy_helper.from_array(np.asarray(array), name) for name, array in numbers.items()]
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
 
+    def add(self, kind: str, name: str, *inputs: str, **attributes: Any) -> str:
+        from onnx import helper
 
-def _onnx_clip(bounds: np.ndarray, numbers: str) -> tuple[list[Any], list[Any]]:
-    """Return nodes and arrays from flat numbers to "mean_action" (ONNX's `Clip` knows one bound for all)."""
-    from onnx import helper, numpy_helper
+        self.nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+        return name
 
-    low, high = bounds.astype(np.float32)
-    arrays = [
-        numpy_helper.from_array(array, name)
-        for name, array in (("shape", np.array([-1, *low.shape])), ("low", low), ("high", high))
-    ]
-    nodes = [
-        helper.make_node("Reshape", [numbers, "shape"], ["shaped"]),
-        helper.make_node("Max", ["shaped", "low"], ["above"]),
-        helper.make_node("Min", ["above", "high"], ["mean_action"]),
-    ]
-    return nodes, arrays
+    def constant(self, name: str, value: Any) -> str:
+        from onnx import numpy_helper
+
+        self.constants.append(numpy_helper.from_array(np.array(value), name))
+        return name
 
 
-def _onnx_layers(
-    part: str, layers: Layers, activation: str, seen: str, output: str
-) -> tuple[list[Any], list[Any]]:
-    """Return nodes and weights of one multilayer perceptron from `seen` to `output`."""
-    from onnx import helper, numpy_helper
+def _add_scaling(graph: _Graph, scaling: Scaling) -> str:
+    """Normalise the observation, in double precision as the policy has it."""
+    from onnx import TensorProto
 
+    deviation = np.sqrt(scaling.variance + EPSILON)
+    double = graph.add("Cast", "double", "observation", to=TensorProto.DOUBLE)
+    centred = graph.add("Sub", "centred", double, graph.constant("mean", scaling.mean))
+    scaled = graph.add("Div", "scaled", centred, graph.constant("deviation", deviation))
+    limits = graph.constant("least", -CLIP), graph.constant("most", CLIP)
+    return graph.add("Cast", "seen", graph.add("Clip", "clipped", scaled, *limits), to=TensorProto.FLOAT)
+
+
+def _add_layers(graph: _Graph, part: str, layers: Layers, activation: str, seen: str, output: str) -> str:
+    """Compute a multilayer perceptron's output of what is seen."""
     kind, attributes = _ONNX_ACTIVATIONS[activation]
-    nodes, arrays, shown = [], [], seen
     for i, (weight, bias) in enumerate(layers):
-        names = [f"{part}.{i}.weight", f"{part}.{i}.bias"]
-        arrays += [numpy_helper.from_array(a.copy(), n) for a, n in zip((weight, bias), names, strict=True)]
+        name = f"{part}.{i}"
+        numbers = graph.constant(f"{name}.weight", weight), graph.constant(f"{name}.bias", bias)
         last = i == len(layers) - 1
-        linear = output if last else f"{part}.{i}.linear"
-        nodes.append(helper.make_node("Gemm", [shown, *names], [linear]))
-        if not last:
-            shown = f"{part}.{i}"
-            nodes.append(helper.make_node(kind, [linear], [shown], **attributes))
-    return nodes, arrays
+        linear = graph.add("Gemm", output if last else f"{name}.linear", seen, *numbers)
+        seen = linear if last else graph.add(kind, name, linear, **attributes)
+    return seen

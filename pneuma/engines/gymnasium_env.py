@@ -42,19 +42,17 @@ def check_spaces(run: Run) -> None:
         warnings.catch_warnings(action="ignore", category=RunWarning),  # told by the run itself
         closing(GymnasiumSlots(run, [0])) as slots,
     ):
-        _check_actions(run, slots.action_space)
+        space = slots.action_space
+        if isinstance(space, spaces.Box) and not space.is_bounded():
+            raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+        if not isinstance(space, spaces.Discrete):
+            numbers = isinstance(space, spaces.Box)
+            what = "its actions are numbers" if numbers else "an action is several choices"
+            if run.algorithm in VALUE_BASED:
+                raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
+            if run.engine != "sb3":
+                raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
         slots.step(np.array([slots.any_action()]))
-
-
-def _check_actions(run: Run, space: spaces.Space[Any]) -> None:
-    if isinstance(space, spaces.Box) and not space.is_bounded():
-        raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
-    if not isinstance(space, spaces.Discrete):
-        what = "its actions are numbers" if isinstance(space, spaces.Box) else "an action is several choices"
-        if run.algorithm in VALUE_BASED:
-            raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
-        if run.engine != "sb3":
-            raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -224,9 +222,7 @@ class GymnasiumSlots:
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
 
-        Raises:
-            ValueError: when that leads to another state, because the environment's randomness does not come
-                from the seed alone.
+        A ValueError says that it leads to another state: the randomness does not come from the seed alone.
         """
         self.close()
         self.envs = [make_env(self.run) for _ in self.envs]

@@ -83,6 +83,5 @@ def _play(
             fix = "set env_kwargs = { max_episode_steps = N }"
             raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {fix}")
         rows = np.array(going_on, np.int64)
-    for env in slots.envs:
-        env.close()
+    slots.close()
     return returns, slots.lengths, successes

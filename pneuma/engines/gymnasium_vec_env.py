@@ -64,8 +64,7 @@ class GymnasiumVecEnv(WholeVecEnv):
         return self.slots.seen.copy()
 
     def close(self) -> None:
-        for env in self.slots.envs:
-            env.close()
+        self.slots.close()
 
 
 def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:

@@ -38,12 +38,9 @@ UNFIT = (KeyError, ValueError, TypeError, RuntimeError)
 
 @dataclass(frozen=True)
 class Progress:
-    """The state of one run after an update.
+    """The state of one run after an update, at an agent step counted over all slots.
 
-    Attributes:
-        step: agent steps trained, over all slots.
-        records: all records so far; the engine continues to add to them.
-        checkpoint: a function that takes a checkpoint; call it before the next update.
+    The engine continues to add to the records. `checkpoint` takes one; call it before the next update.
     """
 
     step: int
@@ -53,19 +50,13 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """The end of a run.
-
-    Attributes:
-        status: 'done'; 'diverged' if a loss, gradient, parameter or logit was not finite; or 'stopped' by
-            `on_update`.
-        step: agent steps trained, over all slots.
-        policy: the last policy; None when it is not finite.
-    """
+    """The end of a run, at an agent step counted over all slots."""
 
     status: str
+    """done; diverged, if a loss, gradient, parameter or logit was not finite; or stopped by `on_update`."""
     step: int
     records: Records
-    policy: Policy | None
+    policy: Policy | None  # the last one; None when it is not finite
 
 
 OnUpdate = Callable[[Progress], bool]
@@ -93,11 +84,7 @@ class Trainer(ABC):
 
     @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Do the update between two agent steps and record it.
-
-        Returns:
-            Whether all numbers are still finite.
-        """
+        """Do the update between two agent steps and record it; return whether all numbers are finite."""
 
     @abstractmethod
     def policy(self) -> Policy:
@@ -109,11 +96,7 @@ class Trainer(ABC):
 
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
-    """Train a run, from its start or from a checkpoint.
-
-    Raises:
-        CheckpointError: for a checkpoint from which the engine cannot resume.
-    """
+    """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
     module, name = TRAINERS[run.engine].split(":")
     trainer: Trainer = getattr(import_module(module), name)(run)
     records, step = Records(), 0

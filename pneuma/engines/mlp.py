@@ -27,12 +27,8 @@ kernel: Any = cached(error_model="numpy")
 def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any) -> Any:
     """Return a network's outputs for `count` rows of `scratch[0]`, (count at least, outputs).
 
-    Args:
-        weights: of all layers, as `pneuma.engines.policy.flat` lays them out.
-        widths: of all layers, as `pneuma.engines.policy.sizes` gives them.
-        activation: of the hidden layers; its code.
-        count: number of rows.
-        scratch: (2, rows, greatest width) float32, which is overwritten and contains the outputs.
+    Weights and widths of all layers are laid out as by `pneuma.engines.policy.flat` and `sizes`. `scratch`,
+    (2, rows, greatest width) float32, is overwritten and contains the outputs.
     """
     at = 0
     inputs = scratch[0]
@@ -101,14 +97,9 @@ def choose(
 ) -> None:
     """Choose an action in every row that plays: a drawn one in the first rows, else the most probable.
 
-    Args:
-        weights: (policies, numbers), of each actor, as in `forward`; row i is of policy i % policies.
-        widths: of its layers.
-        activation: of its hidden layers; its code.
-        observations: (rows, features).
-        draws: a number in [0, 1) for each of the first rows.
-        plays: (rows,) booleans; the other rows cost nothing.
-        chosen: (rows,) int64, into which the actions are written.
+    Row i of the observations, (rows, features), is of policy i % policies of the actors' weights, (policies,
+    numbers). `draws` has a number in [0, 1) for each of the first rows. Rows that do not play cost nothing.
+    The actions are written into `chosen`, (rows,) int64.
     """
     policies = len(weights)
     for own in range(policies):

@@ -51,13 +51,9 @@ class RunningMoments:
 
 
 class Normalization:
-    """The statistics that a run's slots learn in training.
+    """The statistics that a run's slots learn in training, from their first observations, (S, features), on.
 
-    Args:
-        observations: (S, features), the first ones.
-
-    Attributes:
-        seen: (S, features), the observations as the learner sees them.
+    `seen` are the current ones as the learner sees them.
     """
 
     def __init__(self, run: Run, observations: np.ndarray) -> None:
@@ -78,11 +74,8 @@ class Normalization:
     ) -> np.ndarray:
         """Learn from a step of all slots; return rewards, (S,), as the learner is paid.
 
-        Args:
-            observations: (S, features), after the step.
-            rewards: (S,).
-            over: (S,), where an episode ended.
-            terminal: (S, features), of which the rows of ended episodes are normalised in place.
+        Observations are those after the step. Where an episode is over, the rows of `terminal` are normalised
+        in place.
         """
         self._see(observations)
         if scaling := self.scaling:

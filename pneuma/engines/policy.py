@@ -35,10 +35,9 @@ class Policy:
     """An actor and a critic, or one network of action values, as multilayer perceptrons.
 
     Attributes:
-        activation: of the hidden layers; one of `pneuma.config.ACTIVATIONS`.
-        actor: weight (inputs, outputs) and bias (outputs,) of each layer, the last giving logits, or
-            the values of actions.
-        critic: the same, the last layer giving one value; empty if the actor gives action values.
+        activation: of the hidden layers.
+        actor: its last layer gives logits, or the values of actions.
+        critic: its last layer gives one value; empty if the actor gives action values.
         exploration: if the actor gives action values, the probability of a random action; otherwise the
             action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
         deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution

@@ -97,11 +97,7 @@ class CheckpointError(ValueError):
 class Checkpoint:
     """A run's whole state after an update, from which its engine resumes with the same bits.
 
-    Attributes:
-        step: agent steps trained, over all slots.
-        arrays: by name, of the learner, optimizer, random generators and worlds.
-        numbers: everything else, as JSON.
-        records: everything up to `step`.
+    `arrays` are of the learner, optimizer, random generators and worlds; `numbers` are all else, as JSON.
     """
 
     step: int

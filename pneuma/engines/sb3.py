@@ -111,7 +111,11 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
         if not overflows(policy, model._last_obs):
             raise
         return {}
-    rollout = rollout_metrics(model, run, policy)
+    buffer = model.rollout_buffer
+    observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
+    rollout = visited_metrics(run, policy, observations, buffer.actions)
+    if isinstance(model, TRPO):  # which logs no entropy
+        rollout["entropy"] = policy.entropy(observations)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
     return {**learn_from_rollout(model, run), **rollout}
 
@@ -251,17 +255,6 @@ def visited_metrics(
     one = policy.deviation is None and policy.choices is None
     chosen = actions.astype(np.int64 if one else np.float32)
     return {"dead_units": dead_share(policy, observations), **action_shares(run, chosen, policy.actions)}
-
-
-def rollout_metrics(model: Any, run: Run, policy: Policy) -> dict[str, float]:
-    """Return dead units and action shares of the rollout just collected.
-
-    TRPO logs no entropy, so that of the collecting policy is computed.
-    """
-    buffer = model.rollout_buffer
-    observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
-    metrics = visited_metrics(run, policy, observations, buffer.actions)
-    return {**metrics, "entropy": policy.entropy(observations)} if isinstance(model, TRPO) else metrics
 
 
 # --- Networks --------------------------------------------------------------------------------------

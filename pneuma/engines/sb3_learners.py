@@ -54,14 +54,13 @@ def make_model(run: Run, env: VecEnv) -> Any:
     layers: Any = list(run.actor)
     if issubclass(kind, DQN):
         assert run.target_every
-        arguments["target_update_interval"] = max(
-            run.target_every, env.num_envs
-        )  # at least one step of all slots
+        at_least = env.num_envs  # a step of all slots
+        arguments["target_update_interval"] = max(run.target_every, at_least)
     else:
         layers = {"pi": layers, "vf": list(run.critic)}
         arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
-    if "max_grad_norm" in arguments:
-        arguments["max_grad_norm"] = joint_limit(run)
+    if "max_grad_norm" in arguments and (run.gradient_limit is None or run.clip != "joint"):
+        arguments["max_grad_norm"] = float("inf")
     model = kind(
         policy="MlpPolicy",
         env=env,
@@ -75,7 +74,10 @@ def make_model(run: Run, env: VecEnv) -> Any:
         **arguments,
     )
     if run.first_layer_scale != 1:
-        _scale_first_layers(model.policy, run.first_layer_scale)
+        networks: Any = model.policy.mlp_extractor
+        with torch.no_grad():
+            for network in (networks.policy_net, networks.value_net):
+                network[0].weight.mul_(run.first_layer_scale)
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
@@ -88,13 +90,6 @@ def scheduled(run: Run, name: str) -> Any:
     return LinearSchedule(value, 0.0, 1.0) if falls else value
 
 
-def _scale_first_layers(policy: Any, scale: float) -> None:
-    networks = policy.mlp_extractor
-    with torch.no_grad():
-        for network in (networks.policy_net, networks.value_net):
-            network[0].weight.mul_(scale)
-
-
 def seed_streams(model: Learner, run: Run) -> None:
     """Seed the random streams of a run's actions and minibatches.
 
@@ -105,11 +100,6 @@ def seed_streams(model: Learner, run: Run) -> None:
     np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
     if isinstance(model, DQN):
         model.action_space.seed(stream_seed(run.stream, "random-actions"))
-
-
-def joint_limit(run: Run) -> float:
-    """Return the limit that Stable-Baselines3 itself applies to the norm over all parameters."""
-    return run.gradient_limit if run.gradient_limit is not None and run.clip == "joint" else float("inf")
 
 
 def optimizer_arguments(run: Run) -> dict[str, Any]:

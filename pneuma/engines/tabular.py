@@ -8,22 +8,13 @@ computed exactly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pneuma.config import Run, stream_seed
 from pneuma.engines.loop import Trainer
 from pneuma.engines.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import (
-    EVALUATION_COLUMNS,
-    METRIC_COLUMNS,
-    Checkpoint,
-    Records,
-    Row,
-    action_shares,
-)
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, Row, action_shares
 
 NAN = float("nan")
 ENDING = "home"
@@ -31,11 +22,7 @@ LONGEST_ROUTE = 2
 
 
 class TableTrainer(Trainer):
-    """Trains the tables of one run.
-
-    Attributes:
-        tables: (1 or 2, places, actions) action values, 0 at first; two in double Q-learning.
-    """
+    """Trains a run's tables: (1 or 2, places, actions) values, 0 at first; two in double Q-learning."""
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
@@ -48,8 +35,11 @@ class TableTrainer(Trainer):
         self._finished: list[Row] = []
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        steps = [self._step(taken) for taken in range(before, after)]
-        records.metrics.append({**_metrics(self.run, steps), "step": after})
+        steps = (self._step(taken) for taken in range(before, after))
+        actions, errors = (np.array(each) for each in zip(*steps, strict=True))
+        loss, shares = float((errors**2).mean()), action_shares(self.run, actions, ACTIONS)
+        row = {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, "value_loss": loss, **shares}
+        records.metrics.append(row)
         records.episodes.extend(self._finished)
         self._finished.clear()
         return bool(np.isfinite(self.tables).all())
@@ -136,13 +126,8 @@ def temporal_difference(
 ) -> float:
     """Return the temporal-difference error of a step (thesis Eq. 3.2; with two tables Eq. 3.9).
 
-    The updated table chooses the next action, and the other one values it. A single table does both.
-
-    Args:
-        tables: (1 or 2, places, actions).
-        updated: the index of the table to update.
-        step: place, action, reward, and the next place; None at the end.
-        gamma: discount.
+    The step is place, action, reward, and the next place, None at the end. The updated one of the tables,
+    (1 or 2, places, actions), chooses the next action, and the other one values it. A single table does both.
     """
     place, action, reward, next_place = step
     rated = 0.0
@@ -157,16 +142,6 @@ def exploration_rate(run: Run, taken: int) -> float:
     assert run.exploration is not None and run.exploration_fraction is not None
     falling = run.exploration_fraction * run.steps
     return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
-
-
-def _metrics(run: Run, steps: Sequence[tuple[int, float]]) -> dict[str, float]:
-    """Return the metrics of some steps: action shares, and the mean squared error as the loss."""
-    actions, errors = np.array([action for action, _ in steps]), np.array([error for _, error in steps])
-    return {
-        **dict.fromkeys(METRIC_COLUMNS, NAN),
-        "value_loss": float((errors**2).mean()),
-        **action_shares(run, actions, ACTIONS),
-    }
 
 
 # --- Evaluation -----------------------------------------------------------------------------------

@@ -26,17 +26,8 @@ class UPGD(torch.optim.Optimizer):
 
     As in the authors' published PPO, the greatest utility is not corrected, so that at first s is nearly 0
     or 1; the factor 2 makes up for s = 1/2 where u = 0; and weight decay λ shrinks w by itself instead of
-    being added to the gradient.
-
-    Args:
-        params: as for any optimizer of torch's.
-        stream: keys the noise with the number of the step, so that it needs no state of its own.
-        lr: α.
-        betas: of m and v.
-        eps: ε.
-        utility_decay: β.
-        noise: σ.
-        weight_decay: λ.
+    being added to the gradient. Here α is `lr`, β `utility_decay` and σ `noise`. The noise is keyed by
+    `stream` and the number of the step, so that it needs no state of its own.
     """
 
     def __init__(

@@ -163,11 +163,7 @@ class Characters(Table):
 
 
 def load_characters(name: str = "") -> Characters:
-    """Read the shipped characters, overridden by a file's.
-
-    Args:
-        name: path of a user's own file, or the name of a shipped variant; empty for none.
-    """
+    """Read the shipped characters, overridden by a user's own file's or those of a shipped variant."""
     file = read_toml(DATA / "characters.toml")
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
         users = read_toml(path)

@@ -35,11 +35,7 @@ _RAIL = 4
 
 
 def paint_ground(ground: np.ndarray) -> np.ndarray:
-    """Paint a map's ground, shape (16 rows, 16 columns, 3) uint8.
-
-    Args:
-        ground: (rows, columns) of `WATER`, `SNOW`, `GRASS`, `SAND` or `BRIDGE`.
-    """
+    """Paint a map's ground, (rows, columns) of `ground_kinds`: (16 rows, 16 columns, 3) uint8."""
     kinds = _soften(np.where(ground == BRIDGE, WATER, ground))
     image = _texture(ground.shape, WATER)
     for kind in (SNOW, GRASS, SAND):

@@ -71,28 +71,17 @@ class Header(Table):
 
 @dataclass(frozen=True)
 class Level:
-    """A level as the rules need it; lengths in pixels, y downwards.
-
-    Attributes:
-        name: what the level was loaded as.
-        tile: side of a tile.
-        left: x of the grid's left edge.
-        top: y of the grid's upper edge.
-        ground: (rows, columns) codes of the ground, for drawing; -1 where there is none.
-        terrain: (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`.
-        starts: (S, 2) start places.
-        monsters: kind, x and y of each.
-    """
+    """A level as the rules need it; lengths in pixels, y downwards."""
 
     name: str
     title: str
     tile: float
-    left: float
+    left: float  # of the grid of tiles
     top: float
-    ground: np.ndarray
-    terrain: np.ndarray
-    starts: np.ndarray
-    monsters: tuple[tuple[str, float, float], ...]
+    ground: np.ndarray  # (rows, columns) codes, for drawing; -1 where there is none
+    terrain: np.ndarray  # (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`
+    starts: np.ndarray  # (S, 2) places
+    monsters: tuple[tuple[str, float, float], ...]  # kind, x and y of each
 
     @property
     def land(self) -> tuple[float, float, float, float]:
@@ -323,13 +312,8 @@ def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
 def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) -> int | None:
     """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
 
-    A player can walk over free tiles where as many lie side by side as its body is wide.
-
-    Args:
-        level: the level.
-        free: (rows, columns) bool, the tiles that a player may walk on.
-        side: the longer side of a player's body.
-        monsters: how many monsters, counted from the first, must be reachable.
+    A player can walk over free tiles, (rows, columns) bool, where as many lie side by side as the longer side
+    of its body needs. So many monsters, counted from the first, must be reachable.
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)
@@ -342,15 +326,9 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
 
 
 def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
-    """Number the regions in which a body of `abreast` tiles a side can move, from 1.
+    """Number the regions of free tiles in which a body of `abreast` tiles a side can move, from 1.
 
-    Args:
-        free: (rows, columns) bool, the tiles that do not stop a body.
-        abreast: side of the body, in tiles.
-
-    Returns:
-        (rows, columns) int32: the region of a body whose upper left tile is this one; 0 where it does not
-        fit.
+    Return the region of a body whose upper left tile is this one, (rows, columns) int32; 0 where none fits.
     """
     fits = minimum_filter(free, abreast, mode="constant", cval=False, origin=-(abreast // 2))
     return np.asarray(label(fits, output=np.int32)[0])

@@ -26,13 +26,6 @@ def draw_overlay(frame: np.ndarray, worlds: Worlds, world: int, player: int, pla
     Every living monster has its body, the circle in which it notices (yellow) and the one in which it bites
     (red): a player is inside once its body reaches into a circle. The player has its body, its sword's box,
     filled while it strikes, and its rays in the colour of what they meet: terrain, players or monsters.
-
-    Args:
-        frame: (height, width, 3) uint8.
-        worlds: whose state it shows.
-        world: which of them.
-        player: whose sword and rays to draw.
-        place: where a place of the world lies in the frame.
     """
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")

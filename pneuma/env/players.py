@@ -67,7 +67,8 @@ class Hunter:
 
     def _choose(self, worlds: Worlds, alive: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return actions; those of players who are busy do not matter."""
-        x, y = _offsets(worlds)
+        monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
+        x, y = (monsters[axis] - players[axis] for axis in "xy")  # from player to monster, (N, P, M)
         meets = np.stack([self._meets_sword(worlds, x, y, facing) & alive for facing in range(4)])
         strike = _pick(meets.any(axis=-1), worlds.players["facing"])
         walks = free & ~strike
@@ -189,12 +190,6 @@ def _reach(worlds: Worlds, player: int) -> float:
 def _kinds(worlds: Worlds) -> np.ndarray:
     """Return the stats of each monster in its world's level, (N, 1, M)."""
     return np.asarray(worlds.monster_stats[worlds.worlds["level"]][:, None, :])
-
-
-def _offsets(worlds: Worlds) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y from each player to each monster, each (N, P, M)."""
-    monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
-    return monsters["x"] - players["x"], monsters["y"] - players["y"]
 
 
 def _come_closer(worlds: Worlds, offset: np.ndarray) -> np.ndarray:

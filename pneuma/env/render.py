@@ -80,15 +80,9 @@ class Renderer:
     ) -> None:
         """Paint the background.
 
-        Args:
-            worlds: the worlds to draw, now and after later steps.
-            camera: "map" for the whole level, "follow" for a view centred on a player.
-            panel: whether a strip above the picture shows HP, XP, step and monsters left.
-            overlay: whether to draw what the rules measure over it; see `overlay.py`.
-            zoom: pixels for each art pixel of the following camera.
-
-        Raises:
-            UserError: for a level that is too large.
+        The camera "map" shows the whole level, "follow" a view centred on a player, with `zoom` pixels for
+        each art pixel. A panel above the picture shows HP, XP, step and monsters left; an overlay draws what
+        the rules measure over it.
         """
         self.worlds = worlds
         self.camera = camera
@@ -128,12 +122,7 @@ class Renderer:
         return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
-        """Return the frame of one world, shape (height, width, 3) uint8.
-
-        Args:
-            world: which of the worlds.
-            player: the player that the camera follows and the panel shows.
-        """
+        """Return the frame of one world, (height, width, 3) uint8, with one of its players in view."""
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
         left, top, width, height = self._window(world, player)
         canvas = self.background[top : top + height, left : left + width].copy()

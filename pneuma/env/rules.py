@@ -651,11 +651,8 @@ def _stop_at_bodies(
 def _is_near(s: State, w: int, other: int, x: float, y: float) -> bool:
     """Return whether a living body may stop one that is at a point, in this step."""
     reach = s.settings[0].body_reach
-    if other < s.monsters.shape[1]:
-        monster = s.monsters[w, other]
-        return abs(monster.x - x) < reach and abs(monster.y - y) < reach and monster.hp > 0.0
-    player = s.players[w, other - s.monsters.shape[1]]
-    return abs(player.x - x) < reach and abs(player.y - y) < reach and player.hp > 0.0
+    there_x, there_y, _ = body(s, w, other)
+    return abs(there_x - x) < reach and abs(there_y - y) < reach and is_alive(s, w, other)
 
 
 @inlined

@@ -36,11 +36,7 @@ class Slots:
         self.world_over = np.zeros(len(worlds), np.bool_)
 
     def checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions in the form that the rules take, (slots,) int64.
-
-        Raises:
-            ValueError: for invalid actions, or another number of them than slots.
-        """
+        """Return actions in the form that the rules take, (slots,) int64; ValueError for invalid ones."""
         given = np.asarray(actions)
         if given.dtype.kind in "iu" and given.size == self.count:
             whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
@@ -106,9 +102,7 @@ def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
 def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
     """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
 
-    Args:
-        worlds: the worlds to reset.
-        start: None, the index of a start place, or a list with one of these for each world.
+    `start` is None, the index of a start place, or a list with one of these for each world.
     """
     if start is None:
         return None

@@ -40,14 +40,7 @@ def read_art(name: str) -> np.ndarray:
 
 @cache
 def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.ndarray:
-    """Return the picture of player `index`, in its own cloak.
-
-    Args:
-        index: of the player, from 0 to 7.
-        facing: one of `FACINGS`.
-        pose: one of `POSES`.
-        flash: a colour to flash in, or none.
-    """
+    """Return the picture of player `index`, from 0 to 7, in its own cloak and one of the `POSES`."""
     sheet = read_art("players.png")
     row = TILE * index
     column = TILE * (len(POSES) * FACINGS.index(facing) + POSES.index(pose))
@@ -56,13 +49,9 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
 
 @cache
 def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
-    """Return the picture of a monster; kinds without pictures look like `stranger.png`.
+    """Return the picture of a monster in one of two poses; its eyes show if it has noticed a player.
 
-    Args:
-        kind: as in `data/characters.toml`; `art/monsters/KIND.png` holds both poses, calm above alert.
-        pose: 0 or 1.
-        alert: whether it has noticed a player, which its eyes show.
-        flash: a colour to flash in, or none.
+    `art/monsters/KIND.png` holds both poses, calm above alert; other kinds look like `stranger.png`.
     """
     known = {path.stem for path in (ART / "monsters").iterdir()}
     sheet = read_art(f"monsters/{kind if kind in known else 'stranger'}.png")
@@ -106,11 +95,7 @@ _FLICKER = ((0, 1, 1, 0, 0), (1, 0, -1, -1, 0), (-1, -1, 0, 1, 0), (0, 0, 1, 0, 
 def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarray:
     """Return the arc of a sword over the box that it strikes: pale all over, bright where the blade passes.
 
-    Args:
-        width: of the box, in art pixels.
-        height: of the box.
-        facing: one of `FACINGS`; the box begins at the player, on the other side.
-        moment: one of the `SWINGS`.
+    The box begins at the player, on the side that it does not face.
     """
     turns = _QUARTER_TURNS[facing]
     ahead, across = (height, width) if turns % 2 == 0 else (width, height)

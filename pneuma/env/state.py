@@ -274,10 +274,7 @@ def make_handle(state: State) -> np.ndarray:
     """Return addresses and shapes of all arrays, (15,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
-    arrays must outlive the handle.
-
-    Raises:
-        ValueError: for an array that is not laid out as declared here.
+    arrays must outlive the handle, and be laid out as declared here.
     """
     handle = np.zeros(len(state), HANDLE)
     for row, array, dtype, dimensions in zip(handle, state, DTYPES, DIMENSIONS, strict=True):

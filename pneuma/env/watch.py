@@ -214,10 +214,7 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
 
     Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can, 1
     and 2 take up the first and the second weapon, escape leaves. The world waits while no key is held. The
-    other players stand still and attack.
-
-    Returns:
-        The kills and length (in steps of 8 ticks) of every finished episode.
+    other players stand still and attack. Return the kills and steps of every finished episode.
     """
     smooth(worlds)
     renderer = Renderer(worlds, camera)
@@ -248,10 +245,7 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
 def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
     """Write frames to a .gif or .mp4, or the first to a .png; the file is written whole or not at all.
 
-    Args:
-        path: the file; its suffix is the format.
-        frames: arrays of one shape (height, width, 3), uint8, taken one at a time.
-        frames_per_second: their rate; browsers play GIFs with more than 50 slowly.
+    Frames are of one shape, (height, width, 3) uint8. Browsers play GIFs with more than 50 a second slowly.
     """
     suffix = path.suffix.lower()
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:

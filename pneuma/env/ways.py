@@ -52,13 +52,9 @@ class Ways:
     """
 
     def __init__(self, levels: Sequence[Level], body: Body, stops: int, sea: bool) -> None:
-        """Prepare the levels.
+        """Prepare levels of equal shape and position for a body, which may drown in the sea.
 
-        Args:
-            levels: levels of equal shape and position, as in a `Worlds`.
-            body: the body that moves.
-            stops: bit c is set if tiles of code c stop it.
-            sea: whether a body drowns at the coast.
+        Bit c of `stops` is set if tiles of code c stop it.
         """
         level = levels[0]
         self._halves, self._offset = body[:2], body[2:]
@@ -81,14 +77,9 @@ class Ways:
     def lengths(
         self, level: np.ndarray, to_x: np.ndarray, to_y: np.ndarray, x: np.ndarray, y: np.ndarray
     ) -> np.ndarray:
-        """Return the walking distance in tiles to each of M places; infinite if there is no path.
+        """Return the walking distance in tiles to each of (N, M) places; infinite if there is no path.
 
-        Args:
-            level: (N,) indices of levels.
-            to_x: (N, M) where to.
-            to_y: (N, M).
-            x: (N,) where the body is.
-            y: (N,).
+        The body is at x and y, (N,), in levels by their indices, (N,).
         """
         goals = self._tiles(to_x, to_y, 0.0)
         across, down = self._offset
@@ -100,14 +91,7 @@ class Ways:
         return np.array(found).reshape(goals.shape)
 
     def plan(self, level: int, place: Place, goal: Place, reach: float) -> Plan:
-        """Return steps that bring a body two tiles nearer to a goal; empty if there are none.
-
-        Args:
-            level: index of the level.
-            place: where the body is.
-            goal: where it is going.
-            reach: how far one step goes.
-        """
+        """Return steps of `reach` pixels that bring a body two tiles nearer to a goal; empty if none do."""
         tile = int(self._tiles(np.array(goal[0]), np.array(goal[1]), 0.0))
         field = self._field(level, tile)
         first = self._length(field, *place)

@@ -219,7 +219,8 @@ class Worlds:
     def rekey(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
         """Give worlds new random streams; everything else continues."""
         for world in np.flatnonzero(self._every if mask is None else mask):
-            self.worlds["key"][world] = world_key(int(seeds[int(world)]))
+            generator, _ = seeding.np_random(int(seeds[int(world)]))
+            self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
             self.worlds["draws"][world] = 0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
@@ -346,10 +347,6 @@ def threads() -> ThreadPoolExecutor:
 
 
 os.register_at_fork(after_in_child=threads.cache_clear)  # threads do not come along
-
-
-def world_key(seed: int) -> int:
-    return int(seeding.np_random(seed)[0].integers(2**64, dtype=np.uint64))
 
 
 def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:

@@ -210,7 +210,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             if (key, seen["space"]) != ("obs", "box"):
                 raise ValueError(key)
         except UNREADABLE:
-            has = reprlib.repr({name: env_info.get(name) for name in _SPACES})
+            asked = ("n_agents", "action_space", "observation_space")
+            has = reprlib.repr({name: env_info.get(name) for name in asked})
             self.close()
             raise UserError(
                 f"{self._name}: must have one agent with one action and flat observations named 'obs'; "
@@ -219,9 +220,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._action = action
         self.observation_space = spaces.Box(-np.inf, np.inf, (self._features,), np.float32)
         self.action_space = spaces.Discrete(size) if discrete else spaces.Box(-1.0, 1.0, (size,), np.float32)
-
-
-_SPACES = ("n_agents", "action_space", "observation_space")
 
 
 def _first(sent: Any) -> Any:

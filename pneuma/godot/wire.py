@@ -78,11 +78,7 @@ def _exactly(connection: socket.socket, size: int, until: float | None) -> bytea
 
 
 def number(sent: object, low: float = -LARGEST, high: float = LARGEST) -> float:
-    """Return a number; true, "1" and NaN are none.
-
-    Raises:
-        ValueError: for anything else, or what is not from `low` to `high`.
-    """
+    """Return a number from `low` to `high`; ValueError for anything else, also true, "1" and NaN."""
     if type(sent) not in (int, float) or not low <= sent <= high:  # type: ignore[operator]
         raise ValueError(f"{reprlib.repr(sent)} is no number from {low:g} to {high:g}")
     return float(sent)  # type: ignore[arg-type]

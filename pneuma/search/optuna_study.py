@@ -40,12 +40,9 @@ STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed"
 
 @dataclass(frozen=True)
 class Kind:
-    """A sampler or pruner of Optuna.
+    """A sampler or pruner of Optuna, with the package that Optuna needs for it.
 
-    Attributes:
-        make: its class.
-        arguments: those that a file may set, by Optuna's names, with the defaults here; None is Optuna's own.
-        package: that Optuna needs for it.
+    `arguments` may be set by a file; they have Optuna's names, and defaults of which None is Optuna's own.
     """
 
     make: Callable[..., Any]
@@ -123,7 +120,8 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         usual = kind.arguments[key]
         number = isinstance(each, int if isinstance(usual, int) or key == "popsize" else int | float)
         if isinstance(each, bool) != isinstance(usual, bool) or not number:
-            raise wrong(f"{key} = {shown(each)} is not allowed: {_type(usual)}", key)
+            allowed = "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
+            raise wrong(f"{key} = {shown(each)} is not allowed: {allowed}", key)
         if each < (least := LEAST.get(key, each)):
             raise wrong(f"{key} = {shown(each)} is not allowed: at least {least}", key)
     arguments = {**kind.arguments, **given}
@@ -137,10 +135,6 @@ def read_choice(kinds: Mapping[str, Kind], value: Any) -> Any:
         except (ValueError, TypeError, AssertionError) as error:
             raise wrong(f"{name}: {error}", next(iter(given), "name")) from None
     return {"name": name, "arguments": arguments}
-
-
-def _type(usual: Any) -> str:
-    return "true or false" if isinstance(usual, bool) else "a number, whole if the default is"
 
 
 def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
@@ -206,8 +200,7 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
 def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | None = None) -> optuna.Study:
     """Return a study in memory of trials that have ended, with the values of the first so many objectives.
 
-    Raises:
-        ValueError: for a parameter or value that is not in the search space.
+    A ValueError says that a parameter or value is not in the search space.
     """
     study = create_study(search, objectives)
     study.add_trials(
@@ -224,11 +217,7 @@ def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | 
 
 
 def distributions(space: Space, names: Iterable[str]) -> dict[str, BaseDistribution]:
-    """Return Optuna's distributions of parameters.
-
-    Raises:
-        ValueError: for one that is not in the space.
-    """
+    """Return Optuna's distributions of parameters; ValueError for one that is not in the space."""
     known = {parameter.name: parameter for parameter in space.parameters}
     if unknown := {*names} - {*known}:
         raise ValueError(f"{min(unknown)} is no parameter")

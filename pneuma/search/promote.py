@@ -47,22 +47,14 @@ class Winner:
 
 @dataclass(frozen=True)
 class Gain:
-    """The gain of a winner over its base in one objective.
+    """The gain of a winner over its base in one objective."""
 
-    Attributes:
-        seen: the winner's value in the search.
-        fresh, fresh_baseline: its value and the base's over the fresh seeds.
-        difference: of the means over the fresh seeds; NaN if a run has no finite value.
-        interval: its 95 % interval; NaN in the same case, and with too few seeds.
-        luck: how much better the winner was on the search's seeds; NaN if unknown.
-    """
-
-    seen: float
-    fresh: float
-    fresh_baseline: float
-    difference: float
-    interval: tuple[float, float]
-    luck: float
+    seen: float  # the winner's value in the search
+    fresh: float  # that over the fresh seeds
+    fresh_baseline: float  # the base's
+    difference: float  # of the means over the fresh seeds; NaN if a run has no finite value
+    interval: tuple[float, float]  # its 95 % interval; NaN in the same case, and with too few seeds
+    luck: float  # how much better the winner was on the search's seeds; NaN if unknown
 
 
 def find_winners(

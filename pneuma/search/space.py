@@ -32,22 +32,16 @@ CORNERS = 256
 
 
 class Parameter(Table):
-    """[space.NAME]: a range of a run's field, or a list of its values.
-
-    Attributes:
-        name: of the field.
-        low, high: the ends of a range, which includes both; `log` for a logarithmic scale.
-        choices: the values of a list, by what they are in trials: themselves, or the text of what Optuna does
-            not take.
-        when: earlier parameters or fields, with the values for which this one is searched.
-    """
+    """[space.NAME]: a range of a run's field, which includes both ends, or a list of its values."""
 
     name: str
     low: int | float | None = None
     high: int | float | None = None
     log: bool = False
     choices: dict[Any, Any] = {}
+    """By what they are in trials: themselves, or the text of what Optuna does not take."""
     when: dict[str, Any] = {}
+    """Earlier parameters or fields, with the values for which this one is searched."""
 
     @model_validator(mode="before")
     @classmethod
@@ -189,12 +183,9 @@ Parameters = Annotated[dict[str, Parameter], MinLen(1), BeforeValidator(named), 
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a search, in the order in which they are suggested.
+    """The parameters of a search, each after those that it depends on, in the order of suggestion.
 
-    Attributes:
-        parameters: each after those that it depends on.
-        fixed: other fields that every trial sets, on top of the base.
-        base: name of the fields to start from.
+    Every trial sets the fixed fields too, on top of those that the base names.
     """
 
     parameters: tuple[Parameter, ...]

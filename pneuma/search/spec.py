@@ -28,14 +28,7 @@ from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.optuna_study import PRUNERS, SAMPLERS, read_choice
 from pneuma.search.space import FIXABLE, Parameters, Space, named
-from pneuma.study.spec import (
-    PRESETS,
-    SEEDS_ALLOWED,
-    files_beside,
-    find_file,
-    read_seeds,
-    studies_folder,
-)
+from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, files_beside, find_file, read_seeds, studies_folder
 from pneuma.study.study_file import in_own_names
 from pneuma.values import OneOf, Reads
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
@@ -50,7 +43,6 @@ OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
 DIRECTIONS = ("maximize", "minimize")
 BY_SEED = "wilcoxon"
 """The pruner that compares trials seed by seed, each trained to its end."""
-Count = Annotated[int, Interval(ge=1, le=10_000)]
 
 
 class Objective(Table):
@@ -76,11 +68,7 @@ NO_PRUNER = Chosen(name="", arguments={})
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on; else ValueError."""
     seeds = read_seeds(value)
     return seeds if isinstance(value, list | tuple) else tuple(FIRST_SEED + seed for seed in seeds)
 
@@ -94,26 +82,20 @@ class Budget(Table):
 
 
 class SearchFile(Table):
-    """The whole file.
-
-    Attributes:
-        title, section, about: shown to users.
-        base: the fields to start from.
-        start: bases; the search begins with a trial of each.
-        generation: number of trials that are suggested before their results are reported.
-        run: fields of all trials.
-        objectives: one; several for a search of the Pareto front.
-        sampler, pruner: with all their options.
-    """
+    """The whole file."""
 
     title: Annotated[str, MinLen(1)]
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     base: Annotated[str, OneOf(tuple(BASES))]
     start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
+    """The search begins with a trial of each."""
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
+    """Number of trials that are suggested before their results are reported."""
     run: Annotated[dict[str, Any], FIXABLE, BeforeValidator(in_own_names)] = {}
+    """Fields of all trials."""
     objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
+    """Several for a search of the Pareto front."""
     space: Parameters
     sampler: Sampler = TPE
     pruner: Pruner = NO_PRUNER
@@ -122,12 +104,7 @@ class SearchFile(Table):
 
 @dataclass(frozen=True)
 class Search:
-    """A search.
-
-    Attributes:
-        space: the searched parameters and the fixed fields.
-        world: of `pneuma.worlds.WORLDS`.
-    """
+    """A search in one of `pneuma.worlds.WORLDS`."""
 
     name: str
     spec: SearchFile
@@ -158,12 +135,8 @@ class Search:
     def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
         """Return the search with more fields that all trials share.
 
-        Fields that are searched are refused, and a user's own code or files that the search's file does not
-        use.
-
-        Args:
-            over: fields of the run, of `--set` or of a record, which may be untrusted.
-            unread: fields that are refused if no run reads them.
+        They are of `--set` or of a record, which may be untrusted. Those that are searched are refused, those
+        of `unread` that no run reads, and a user's own code or files that the search's file does not use.
         """
         space = replace(self.space, fixed={**self.space.fixed, **over})
         known = self.space.describe_user_code()

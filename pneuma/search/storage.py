@@ -66,11 +66,8 @@ def run_search(
     """Search, training only runs that are not stored; yield all trials after each generation.
 
     The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far
-    the search is.
-
-    Raises:
-        UserError: before anything is trained, for a search that cannot be run here.
-        Unfinished: when a run crashed; trials that ended before are stored.
+    the search is. A search that cannot be run here is refused before anything is trained. `Unfinished` says
+    that a run crashed; trials that ended before are stored.
     """
     search, runs = task.search, [run for _, run in task.search.space.corners()]
     check_budget(search, task.budget)
@@ -95,10 +92,9 @@ def log_path(store: Store, label: str) -> Path:
 
 
 class JournalLog:
-    """The log of a search that is being run. Only the process that holds the search's lock may use it.
+    """The log of a search that is being run, with the trials that ended before, by number.
 
-    Attributes:
-        ended: trials that ended before, by number.
+    Only the process that holds the search's lock may use it.
     """
 
     def __init__(self, storage: BaseStorage, task: Task) -> None:
@@ -108,7 +104,14 @@ class JournalLog:
         self._study = optuna.load_study(study_name=task.search.name, storage=storage)
         known = self._study.user_attrs.get(ABOUT)
         if not isinstance(known, dict) or known["trials_asked"] < task.budget.trials:
-            self._study.set_user_attr(ABOUT, _about(task))
+            about = {
+                "search": task.search.name,
+                "set": task.over,
+                "digest": task.digest,
+                "identity": task.identity,
+                "trials_asked": task.budget.trials,
+            }
+            self._study.set_user_attr(ABOUT, json.loads(to_json(about)))
         self._noted = {trial.number: trial for trial in self._study.get_trials()}
         self.ended = {trial.number: trial for trial in _ended(self._noted.values(), task.search)}
 
@@ -153,18 +156,6 @@ class JournalLog:
         return self._storage.get_trial_id_from_study_id_trial_number(self._study._study_id, number)
 
 
-def _about(task: Task) -> dict[str, Any]:
-    about = {
-        "search": task.search.name,
-        "set": task.over,
-        "digest": task.digest,
-        "identity": task.identity,
-        "trials_asked": task.budget.trials,
-    }
-    document: dict[str, Any] = json.loads(to_json(about))
-    return document
-
-
 def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLog:
     """Open the log of a search: repair its last line, and set aside the log of an earlier search."""
     path = log_path(store, task.search.label)
@@ -190,7 +181,9 @@ def _open_log(store: Store, task: Task, say: Callable[[str], None]) -> JournalLo
 
 def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[str], None]) -> None:
     """Rename the log of an earlier search, and take back that of this one if it was set aside."""
-    aside = path.with_name(f"{path.stem}.{_digest(about)}.log")
+    digest = str(about.get("digest"))  # of a log that may be untrusted
+    named = digest if digest.isalnum() and len(digest) <= 64 else "earlier"
+    aside = path.with_name(f"{path.stem}.{named}.log")
     if os.path.lexists(aside):
         raise UserError(f"{aside}: is there already, and {path} is of the same search; move one away")
     os.replace(path, aside)
@@ -202,11 +195,6 @@ def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[
         if not isinstance(found, dict) or found.get("digest") != task.digest:
             raise _damaged(before)
         os.replace(before, path)
-
-
-def _digest(about: Mapping[str, Any]) -> str:
-    digest = str(about.get("digest"))
-    return digest if digest.isalnum() and len(digest) <= 64 else "earlier"
 
 
 def _damaged(path: Path) -> UserError:
@@ -223,18 +211,14 @@ def read_record(store: Store, name: str, world: str | None = None, stored: bool 
     """
     search = load_search(name, world)
     own = [log_path(store, search.label)] if stored else []
-    for path in (*own, *published_logs(store, search.label)):
+    published = (store.root / PUBLISHED, shipped_tables())
+    for path in (*own, *(folder / f"search-{search.label}.log" for folder in published)):
         if path.exists():
             return _read(path, search)
     raise UserError(
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
-
-
-def published_logs(store: Store, label: str) -> list[Path]:
-    """Return where the log of a search may be published: in a results folder, or with Pneuma."""
-    return [folder / f"search-{label}.log" for folder in (store.root / PUBLISHED, shipped_tables())]
 
 
 class _Lines(BaseJournalBackend):
@@ -294,9 +278,7 @@ def _changed(identity: object, task: Task) -> list[str]:
 def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTrial]:
     """Return the trials that have ended, up to the first that has not.
 
-    Raises:
-        UserError: for parameters that are not in the search's space.
-        ValueError: for values that do not fit the search.
+    A ValueError says that a value does not fit the search.
     """
     names, ended, running = {state: name for name, state in STATES.items()}, [], False
     for trial in sorted(trials, key=lambda each: int(each.number)):

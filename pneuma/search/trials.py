@@ -80,25 +80,15 @@ class Task:
 
 @dataclass(frozen=True)
 class EndedTrial:
-    """A trial that has ended.
+    """A trial that has ended."""
 
-    Attributes:
-        number: from 0, in the order of suggestion.
-        params: the suggested values.
-        state: 'complete'; 'pruned', if it was stopped early; 'failed', if it has no value.
-        values: one for each objective; for a pruned trial, its last report.
-        reports: what its pruner saw: values by evaluation, numbered as in `evaluation_steps`, or by seed,
-            counted from 0.
-        note: why it failed, or that one of its runs diverged.
-    """
-
-    number: int
+    number: int  # from 0, in the order of suggestion
     params: Mapping[str, Any]
-    state: str
-    values: tuple[float, ...]
+    state: str  # complete; pruned, if it was stopped early; failed, if it has no value
+    values: tuple[float, ...]  # one for each objective; for a pruned trial, its last report
     run_ids: tuple[str, ...]
-    reports: Mapping[int, float]
-    note: str = ""
+    reports: Mapping[int, float]  # what its pruner saw: by evaluation, as in `evaluation_steps`, or by seed
+    note: str = ""  # why it failed, or that one of its runs diverged
 
 
 @dataclass
@@ -145,15 +135,10 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Round:
-    """A part of the training of a generation, after which its trials are compared.
-
-    Attributes:
-        seeds: which are trained.
-        pause: up to the first evaluation of this number, or a greater one, is trained.
-    """
+    """A part of the training of a generation, after which its trials are compared."""
 
     seeds: tuple[int, ...]
-    pause: int = EVALUATIONS
+    pause: int = EVALUATIONS  # up to the first evaluation of this number, or a greater one, is trained
 
     def steps(self, run: Run) -> dict[int, int]:
         """Return the steps of a run's evaluations up to the end of the round, by number."""
@@ -191,12 +176,8 @@ def conduct(
 ) -> Iterator[list[EndedTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
-    `log` knows the trials that ended before, and notes the others; `say` tells which are trained
-    or stopped.
-
-    Raises:
-        Unfinished: when a run crashed.
-        UserError: when the log has other trials than the search suggests.
+    `log` knows the trials that ended before, which must be those that the search suggests, and notes the
+    others; `say` tells which are trained or stopped. `Unfinished` says that a run crashed.
     """
     search, budget = task.search, task.budget
     study, first_trials = create_study(search), search.first_trials

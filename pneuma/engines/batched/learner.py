@@ -11,10 +11,11 @@ import numpy as np
 
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import initial_state
-from pneuma.engines.batched.rollout import Rollout, advantages, is_cut_off, value_of
+from pneuma.engines.batched.rollout import Rollout, advantages, value_of
 from pneuma.engines.batched.update import METRICS, annealed_numbers, evaluate_rollout, learn, run_numbers
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.records import action_shares
+from pneuma.env import rules
 
 Tree = Any
 Networks = dict[str, Layers]
@@ -35,17 +36,7 @@ def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> 
 
 
 class Learner:
-    """The networks, optimizer and minibatch order of one policy.
-
-    Args:
-        features: the length of an observation.
-        actions: the number of actions.
-        player: whose policy it is, where each player has its own.
-
-    Attributes:
-        networks: actor and critic, NumPy arrays.
-        generator: draws the order of minibatches.
-    """
+    """The networks, optimizer and minibatch order of a policy: all players', or one's where each has one."""
 
     def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
         self.run = run
@@ -112,8 +103,8 @@ class Learner:
 
     def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
         """Return rewards plus the discounted value of states that a time limit cut off, (S, T)."""
-        cut = np.flatnonzero(is_cut_off(self.run, rollout.ended))
-        if not len(cut):
+        cut = np.flatnonzero(rollout.ended["ending"] == rules.TIME_LIMIT)
+        if not len(cut) or self.run.time_limit == "terminate":
             return rollout.rewards
         beyond = value_of(self.networks["critic"], self.run.activation, rollout.terminal_observations[cut])
         rewards = rollout.rewards.copy()

@@ -37,44 +37,26 @@ kernel: Any = cached(error_model="numpy")
 
 
 class Episodes(NamedTuple):
-    """The episodes in progress, of S slots.
+    """The episodes in progress, of S slots."""
 
-    Attributes:
-        returns, lengths: (S,) so far.
-        episodes: (S,) how many ended before.
-        begins: (S,) float32, 1 if the last step ended an episode, or there was none.
-        idle: (S,) whether the slot's player died earlier in an episode that still runs.
-    """
-
-    returns: np.ndarray
-    lengths: np.ndarray
-    episodes: np.ndarray
-    begins: np.ndarray
-    idle: np.ndarray
+    returns: np.ndarray  # (S,) so far
+    lengths: np.ndarray  # (S,) so far
+    episodes: np.ndarray  # (S,) how many ended before
+    begins: np.ndarray  # (S,) float32: 1 if the last step ended an episode, or there was none
+    idle: np.ndarray  # (S,) whether the slot's player died earlier in an episode that still runs
 
 
 class Rollout(NamedTuple):
-    """One horizon of T steps in S slots.
+    """One horizon of T steps in S slots."""
 
-    Attributes:
-        observations: (S, T, features) float32, before each step.
-        actions: (S, T) int64.
-        rewards: (S, T) float32, without the value after a time limit.
-        starts: (S, T) float32, 1 if the step before ended an episode.
-        last_observations: (S, features), after the last step.
-        last_ends: (S,) float32, 1 where the last step ended an episode.
-        ended: (K,) `ENDED`, in order.
-        terminal_observations: (K, features), the last observation of each ended episode.
-    """
-
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    starts: np.ndarray
-    last_observations: np.ndarray
-    last_ends: np.ndarray
-    ended: np.ndarray
-    terminal_observations: np.ndarray
+    observations: np.ndarray  # (S, T, features) float32, before each step
+    actions: np.ndarray  # (S, T) int64
+    rewards: np.ndarray  # (S, T) float32, without the value after a time limit
+    starts: np.ndarray  # (S, T) float32: 1 if the step before ended an episode
+    last_observations: np.ndarray  # (S, features), after the last step
+    last_ends: np.ndarray  # (S,) float32: 1 where the last step ended an episode
+    ended: np.ndarray  # (K,) `ENDED`, in order
+    terminal_observations: np.ndarray  # (K, features), the last one of each ended episode
 
     def of_player(self, player: int, players: int) -> Rollout:
         """Return the part of one of the players of each world, as a rollout of its own."""
@@ -104,12 +86,8 @@ def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
 class Collector:
     """The worlds of a run's slots, with the episodes in progress.
 
-    Attributes:
-        worlds: as many as the run's `slots`; each of their players is one slot.
-        episodes: those in progress.
-        generator: draws the actions.
-        features, actions: the length of an observation, and the number of actions.
-        layout: identifies the layout of the arrays of `saved_state`.
+    Each player of each of the worlds, which are as many as the run's `slots`, is one slot here. `layout`
+    identifies the layout of the arrays of `saved_state`.
     """
 
     scaling = None  # Pneuma's worlds scale what they show by themselves
@@ -198,12 +176,6 @@ class Collector:
             self.worlds.advance(chosen)
             count = _note(handle, usual_starts, episodes, rollout, step, count, chosen)
         return count
-
-
-def is_cut_off(run: Run, ended: np.ndarray) -> np.ndarray:
-    """Return which finished episodes a time limit cut off, so that their last state has a value, (K,)."""
-    limit = ended["ending"] == rules.TIME_LIMIT
-    return limit if run.time_limit == "truncate" else np.zeros_like(limit)
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
@@ -302,14 +274,8 @@ def advantages(
 ) -> Any:
     """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 4.14).
 
-    Args:
-        rewards: (S, T) float32, like all other arrays.
-        values: (S, T), of the states before each step.
-        starts: (S, T), 1 where the step before ended an episode.
-        last_values: (S,), after the last step.
-        last_ends: (S,), 1 where the last step ended an episode.
-        gamma: discount.
-        decay: gamma times lambda.
+    Values are of the states before each step, (S, T), and after the last one, (S,). `starts` and `last_ends`
+    are 1 where the step before ended an episode; `decay` is gamma times lambda.
     """
     result = np.zeros_like(rewards)
     slots, steps = rewards.shape

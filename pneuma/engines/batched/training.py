@@ -21,12 +21,7 @@ from pneuma.engines.records import Checkpoint, Records
 
 
 class BatchedTrainer(Trainer):
-    """Trains one run by compiled programs.
-
-    Attributes:
-        collector: the worlds, and the random stream of actions.
-        learners: one, of the policy that all players share; or one for each player.
-    """
+    """Trains one run by compiled programs; each policy, of all players or of one, has a learner."""
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)

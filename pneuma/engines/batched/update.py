@@ -83,16 +83,10 @@ def annealed_numbers(run: Run, left: float) -> dict[str, np.float32]:
 def evaluate_rollout(
     parameters: Tree, observations: Any, actions: Any, activation: str
 ) -> tuple[Any, Any, Any]:
-    """Evaluate a rollout by the networks that played it.
+    """Evaluate a rollout by the networks that played it: observations (N, features), actions (n,), n <= N.
 
-    Args:
-        parameters: of actor and critic.
-        observations: (N, features), of which those after the n actions are only valued.
-        actions: (n,), n <= N.
-        activation: of the hidden layers.
-
-    Returns:
-        Log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n.
+    Return log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n. The
+    observations after them are only valued.
     """
     count = actions.shape[0]
     networks = joined(parameters)
@@ -112,22 +106,12 @@ def learn(
     parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
     activation: str, optimizer: str, minibatch: int, decays: bool, normalizes: bool,
 ) -> tuple[Tree, Tree, Any]:  # fmt: skip
-    """Take all gradient steps of an update.
+    """Take all gradient steps of an update; return parameters, the optimizer's state, and `METRICS`.
 
-    Args:
-        parameters: of actor and critic; their memory is reused.
-        state: of the optimizer; likewise.
-        batch: observations (N, features), actions, log_probabilities, advantages and returns (N,).
-        orders: (epochs, N) permutations, cut into minibatches in order; the last one may be smaller.
-        numbers: `run_numbers`.
-        activation: of the hidden layers.
-        optimizer: its name.
-        minibatch: its size.
-        decays: whether the numbers have a weight decay.
-        normalizes: whether the advantages of each minibatch are normalised.
-
-    Returns:
-        Parameters, state, and `METRICS`, (metrics,).
+    The batch has observations (N, features), actions, log_probabilities, advantages and returns (N,). The
+    orders, (epochs, N) permutations, are cut into minibatches, of which the last one may be smaller. `decays`
+    says whether the numbers, `run_numbers`, have a weight decay, and `normalizes` whether the advantages of
+    each minibatch are normalised. The memory of parameters and state is reused.
     """
     whole = orders.shape[1] // minibatch
 
