@@ -56,8 +56,8 @@ def noise_cells(data: StudyData) -> list[Cell]:
     found = []
     for name in data.conditions:
         if runs := data.of_condition(name):
-            settings = (runs[0].fields[key] for key in ("slots", "horizon", "learning_rate"))
-            found.append(Cell(*settings, outcome_values(data, name, OUTCOME)))
+            slots, horizon, rate = (runs[0].fields[key] for key in ("slots", "horizon", "learning_rate"))
+            found.append(Cell(slots, horizon, rate, outcome_values(data, name, OUTCOME)))
     return sorted(found, key=lambda cell: -cell.ratio)
 
 

@@ -210,7 +210,8 @@ def publish(
         about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
         about |= {"listing": listing} if listing else {}
         order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
-        path, encoded = store.published_path(stem), encode_published(order, about, curves or PUBLISHED_CURVES)
+        kept = PUBLISHED_CURVES if curves is None else curves
+        path, encoded = store.published_path(stem), encode_published(order, about, kept)
         store.write(path, encoded)
     staying = len(rows) - len(new)
     more = f", {staying} as they were published before" if staying else ""

@@ -5,9 +5,12 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
+from pyarrow.types import is_list
 
 from pneuma.study.locks import run_lock
+from pneuma.study.quantities import TRAINING_QUANTITIES
 
 from .calls import SETTINGS, TINY, Called, call, printed
 
@@ -43,6 +46,13 @@ def test_what_is_published_stays_in_the_table_and_the_same_runs_give_the_same_by
     shutil.rmtree(results / "runs")
     called = _publish(results)
     assert called.code == 2 and "nothing is new to publish" in called.err and path.read_bytes() == whole
+
+
+@pytest.mark.parametrize(("kept", "columns"), [("none", set()), ("return,entropy", {"return", "entropy"})])
+def test_a_table_keeps_the_curves_that_are_named(results: Path, kept: str, columns: set[str]) -> None:
+    assert _publish(results, "--curves", kept).code == 0
+    curves = {column.name.split()[0] for column in pq.read_schema(_table(results)) if is_list(column.type)}
+    assert curves & {*TRAINING_QUANTITIES} == columns
 
 
 def test_a_damaged_table_is_told_and_published_anew(results: Path) -> None:
