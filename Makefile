@@ -62,18 +62,13 @@ reproduction-causes: install  ## Train the studies of collapse and other causes
 
 RIVALS_optimizers = adam l2 upgd sgd momentum rmsprop
 RIVALS_algorithms = ppo trpo a2c dqn double-dqn
-STEPS_optimizers = 1000000
-STEPS_algorithms = 200000
-WINNERS = "$(or $(PNEUMA_RESULTS),results)/winners-$*.toml"
 
 tuning: tuning-optimizers tuning-algorithms  ## Tune optimizers and algorithms alike, and train the winners on fresh seeds
 
-# The file of winners has each winner beside its search's base.
+# The studies have the winners, which the same search finds again.
 tuning-optimizers tuning-algorithms: tuning-%: install
 	for name in $(RIVALS_$*); do $(BIN)/pneuma search run tune-$$name --preset paper || exit; done
-	rm -f $(WINNERS)
-	$(BIN)/pneuma search promote $(RIVALS_$*:%=tune-%) --out $(WINNERS)
-	$(BIN)/pneuma study run $(WINNERS) --steps $(STEPS_$*)
+	$(BIN)/pneuma study run tuned-$* --preset paper
 
 docs: install  ## Build the pages of docs/ as a site in site/, with all commands and modules; broken links are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
