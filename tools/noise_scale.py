@@ -2,8 +2,8 @@
 
     python -m tools.noise_scale [RESULTS]
 
-prints a row for each condition, by falling ratio, and Spearman's correlation over conditions. `make figures`
-draws them.
+prints a row for each condition, by falling ratio, and Spearman's correlation over conditions, with and
+without those that have few updates. `make figures` draws them.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ MARKERS = {1: "o", 4: "s", 16: "D"}
 """By the number of parallel environments."""
 COLOURS = {1e-4: style.COLOURS[0], 3e-4: style.COLOURS[1], 1e-3: style.COLOURS[2]}
 """By the learning rate."""
+FEW_UPDATES = 50
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class Cell:
     def ratio(self) -> float:
         return self.rate / (self.slots * self.horizon)
 
+    @property
+    def updates(self) -> int:
+        return STEPS // (self.slots * self.horizon)
+
 
 def noise_cells(data: StudyData) -> list[Cell]:
     """Return the conditions that have runs, by falling ratio."""
@@ -61,9 +66,14 @@ def noise_cells(data: StudyData) -> list[Cell]:
     return sorted(found, key=lambda cell: -cell.ratio)
 
 
-def rank_correlation(cells: list[Cell]) -> float:
-    means = [cell.killed.mean() for cell in cells]
-    return float(spearmanr([cell.ratio for cell in cells], means).statistic)
+def correlations(cells: list[Cell]) -> list[str]:
+    """Return in words how kills go with the ratio."""
+    found = []
+    for words, least in (("", 0), (f" with {FEW_UPDATES} updates or more", FEW_UPDATES)):
+        of = [(cell.ratio, cell.killed.mean()) for cell in cells if cell.updates >= least]
+        correlation = f"{spearmanr(of).statistic:.2f}".replace("-", "−")
+        found.append(f"Spearman's correlation over {len(of)} conditions{words}: {correlation}.")
+    return found
 
 
 def open_noise_scale(index: RunIndex) -> StudyData:
@@ -84,12 +94,9 @@ def noise_page(data: StudyData) -> Page:
         _ratios, grid.shares,
     )  # fmt: skip
     words = find_outcome(OUTCOME).words
-    caption = [
-        f"{words[:1].upper()}{words[1:]}.",
-        f"Spearman's correlation over {len(cells)} conditions: {rank_correlation(cells):.2f}.".replace(
-            "-", "−"
-        ),
-    ]
+    few = [cell for cell in cells if cell.updates < FEW_UPDATES]
+    crossed = f"Crossed out: {few[0].updates} updates in all." if few else ""
+    caption = [f"{words[:1].upper()}{words[1:]}.", *correlations(cells), crossed]
     headline = headline_of(data, "at the end of training")
     return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, samples_of(data), marks, caption)
 
@@ -107,14 +114,16 @@ def _draw(axes: Axes, cells: list[Cell]) -> None:
             cell.ratio, cell.killed.mean(), MARKERS[cell.slots], color=colour, markeredgecolor=style.INK,
             markeredgewidth=0.6, markersize=5, zorder=2.5,
         )  # fmt: skip
+        if cell.updates < FEW_UPDATES:
+            axes.plot(cell.ratio, cell.killed.mean(), "x", color="white", markersize=4, zorder=2.6)
     axes.set_ylim(0, 1 + grid.BELOW_ZERO)
 
 
 if __name__ == "__main__":
     results = sys.argv[1] if sys.argv[1:] else "results"
     cells = noise_cells(open_noise_scale(RunIndex(Store(results))))
-    print("ratio     slots  horizon  rate    runs  killed")
+    print("ratio     slots  horizon  rate    updates  runs  killed")
     for cell in cells:
-        count, killed = len(cell.killed), cell.killed.mean()
-        print(f"{cell.ratio:.1e}  {cell.slots:5}  {cell.horizon:7}  {cell.rate:.0e}  {count:5}  {killed:.2f}")
-    print(f"Spearman's correlation of {len(cells)} conditions: {rank_correlation(cells):.2f}")
+        settings = f"{cell.ratio:.1e}  {cell.slots:5}  {cell.horizon:7}  {cell.rate:.0e}  {cell.updates:7}"
+        print(f"{settings}  {len(cell.killed):4}  {cell.killed.mean():.2f}")
+    print("\n".join(correlations(cells)))
