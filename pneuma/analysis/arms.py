@@ -45,7 +45,7 @@ class Arm:
     """
 
     values: np.ndarray
-    run_ids: tuple[str, ...]
+    run_ids: tuple[str, ...]  # of the same runs
     reason: str
     learned: bool | None
 

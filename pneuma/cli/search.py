@@ -106,15 +106,20 @@ def _pairs(values: Mapping[str, Any]) -> str:
 @app.command()
 def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
     """Show how far a search is, and its best trials."""
-    from pneuma.search.storage import read_record
+    from pneuma.search.storage import published_log, read_record
 
     searched = read_record(store := Store(results), name, world)
+    label = searched.task.search.label
     budget = searched.task.budget
     amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
     document = {**_document(searched.task, searched.trials), **amount}
     shown = [*_status(searched, _asked_words(name, world, results))]
-    trials = f"search-{searched.task.search.label}"
-    if searched.running and store.listing_path(trials).exists():
+    trials = f"search-{label}"
+    if searched.published:
+        shown.insert(0, f"Published in {searched.published}, without its runs.")
+    elif other := published_log(store, label):
+        shown.append(f"A published search is in {other}; --results with an empty folder shows it.")
+    if searched.running and not searched.published and store.listing_path(trials).exists():
         runs = command("study", "status", trials, "--results", results)
         shown.append(f"Other trials have not ended. See their runs with: {runs}")
     return Result(document, shown)
@@ -258,7 +263,7 @@ def train(
 ) -> None:
     """Train the missing runs of trials up to their steps, and print notes that are not in `noted` yet.
 
-    `Unfinished` says that a run did not finish.
+    Raises `Unfinished` when a run did not finish.
     """
     from pneuma.search.trials import Unfinished
 

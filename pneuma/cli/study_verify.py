@@ -65,7 +65,7 @@ def verify(
 
 def _how_to_train(file: Path | None) -> str:
     if file:
-        return "`pneuma study run STUDY` trains those of a study that it names"
+        return "`pneuma study run STUDY` trains those of a study that the list names"
     published = f"--results {shipped_tables().parent} has those that are published"
     return f"`make reproduction` trains them; {published}"
 

@@ -222,7 +222,7 @@ class GymnasiumSlots:
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
 
-        A ValueError says that it leads to another state: the randomness does not come from the seed alone.
+        Raises ValueError if it leads to another state: the randomness does not come from the seed alone.
         """
         self.close()
         self.envs = [make_env(self.run) for _ in self.envs]

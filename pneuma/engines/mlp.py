@@ -28,7 +28,8 @@ def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any
     """Return a network's outputs for `count` rows of `scratch[0]`, (count at least, outputs).
 
     Weights and widths of all layers are laid out as by `pneuma.engines.policy.flat` and `sizes`. `scratch`,
-    (2, rows, greatest width) float32, is overwritten and contains the outputs.
+    (2, rows, greatest width) float32, is overwritten and contains the outputs. `activation` is the code of
+    the hidden layers' one.
     """
     at = 0
     inputs = scratch[0]

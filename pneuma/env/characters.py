@@ -163,7 +163,10 @@ class Characters(Table):
 
 
 def load_characters(name: str = "") -> Characters:
-    """Read the shipped characters, overridden by a user's own file's or those of a shipped variant."""
+    """Read the shipped characters, of which a file overrides some.
+
+    It is a user's own, by its path, or a shipped variant, by its name; empty for none.
+    """
     file = read_toml(DATA / "characters.toml")
     for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
         users = read_toml(path)

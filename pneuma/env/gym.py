@@ -115,7 +115,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | --- | --- | --- |
     | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
     | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
-    | `monsters` | bamboo | on random levels: `bamboo`; `mixed`: 8 of it, 2 of each other; `golems`: 6 and 8 |
+    | `monsters` | bamboo | on random levels: `bamboo`; `mixed`: 8, 2 of each other; `golems`: 8 for two |
     | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
     | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
     | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |

@@ -313,7 +313,7 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
     """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
 
     A player can walk over free tiles, (rows, columns) bool, where as many lie side by side as the longer side
-    of its body needs. So many monsters, counted from the first, must be reachable.
+    of its body needs. The first so many monsters count, as the others may not be there.
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)

@@ -21,7 +21,7 @@ Place = Callable[[float, float], tuple[float, float]]
 
 
 def draw_overlay(frame: np.ndarray, worlds: Worlds, world: int, player: int, place: Place) -> np.ndarray:
-    """Return a frame with what is measured in a world drawn over it.
+    """Return a frame, (height, width, 3) uint8, with what is measured in a world drawn over it.
 
     Every living monster has its body, the circle in which it notices (yellow) and the one in which it bites
     (red): a player is inside once its body reaches into a circle. The player has its body, its sword's box,

@@ -82,7 +82,7 @@ class Renderer:
 
         The camera "map" shows the whole level, "follow" a view centred on a player, with `zoom` pixels for
         each art pixel. A panel above the picture shows HP, XP, step and monsters left; an overlay draws what
-        the rules measure over it.
+        the rules measure over it. Raises UserError for a level that is too large.
         """
         self.worlds = worlds
         self.camera = camera

@@ -95,7 +95,8 @@ _FLICKER = ((0, 1, 1, 0, 0), (1, 0, -1, -1, 0), (-1, -1, 0, 1, 0), (0, 0, 1, 0, 
 def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarray:
     """Return the arc of a sword over the box that it strikes: pale all over, bright where the blade passes.
 
-    The box begins at the player, on the side that it does not face.
+    The box, of so many art pixels, lies ahead of a player that faces one of `FACINGS`; `moment` counts from
+    0 to `SWINGS` - 1.
     """
     turns = _QUARTER_TURNS[facing]
     ahead, across = (height, width) if turns % 2 == 0 else (width, height)

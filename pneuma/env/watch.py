@@ -245,7 +245,8 @@ def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, 
 def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
     """Write frames to a .gif or .mp4, or the first to a .png; the file is written whole or not at all.
 
-    Frames are of one shape, (height, width, 3) uint8. Browsers play GIFs with more than 50 a second slowly.
+    Frames are of one shape, (height, width, 3) uint8, and taken one at a time. Browsers play GIFs with more
+    than 50 a second slowly.
     """
     suffix = path.suffix.lower()
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:

@@ -60,11 +60,13 @@ def few(axis: Axis) -> None:
 
 
 def steps(axis: Axis, most: int = 5) -> None:
+    """Format an axis of steps, as 500k."""
     axis.set_major_locator(round_ticks(most))
     axis.set_major_formatter(EngFormatter(sep=""))
 
 
 def shares(axis: Axis) -> None:
+    """Format an axis of shares in per cent."""
     axis.set_major_locator(round_ticks(5, 2.5))
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 

@@ -52,6 +52,8 @@ ABOVE = 0.2
 
 @dataclass(frozen=True)
 class OutcomeRows:
+    """An outcome of the runs of a study, a row for each condition."""
+
     data: StudyData
     named: str = ""
 

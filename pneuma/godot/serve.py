@@ -39,7 +39,7 @@ def serve(name: str, settings: Mapping[str, Any], agents: int, port: int, seed: 
     """Play the game for a trainer that listens at a port, until it says `close`; return the steps played.
 
     The environment must have flat observations and one action; Box actions come from -1 to 1 and are scaled
-    to the space's bounds. So many copies of it as agents are played side by side, with seeds from `seed` on.
+    to the space's bounds. `agents` copies are played side by side, with seeds from `seed` on.
     """
     with ExitStack() as stack:
         envs = [stack.enter_context(closing(_playable(name, settings))) for _ in range(agents)]

@@ -200,7 +200,7 @@ def _suggest(trial: optuna.Trial, parameter: Parameter) -> Any:
 def ended_study(trials: Iterable[EndedTrial], search: Search, objectives: int | None = None) -> optuna.Study:
     """Return a study in memory of trials that have ended, with the values of the first so many objectives.
 
-    A ValueError says that a parameter or value is not in the search space.
+    Raises ValueError for a parameter or value that is not in the search space.
     """
     study = create_study(search, objectives)
     study.add_trials(

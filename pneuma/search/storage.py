@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,8 @@ class RecordedSearch:
     task: Task
     trials: tuple[EndedTrial, ...]
     running: bool = False
+    published: Path | None = None
+    """Its log, if it is a published one, whose runs are not here."""
 
     @property
     def best(self) -> int | list[int] | None:
@@ -66,8 +68,8 @@ def run_search(
     """Search, training only runs that are not stored; yield all trials after each generation.
 
     The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far
-    the search is. A search that cannot be run here is refused before anything is trained. `Unfinished` says
-    that a run crashed; trials that ended before are stored.
+    the search is. A search that cannot be run here is refused before anything is trained. Raises `Unfinished`
+    when a run crashed; trials that ended before are stored.
     """
     search, runs = task.search, [run for _, run in task.search.space.corners()]
     check_budget(search, task.budget)
@@ -195,6 +197,7 @@ def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[
         if not isinstance(found, dict) or found.get("digest") != task.digest:
             raise _damaged(before)
         os.replace(before, path)
+        say(f"the search goes on from the log {before}, which is now {path}")
 
 
 def _damaged(path: Path) -> UserError:
@@ -210,15 +213,21 @@ def read_record(store: Store, name: str, world: str | None = None, stored: bool 
     `name` and `world` are as in `load_search`. Without `stored`, published searches alone count.
     """
     search = load_search(name, world)
-    own = [log_path(store, search.label)] if stored else []
-    published = (store.root / PUBLISHED, shipped_tables())
-    for path in (*own, *(folder / f"search-{search.label}.log" for folder in published)):
-        if path.exists():
-            return _read(path, search)
+    own = log_path(store, search.label)
+    if stored and own.exists() and own.stat().st_size:  # Optuna makes an empty file where it finds none
+        return _read(own, search)
+    if path := published_log(store, search.label):
+        return replace(_read(path, search), published=path)
     raise UserError(
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name the folder with --results"
     )
+
+
+def published_log(store: Store, label: str) -> Path | None:
+    """Return the published log of a search, if there is one in the results folder or with Pneuma."""
+    logs = [folder / f"search-{label}.log" for folder in (store.root / PUBLISHED, shipped_tables())]
+    return next((path for path in logs if path.exists()), None)
 
 
 class _Lines(BaseJournalBackend):
@@ -278,7 +287,7 @@ def _changed(identity: object, task: Task) -> list[str]:
 def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTrial]:
     """Return the trials that have ended, up to the first that has not.
 
-    A ValueError says that a value does not fit the search.
+    Raises ValueError for values that do not fit the search, and UserError for parameters outside its space.
     """
     names, ended, running = {state: name for name, state in STATES.items()}, [], False
     for trial in sorted(trials, key=lambda each: int(each.number)):

@@ -177,7 +177,7 @@ def conduct(
     """Search, and yield the trials of each generation when they have ended.
 
     `log` knows the trials that ended before, which must be those that the search suggests, and notes the
-    others; `say` tells which are trained or stopped. `Unfinished` says that a run crashed.
+    others; `say` tells which are trained or stopped. Raises `Unfinished` when a run crashed.
     """
     search, budget = task.search, task.budget
     study, first_trials = create_study(search), search.first_trials

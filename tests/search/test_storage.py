@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from pneuma.search import storage
 from pneuma.search.storage import RecordedSearch, log_path, read_record, run_search
 from pneuma.search.trials import EndedTrial, Task
 from pneuma.study.plan import Plan
-from pneuma.study.store import Store
+from pneuma.study.store import PUBLISHED, Store
 
 from .conftest import Formula, MakeTask, solve
 
@@ -101,6 +102,20 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
         read_record(store, "formula", "text")
     with pytest.raises(UserError, match="search formula-arena was not run in"):
         read_record(store, "formula")
+
+
+def test_a_published_log_is_read_where_no_search_was_run(make_task: MakeTask, store: Store) -> None:
+    """An empty log, as Optuna leaves it where it finds none, is none."""
+    task = make_task(8)
+    told, _ = search(task, store)
+    own = log_path(store, task.search.label)
+    published = store.root / PUBLISHED / f"search-{task.search.label}.log"
+    published.parent.mkdir()
+    shutil.copy(own, published)
+    assert read_record(store, "formula", "text").published is None
+    own.write_bytes(b"")
+    record = RecordedSearch(task, tuple(told), published=published)
+    assert read_record(store, "formula", "text") == record
 
 
 @pytest.mark.parametrize("most", range(0, 12, 2))

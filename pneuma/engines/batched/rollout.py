@@ -274,8 +274,8 @@ def advantages(
 ) -> Any:
     """Return generalised advantages, (S, T) float32 (Schulman et al. 2016; thesis Eq. 4.14).
 
-    Values are of the states before each step, (S, T), and after the last one, (S,). `starts` and `last_ends`
-    are 1 where the step before ended an episode; `decay` is gamma times lambda.
+    All arrays are float32. Values are of the states before each step, (S, T), and after the last one, (S,).
+    `starts` and `last_ends` are 1 where the step before ended an episode; `decay` is gamma times lambda.
     """
     result = np.zeros_like(rewards)
     slots, steps = rewards.shape

@@ -85,8 +85,8 @@ def evaluate_rollout(
 ) -> tuple[Any, Any, Any]:
     """Evaluate a rollout by the networks that played it: observations (N, features), actions (n,), n <= N.
 
-    Return log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n. The
-    observations after them are only valued.
+    Return log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n.
+    Observations after the first n are only valued.
     """
     count = actions.shape[0]
     networks = joined(parameters)

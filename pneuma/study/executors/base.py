@@ -132,7 +132,7 @@ def watch(
 ) -> None:
     """Report events of runs in jobs until all runs have ended; ended ones are removed from `left`.
 
-    `live` returns the remaining jobs, by the ids of their runs, and is asked every so many seconds. `lost` is
+    `live` returns the remaining jobs, by the ids of their runs, and is asked every `seconds`. `lost` is
     the reason for a run whose job has ended without results; `until` has the steps at which runs pause.
     """
     jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))

@@ -54,7 +54,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs on a node of the cluster, if it is fit to; see `base.Executor`."""
+    """Train each group of runs on a node; see `base.Executor`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
     waiting = [dict(group) for group in groups]
     left = {name for group in waiting for name in group}
