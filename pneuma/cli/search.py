@@ -395,4 +395,4 @@ def _show_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> Iterat
         shown = ("–" if "nan" in text else text for text in (*values, *gained))
         rows.append((f"{objective.over_seeds} of {objective.outcome}", *shown))
     yield Table(heads, rows)
-    yield "Luck: by how much the search's seeds had flattered it."
+    yield "Luck: by how much the search's seeds had flattered it; unknown (–) with other steps."

@@ -156,12 +156,12 @@ class Search:
 
         All trials get the world's environment, and its other fields unless the search sets them itself.
         """
-        if world == self.world:
-            return self
         if not self.has_worlds:
             raise UserError(
                 f"--world {world}: search {self.name} is in one environment alone; leave --world out"
             )
+        if world == self.world:
+            return self
         changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, world=world)
 
@@ -172,7 +172,8 @@ def load_search(name: str, world: str | None = None) -> Search:
     The world is one of `pneuma.worlds.WORLDS`; default: the arena.
     """
     search = read_search(find_file("search", name, studies_folder() / "search"))
-    return search.in_world(checked_world(world) or (ARENA if search.has_worlds else TEXT))
+    world = checked_world(world) or (ARENA if search.has_worlds else "")
+    return search.in_world(world) if world else search
 
 
 def check_budget(search: Search, budget: Budget) -> None:

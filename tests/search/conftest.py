@@ -99,6 +99,7 @@ def make_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeTask:
 
     def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
         Path("formula.toml").write_text(SPACE.format(more=more, second=second, start=start))
-        return Task(load_search("formula", "text"), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
+        world = None if "env = " in more else "text"
+        return Task(load_search("formula", world), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
 
     return make

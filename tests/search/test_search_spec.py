@@ -11,6 +11,7 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search.space import Parameter
 from pneuma.search.spec import Search, load_search
+from pneuma.worlds import WORLDS
 
 Load = Callable[[str], Search]
 
@@ -162,11 +163,14 @@ def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in
         load_search("ppo.toml")
 
 
-def test_a_search_of_another_environment_has_no_world(write: Load) -> None:
-    search = write(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
+def test_a_search_of_another_environment_has_no_world(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
+    search = load_search(str(path))
     assert (search.label, search.title) == ("mine", "A search")
-    with pytest.raises(UserError, match="--world arena: search mine is in one environment alone"):
-        search.in_world("arena")
+    for world in WORLDS:
+        with pytest.raises(UserError, match=f"--world {world}: search mine is in one environment alone"):
+            load_search(str(path), world)
 
 
 def test_a_sampler_whose_package_is_missing_is_told_by_it(
