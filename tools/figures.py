@@ -63,8 +63,6 @@ THESIS_FIGURES = {
 }
 """The study of a figure in chapter 6, and the conditions in it."""
 THESIS_QUANTITIES = ("return", "share_killed")
-IN_THE_CODE = {"small": "small-code"}
-"""A condition as the published code has it, which is shown where there are no runs of the text's."""
 WINNERS = {
     "tuned-optimizers": ("tune-adam", "tune-l2", "tune-upgd", "tune-sgd", "tune-momentum", "tune-rmsprop")
 }
@@ -179,7 +177,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
     index, pages = _published(results), []
     for figure, (of, conditions) in THESIS_FIGURES.items():
         if of == study:
-            columns = {_title(world): thesis_runs(index, study, world, conditions) for world in WORLDS}
+            columns = thesis_columns(index, study, conditions)
             pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
     if study == noise_scale.STUDY:
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
@@ -232,14 +230,21 @@ def study_runs(index: RunIndex, study: str, world: str | None) -> StudyData | No
     return _most(_opened(index, study, world, settings) for settings in ({}, EARLIER))
 
 
-def thesis_runs(index: RunIndex, study: str, world: str, conditions: Sequence[str]) -> StudyData | None:
-    """Return the runs of some conditions in a world, those of a study's file or earlier ones.
+def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> dict[str, StudyData]:
+    """Return the runs of some conditions in each world that has two of them or more, by title.
 
-    They are of the longest budget that two conditions have, and of a condition that was not trained so long,
-    of its own longest one.
+    Earlier runs of a world come beside those of the study's file if they have a condition that these lack.
     """
-    found = (_longest(index, study, world, conditions, settings) for settings in ({}, EARLIER))
-    return _most(found, A_FEW)
+    columns = {}
+    for world in WORLDS:
+        shown: set[str] = set()
+        for settings, added in (({}, ""), (EARLIER, ", one environment")):
+            data = _longest(index, study, world, conditions, settings)
+            trained = {run.condition for run in data.runs} if data else set()
+            if data and len(trained) > 1 and trained - shown:
+                columns[_title(world) + added] = data
+                shown |= trained
+    return columns
 
 
 def _most(found: Iterable[StudyData | None], least: int = 1) -> StudyData | None:
@@ -261,22 +266,20 @@ def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[st
 def _longest(
     index: RunIndex, study: str, world: str, conditions: Sequence[str], settings: Mapping[str, Any]
 ) -> StudyData | None:
-    every = stored_runs(index, ask(index, study, Selection(settings=settings), world))
-    trained = {name for name, *_ in every}
-    coded = {text: code for text, code in IN_THE_CODE.items() if text not in trained and code in trained}
-    shown = tuple(coded.get(name, name) for name in conditions)
-    asked = ask(index, study, Selection(settings=settings, conditions=shown), world)
-    budgets: dict[str, list[int]] = {name: [] for name in shown}
-    for name, _, entry in stored_runs(index, asked):
-        budgets[name].append(entry.steps)
-    longest = sorted((max(steps) for steps in budgets.values() if steps), reverse=True)
-    if not longest:
+    """Return runs of the longest budget that two conditions have, or of a condition's own if that is less."""
+    asked = ask(index, study, Selection(settings=settings, conditions=tuple(conditions)), world)
+    found = stored_runs(index, asked)
+    budgets: dict[str, list[int]] = {}
+    for name, _, entry in found:
+        budgets.setdefault(name, []).append(entry.steps)
+    if not budgets:
         return None
+    longest = sorted(map(max, budgets.values()), reverse=True)
     most = (1 + SLACK) * longest[:2][-1]
     ends = {
         name: max((steps for steps in each if steps <= most), default=0) for name, each in budgets.items()
     }
-    runs = [run for run in stored_runs(index, asked) if run[2].steps == ends[run[0]]]
+    runs = [run for run in found if run[2].steps == ends[run[0]]]
     return read_answer(index, Shown(asked, sorted(runs, key=lambda run: run[1])))
 
 

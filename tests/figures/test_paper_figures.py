@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
@@ -70,36 +69,32 @@ def _samples(origin: Origin) -> list[tuple[str, str, str]]:
     return [(one.study, one.condition, one.seeds) for one in origin.runs]
 
 
-def test_a_world_shows_the_runs_of_most_conditions_and_of_its_file_first(
-    study: HandMade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_earlier_runs_of_a_world_stand_beside_those_of_its_file_if_they_have_more_conditions(
+    tmp_path: Path,
 ) -> None:
-    """Here a single run is more than a few."""
-    monkeypatch.setattr(figures, "A_FEW", 1)
     fresh = Store(tmp_path / "fresh")
-    conditions = ("tanh", "relu")
+    of_file, earlier = "The text's world", "The text's world, one environment"
 
-    def publish_with(slots: int, names: tuple[str, ...], seed: int) -> None:
-        trained = Store(tmp_path / f"trained-{slots}-{seed}")
+    def shown_with(slots: int, names: tuple[str, ...], seed: int) -> dict[str, set[str]]:
+        """Publish runs more, and return the conditions in each column of a figure."""
+        trained = Store(tmp_path / f"trained-{seed}")
         for run in configure(load_study("activation", "text"), {"slots": slots}, names).runs.values():
             save_run(trained, make_run({**vars(run), "steps": run.steps_per_update, "seed": seed}), 0.5)
         rows = [stored_row(trained, name) for name in trained.runs()]
         about = {"study": "activation", "world": "text", "settings": {"slots": slots}}
-        fresh.write(fresh.published_path(f"table-{slots}-{seed}"), encode_published(rows, about))
-
-    def shown() -> tuple[set[str], dict[str, Any]]:
+        fresh.write(fresh.published_path(f"table-{seed}"), encode_published(rows, about))
         index = RunIndex(fresh, stored=False, shipped=False)
-        data = figures.thesis_runs(index, "activation", "text", conditions)
-        assert data
-        return {run.condition for run in data.runs}, dict(data.changed)
+        columns = figures.thesis_columns(index, "activation", ("tanh", "relu", "leaky-relu"))
+        return {title: {run.condition for run in data.runs} for title, data in columns.items()}
 
-    publish_with(1, conditions, 0)
-    assert shown() == ({"tanh", "relu"}, {"slots": 1})
-    publish_with(4, ("tanh",), 300)
-    assert shown() == ({"tanh", "relu"}, {"slots": 1})
-    publish_with(4, ("relu",), 301)
-    assert shown() == ({"tanh", "relu"}, {})
-    index = RunIndex(fresh, stored=False, shipped=False)
-    assert figures.thesis_runs(index, "activation", "arena", conditions) is None
+    assert shown_with(1, ("tanh",), 0) == {}
+    assert shown_with(1, ("relu",), 1) == {earlier: {"tanh", "relu"}}
+    assert shown_with(4, ("tanh",), 300) == {earlier: {"tanh", "relu"}}
+    assert shown_with(4, ("relu",), 301) == {of_file: {"tanh", "relu"}}
+    assert shown_with(1, ("leaky-relu",), 2) == {
+        of_file: {"tanh", "relu"},
+        earlier: {"tanh", "relu", "leaky-relu"},
+    }
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:
