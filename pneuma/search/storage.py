@@ -188,8 +188,11 @@ def _set_aside(path: Path, about: Mapping[str, Any], task: Task, say: Callable[[
     aside = path.with_name(f"{path.stem}.{named}.log")
     if os.path.lexists(aside):
         raise UserError(f"{aside}: is there already, and {path} is of the same search; move one away")
+    try:
+        changed = ", ".join(_changed(about.get("identity"), task))
+    except MAKES_NO_SENSE:
+        raise _damaged(path) from None
     os.replace(path, aside)
-    changed = ", ".join(_changed(about.get("identity"), task)) or "files"
     say(f"the search so far had other {changed}: its log is now {aside}; its runs stay")
     before = path.with_name(f"{path.stem}.{task.digest}.log")
     if before.is_file() and not before.is_symlink():
@@ -268,7 +271,7 @@ def _read(path: Path, search: Search) -> RecordedSearch:
         budget = Budget(trials=about["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
         search = search.with_settings(over)
         task = Task(search, budget, over)
-        if changed := [key for key in _changed(identity, task) if key not in VERSIONS]:
+        if changed := [spot for spot in _changed(identity, task) if spot.split(".")[0] not in VERSIONS]:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; search again"
             )
@@ -279,9 +282,22 @@ def _read(path: Path, search: Search) -> RecordedSearch:
         raise _damaged(path) from None
 
 
-def _changed(identity: object, task: Task) -> list[str]:
-    recorded = identity if isinstance(identity, dict) else {}
-    return [key for key, value in json.loads(to_json(task.identity)).items() if recorded.get(key) != value]
+def _changed(identity: Any, task: Task) -> list[str]:
+    """Return where a recorded search differs from this one, as keys with dots."""
+    then, now = (
+        {**each, "space": {one["name"]: one for one in each["space"]}}
+        for each in (identity, json.loads(to_json(task.identity)))
+    )
+    return _differences("", then, now)
+
+
+def _differences(key: str, one: Any, other: Any) -> list[str]:
+    if not (isinstance(one, dict) and isinstance(other, dict)):
+        return [] if one == other else [key]
+    names = {name: f"{key}.{name}" if key else name for name in {**one, **other}}
+    return [
+        spot for name, place in names.items() for spot in _differences(place, one.get(name), other.get(name))
+    ]
 
 
 def _ended(trials: Sequence[FrozenTrial] | Any, search: Search) -> list[EndedTrial]:

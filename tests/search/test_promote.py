@@ -77,12 +77,12 @@ def test_a_trial_of_the_bases_own_values_is_its_base(make_task: MakeTask) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", shipped_names(studies_folder() / "search"))
-def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, world: str, tmp_path: Path) -> None:
-    own = searched(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
-    for trial in own.trials:
-        assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == trial.run_ids[-2:]
+def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, tmp_path: Path) -> None:
+    for world in WORLDS if load_search(name).has_worlds else [None]:
+        own = searched(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
+        for trial in own.trials:
+            assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == trial.run_ids[-2:]
 
 
 def test_winners_stand_beside_what_each_was_tuned_from(alike: list[RecordedSearch], tmp_path: Path) -> None:
