@@ -69,12 +69,10 @@ WINNERS = {
 """A study of winners on fresh seeds, and the searches that found them."""
 SEARCHES = (("ppo", "arena"), ("ppo", "text"), ("godot", None))
 """The published searches that a page shows, each with its world if it has several."""
-WHOLE = ("architecture", "activation")
+WHOLE = ("architecture", "activation", "actor-size")
 """Studies of which the thesis's figure shows every condition."""
 EARLIER = {"slots": 1}
 """The fields in which runs of earlier lists differ: they were trained in one world at a time."""
-A_FEW = 10
-"""Fewer runs of a configuration, as an exploratory study has, do not stand for earlier ones."""
 COLLAPSES = ("collapse",)
 """Studies whose collapses a page shows."""
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
@@ -182,8 +180,13 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
     if study == noise_scale.STUDY:
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
     elif searches := WINNERS.get(study):
-        found = [read_record(Store(results), name, stored=False) for name in searches]
-        pages.append(winners_page(study, find_winners(found, None, ()), open_study(index, study)))
+        winners = find_winners(
+            [read_record(Store(results), name, stored=False) for name in searches], None, ()
+        )
+        data = open_study(index, study)
+        fresh = {run.seed for run in data.of_condition(winners[0].tuned)}
+        same_seeds = replace(data, runs=[run for run in data.runs if run.seed in fresh])
+        pages.append(winners_page(study, winners, same_seeds))
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
     return _save(folder, pages)
@@ -208,10 +211,10 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         data = next(iter(columns.values()))
     if maps := study_maps(data):
         return [replace(robustness_page(data, maps), basename=f"{study}-map")]
-    if data.outcomes:
+    if len(data.outcomes) > 1:
         several = len(columns) > 1
         pages = [summary_page(one, study + f"-{one.world}" * several) for one in columns.values()]
-    elif len(shown) > MOST_IN_A_PANEL:
+    elif data.outcomes or len(shown) > MOST_IN_A_PANEL:
         pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
     else:
         pages = [curves_page(columns, basename=study)]
@@ -226,8 +229,8 @@ def _title(world: str | None) -> str:
 
 
 def study_runs(index: RunIndex, study: str, world: str | None) -> StudyData | None:
-    """Return a study's runs in a world: those of its file, or earlier ones if these have more conditions."""
-    return _most(_opened(index, study, world, settings) for settings in ({}, EARLIER))
+    """Return a study's runs in a world: those of its file, or else earlier ones."""
+    return _opened(index, study, world, {}) or _opened(index, study, world, EARLIER)
 
 
 def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> dict[str, StudyData]:
@@ -245,15 +248,6 @@ def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> di
                 columns[_title(world) + added] = data
                 shown |= trained
     return columns
-
-
-def _most(found: Iterable[StudyData | None], least: int = 1) -> StudyData | None:
-    """Return the first data of the most conditions that have at least so many runs."""
-
-    def covered(data: StudyData) -> int:
-        return sum(len(data.of_condition(name)) >= least for name in data.conditions)
-
-    return max(filter(None, found), key=covered, default=None)
 
 
 def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:

@@ -224,15 +224,10 @@ class Map:
 
     @property
     def label(self) -> str:
-        """The label of the whole map.
-
-        Robust if every cell holds; conditional if some hold and some are reversed; partial if some hold and
-        the others are open; reversed if some are reversed and none holds; otherwise undecided.
-        """
-        labels = {*self.cells["label"]}
-        if HOLDS in labels:
-            return "robust" if labels == {HOLDS} else "conditional" if REVERSED in labels else "partial"
-        return "reversed" if REVERSED in labels else "undecided"
+        """In how many cells the contrast holds, and in how many it is reversed if it is in any."""
+        labels = [*self.cells["label"]]
+        backwards = f", reversed in {labels.count(REVERSED)}" if REVERSED in labels else ""
+        return f"holds in {labels.count(HOLDS)} of {len(labels)}{backwards}"
 
 
 def robustness_map(

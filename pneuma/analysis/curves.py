@@ -169,21 +169,22 @@ NEAR = 0.02
 """Levels closer than this are drawn as one line."""
 
 
-def random_level(data: StudyData, quantity: str) -> float | None:
-    """Return the level of the random player that evaluations recorded.
+def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
+    """Return the level of the random player that the evaluations of each condition recorded.
 
-    Its normalised score is 0 by definition, and its return is not recorded. None if the conditions, whose
-    environments may differ, do not share it.
+    Its normalised score is 0 by definition, and its return is not recorded. Near levels are one. Empty if no
+    player was recorded.
     """
     if quantity == "score":
-        return 0.0
+        return dict.fromkeys(data.conditions, 0.0)
     if quantity not in EVALUATION_QUANTITIES or "random_share_killed" not in data.evaluations:
-        return None  # an imported log may have evaluations without a random player
+        return {}  # an imported log may have evaluations without a random player
     rows = data.evaluations.groupby("condition", sort=False)["random_share_killed"]
-    levels = [np.ascontiguousarray(shares, float).mean() for _, shares in rows]
-    if not levels or not np.ptp(levels) <= NEAR:  # unlike, or NaN: no such player
-        return None
-    return float(np.mean(levels))
+    every = {str(name): float(np.ascontiguousarray(shares, float).mean()) for name, shares in rows}
+    levels = {name: level for name, level in every.items() if np.isfinite(level)}
+    if levels and np.ptp([*levels.values()]) <= NEAR:
+        return dict.fromkeys(levels, float(np.mean([*levels.values()])))
+    return levels
 
 
 # --- Bands -----------------------------------------------------------------------------------------

@@ -155,6 +155,7 @@ def _caption(data: StudyData, found: pd.DataFrame, shares: pd.DataFrame, left_ou
     if common_step(data):
         notes.append("Budgets differ: each run is looked at over its own.")
     hollow = "; hollow: recovered by the end" * bool(shares["recovered"].sum())
+    notes.append("Dashed: beyond it a policy has one action.")
     notes.append(f"Bars: 95 % intervals (Clopper and Pearson){hollow}.")
     if left_out:
         notes.append(f"In {left_out} other conditions no run collapsed.")

@@ -127,7 +127,7 @@ def _columns_page(
     first = next(iter(drawn))
     notes = merge_notes({title: (column.data, column.notes) for title, column in drawn.items()})
     if not all(column.at_ends for column in drawn.values()):  # one legend for all columns
-        notes.append("(n): of each column, from left to right.")
+        notes.append("In brackets: runs in each column.")
         labels = {name: _joint_label(name, drawn.values()) for name in drawn[first].data.every}
         drawn = {title: replace(column, labels=labels) for title, column in drawn.items()}
 
@@ -145,7 +145,7 @@ def _columns_page(
         basename,
         [[panel(title, name) for title in columns] for name in quantities],
         0.95 * len(quantities) * style.PANEL_INCHES,
-        f"{drawn[first].data.title}: {after_thesis(basename) or 'in each world'}",
+        f"{drawn[first].data.title}: {after_thesis(basename) or 'by world'}",
         runs,
         meanings,
         notes,

@@ -33,7 +33,7 @@ FAR = 3.0
 """The random player's level this many times above the highest point is not drawn."""
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
-CAPTION_LINES = 3
+CAPTION_LINES = 5
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
 LONG_AXIS = 5000
@@ -235,19 +235,34 @@ def _legend_entries(axes: Iterable[Axes], more: Mapping[str, Any]) -> dict[str, 
 # --- What is in panels -------------------------------------------------------------------------------
 
 
-def draw_random_player(axes: Axes, level: float | None, top: float, upright: bool = False) -> None:
-    """Draw the level of the random player, a share, if there is one, as a grey line.
+def draw_random_player(
+    axes: Axes,
+    levels: Mapping[str, float],
+    top: float,
+    colours: Mapping[str, str],
+    rows: Sequence[str] | None = None,
+) -> None:
+    """Draw the levels of the random player, shares, as a grey line, or one for each condition if they differ.
 
-    A level far above `top`, the highest point that is drawn, gets no line: it would flatten everything else.
+    With `rows`, the conditions from the top, shares lie across, and a condition's line is in its row. A level
+    far above `top`, the highest point that is drawn, gets no line: it would flatten everything else.
     """
-    if level is None:
-        return
     look: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
-    label = f"{RANDOM_PLAYER} ({per_cent(level)})"
-    if level > FAR * max(top, 0.01):
-        axes.plot([], [], label=f"{label}: above", **look)
-    else:
-        (axes.axvline if upright else axes.axhline)(level, label=label, **look)
+    draw = axes.axhline if rows is None else axes.axvline
+    near = {name: at for name, at in levels.items() if name in colours and at <= FAR * max(top, 0.01)}
+    if len({*levels.values()}) == 1:
+        level = next(iter(levels.values()))
+        label = f"{RANDOM_PLAYER} ({per_cent(level)})"
+        axes.plot([], [], label=label if near else f"{label}: above", **look)
+        if near:
+            draw(level, **look)
+        return
+    for name, level in near.items():
+        axes.plot([], [], label=RANDOM_PLAYER, **look)
+        if rows is None:
+            draw(level, **{**look, "color": colours[name]})
+        else:
+            axes.plot([level] * 2, rows.index(name) + np.array([-0.4, 0.4]), **look)
 
 
 def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any) -> None:

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
-from pneuma.analysis.curves import BANDS, Curve, curve_names, random_level, study_curves
+from pneuma.analysis.curves import BANDS, Curve, curve_names, random_levels, study_curves
 from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
@@ -180,7 +180,8 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
         look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
         for curve in column.others.get(name, ()):
             axes.plot(curve.step, curve.runs.T, label=column.beside.full_title, alpha=alpha, **look)
-    grid.draw_random_player(axes, random_level(data, name), column._highest(name))
+    colours = {condition: look["color"] for condition, look in column.styles.items()}
+    grid.draw_random_player(axes, random_levels(data, name), column._highest(name), colours)
     if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
         axes.axvline(step, color=style.GREY, linewidth=0.9, zorder=1.2)
     axes.set_xlim(0, max(data.budget, column.beside.budget if column.beside else 0))

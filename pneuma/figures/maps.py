@@ -7,6 +7,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -57,26 +58,32 @@ def robustness_page(data: StudyData, maps: Sequence[Map]) -> Page:
     other = [found.outcome] if found.outcome != primary(data) else []
     basename = figure_basename(data, found.setting, *map(shown_value, found.values), *other)
     columns = min(len(maps), 2)
-    panels = in_grid([_panel(found) for found in maps], columns)
+    ends = np.concatenate([found.cells[["value", "low", "high"]].to_numpy(float).ravel() for found in maps])
+    reach = 1.05 * float(np.nanmax(np.abs(ends), initial=0.0))
+    panels = in_grid([_panel(found, reach) for found in maps], columns)
     inches = ROW_INCHES * max(len(found.cells) for found in maps) + AROUND_INCHES
-    labels = [label for found in maps for label in found.cells["label"]]
+    labels = {label for found in maps for label in found.cells["label"]}
     entries = {
-        f"{label} ({labels.count(label)})": Line2D([], [], linestyle="", markersize=4.5, **look)
+        label: Line2D([], [], linestyle="", markersize=4.5, **look)
         for label, look in STYLES.items()
+        if label in labels
     }
     headline = headline_of(data, "does the contrast hold elsewhere?")
     caption = [*notes_of(data), *_caption(data, maps)]
     return Page(basename, panels, len(panels) * inches, headline, samples_of(data), entries, caption)
 
 
-def _panel(found: Map) -> Panel:
-    """Return a panel with one row per cell, named by its levels; above the rows stand their factors."""
+def _panel(found: Map, reach: float) -> Panel:
+    """Return a panel with one row per cell, named by its levels; above the rows stand their factors.
+
+    The axis extends `reach` to both sides, so that effects of several maps can be compared.
+    """
     cells = found.cells.to_dict("records")
     levels = (", ".join(shown_level(cell[factor]) for factor in found.factors) for cell in cells)
-    label = " less ".join(map(shown_value, found.values))
+    label = " less ".join(map(shown_level, found.values))
     shares = find_outcome(found.outcome).bounds == (0.0, 1.0)
     return Panel(
-        partial(_draw_cells, cells=cells, factors=_readable(", ".join(found.factors))),
+        partial(_draw_cells, cells=cells, factors=_readable(", ".join(found.factors)), reach=reach),
         f"{_readable(found.setting)}: {found.label}",
         label + " (percentage points)" * shares,
         x_ticks=grid.points if shares else grid.few,
@@ -84,7 +91,9 @@ def _panel(found: Map) -> Panel:
     )
 
 
-def _draw_cells(axes: Axes, cells: Sequence[dict[Any, Any]], factors: str) -> None:
+def _draw_cells(axes: Axes, cells: Sequence[dict[Any, Any]], factors: str, reach: float) -> None:
+    if reach:
+        axes.set_xlim(-reach, reach)
     axes.axvline(0, color=INK, linewidth=0.8)
     for place, cell in enumerate(cells):
         grid.draw_interval(axes, place, cell, markersize=4.5, **STYLES[cell["label"]])

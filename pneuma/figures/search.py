@@ -6,6 +6,7 @@ RecordedSearch → panels → Page (`grid.py`)
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -25,6 +26,7 @@ from pneuma.figures import grid
 from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.origin import sample, samples_of
 from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
+from pneuma.figures.words import headline_of, notes_of
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.promote import Gain, Winner, gains
 from pneuma.search.space import Parameter
@@ -93,10 +95,11 @@ class _Drawn:
         last = self.trials[-1].number
         numbers = [*(trial.number for trial in self.complete), last]
         axes.step(numbers, [*best, best[-1]], where="post", color=BEST, linewidth=1.4, label="best so far")
-        for place, (base, number) in enumerate(self._starts().items(), 1):
+        for base, number in self._starts().items():
             trial = self.trials[number]
             if trial.values:
-                look: Any = {"marker": MARKERS[place], "color": INK, "markersize": 5, "linestyle": ""}
+                marker = MARKERS[1 + TABLES.index(base)]
+                look: Any = {"marker": marker, "color": INK, "markersize": 5, "linestyle": ""}
                 axes.plot([number], trial.values[:1], label=base, zorder=4, **look)
         axes.set_xlim(-0.5, last + 0.5)
 
@@ -141,12 +144,12 @@ class _Drawn:
             if parameter.name in trial.params:
                 look: Any = {"marker": "D", "color": BEST, "markersize": 5, "linestyle": ""}
                 axes.plot([_place(parameter, trial)], trial.values[:1], label="best", zorder=4, **look)
-        for place, base in enumerate(self._starts(), 1):
+        for base in self._starts():
             params = self.search.space.params_of(base)
             if parameter.name in params:
                 value = params[parameter.name]
                 at = [*parameter.choices].index(value) if parameter.choices else value
-                line: Any = {"color": INK, "linewidth": 0.8, "linestyle": ("--", ":")[place % 2]}
+                line: Any = {"color": INK, "linewidth": 0.8, "linestyle": (":", "--")[TABLES.index(base)]}
                 axes.axvline(at, zorder=1.2, label=f"value of {base}", **line)
 
     def front(self, axes: Axes) -> None:
@@ -193,12 +196,14 @@ class _Drawn:
 
     def caption(self, importances: bool) -> list[str]:
         states = [trial.state for trial in self.trials]
-        counts = ", ".join(
-            f"{states.count(state)} {state}" for state in ("complete", "pruned", "failed") if state in states
+        whole, *others = (
+            f"{states.count(state)} {words}"
+            for state, words in (("complete", ""), ("pruned", "stopped early"), ("failed", "failed"))
         )
+        others = [words for words in others if not words.startswith("0 ")]
         seeds, steps = counted(len(self.task.budget.seeds), "seed"), self.task.budget.steps
-        sampler = self.search.spec.sampler.name
-        lines = [f"{counts} trials of {seeds} and {steps:,} steps each; sampler {sampler}."]
+        trials = " and ".join([f"{whole}trials of {seeds} and {steps:,} steps each", *others])
+        lines = [f"{trials}. Sampler: {self.search.spec.sampler.name}."]
         if importances:
             best = "five trials" if len(self.complete) * BEST_SHARE < BEST_TRIALS else "tenth of the trials"
             lines.append(f"Importance: which parameters tell the best {best} from the others (PED-ANOVA).")
@@ -214,25 +219,27 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     A row for each: its base, the winner with the interval of its gain, and what the search had seen of it.
     """
     objective = winners[0].searched.task.search.objectives[0]
-    words, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
+    measured, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
+    words = f"{measured.words[:1].upper()}{measured.words[1:]}"
     found = {winner.name: gains(winner, data)[objective.name] for winner in winners}
     means = objective.over_seeds == "mean"
     sign = -1 if objective.direction == "maximize" else 1
     ranked = dict(sorted(found.items(), key=lambda pair: sign * pair[1].fresh))
     panel = Panel(
-        partial(_draw_gains, found=[*ranked.values()], means=means),
-        x=f"{objective.over_seeds} of {words.words.partition(',')[0]}",
-        x_ticks=grid.shares if words.unit == "share" else grid.few,
+        partial(_draw_gains, found=[*ranked.values()], means=means, from_zero=measured.unit == "share"),
+        x=words if means else f"{words}, {objective.over_seeds} of seeds",
+        x_ticks=grid.shares if measured.unit == "share" else grid.few,
         rows=[*ranked],
     )
     inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
-    title = f"Winners of searches, on {counted(seeds, 'fresh seed')}"
+    title = headline_of(data, f"{counted(seeds, 'fresh seed')}, {data.budget:,} steps")
     shown = means and any(np.isfinite(gain.interval).all() for gain in found.values())
-    caption = ["Bars: the untuned value plus the 95 % interval of the gain."] * shown
+    line = "Line through a diamond: the untuned value plus the 95 % interval of tuned less untuned."
+    caption = [*notes_of(data), line * shown]
     return Page(basename, [[panel]], inches, title, samples_of(data), caption=caption)
 
 
-def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool) -> None:
+def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool, from_zero: bool) -> None:
     """Draw a row for each gain; with `means`, whose difference has the interval, that of the gain too."""
     for place, gain in enumerate(found):
         low, high = (gain.fresh_baseline + end * (1 if means else math.nan) for end in gain.interval)
@@ -244,8 +251,9 @@ def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool) -> None:
     shown: Any = {"color": COMPLETE, "marker": "o", "linestyle": "", "markersize": 4.5}
     axes.plot([], [], label="untuned", **shown)
     axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": BEST})
-    gap = "" if any(math.isnan(gain.luck) for gain in found) else ": the gap is luck"
-    axes.plot([], [], label=f"tuned, in its search{gap}", markerfacecolor="white", **shown)
+    axes.plot([], [], label="tuned, as its search saw it", markerfacecolor="white", **shown)
+    if from_zero:
+        axes.set_xlim(left=0)
 
 
 GOLDEN = (5**0.5 - 1) / 2
@@ -297,7 +305,7 @@ def _logarithmic(axis: Axis) -> None:
 
 
 def _choices(axis: Axis, parameter: Parameter) -> None:
-    names = [name.replace("[", "").replace("]", "").replace(", ", ",\n") for name in parameter.names]
+    names = [re.sub(r'[\[\]"]', "", name).replace(", ", ",\n") for name in parameter.names]
     axis.axes.set_xticks(range(len(names)), names, rotation=40 if len(names) > MOST_UPRIGHT else 0)
     axis.axes.set_xlim(-0.5, len(names) - 0.5)
 

@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.curves import curve_names, random_level
+from pneuma.analysis.curves import curve_names, random_levels
 from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import (
@@ -81,6 +81,20 @@ class OutcomeRows:
         return table[table["outcome"] == self.outcome]
 
     @property
+    def words(self) -> str:
+        return _capital(find_outcome(self.outcome).words)
+
+    @property
+    def heading(self) -> str:
+        return self.words.partition(", ")[0]
+
+    @property
+    def detail(self) -> str:
+        """What the heading leaves out, as a sentence."""
+        rest = self.words.partition(", ")[2]
+        return f"{_capital(rest)}." if rest else ""
+
+    @property
     def of_killed(self) -> bool:
         """Whether it is a share of monsters, which can be compared with the random player's."""
         return self.outcome.endswith("share-killed")
@@ -89,15 +103,24 @@ class OutcomeRows:
     def colours(self) -> dict[str, str]:
         return {name: look["color"] for name, look in styles_of(self.data).items()}
 
-    def panel(self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, title: str) -> Panel:
-        """Return the panel with a row for each name, in its colour; `short` has the names that are shown."""
+    @property
+    def highest(self) -> float:
+        return max((float(runs.max()) for runs in self.values.values() if len(runs)), default=0.0)
+
+    def panel(
+        self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, top: float, title: str
+    ) -> Panel:
+        """Return the panel with a row for each name, in its colour.
+
+        `short` has the names that are shown; `top` is the greatest share killed in any panel.
+        """
         names = list(colours)
-        measured = find_outcome(self.named).unit if self.named else "Return of an episode"
+        measured = "Return of an episode" if is_return(self.outcome) else find_outcome(self.outcome).unit
         labels = [
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
-            partial(_draw_runs, found=self, colours=colours, mark=mark),
+            partial(_draw_runs, found=self, colours=colours, mark=mark, top=top),
             title,
             "Share killed" if self.of_killed else measured,
             x_ticks=grid.shares if self.of_killed else grid.few,
@@ -106,12 +129,12 @@ class OutcomeRows:
 
     @property
     def notes(self) -> list[str]:
-        words = find_outcome(self.outcome).words
-        notes = [*notes_of(self.data, is_return(self.outcome)), f"{words[:1].upper()}{words[1:]}."]
-        notes.append(step_note(self.data))
+        notes = [*notes_of(self.data, is_return(self.outcome)), step_note(self.data)]
         for name, known in self.values.items():
             total = len(self.data.of_condition(name))
-            if len(known) < total:
+            if not len(known):
+                notes.append(f"{name} has no value.")
+            elif len(known) < total:
                 notes.append(
                     f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere."
                 )
@@ -123,14 +146,21 @@ class OutcomeRows:
 
 
 def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: str = "") -> Page:
-    """Return what every run of a study came to, in all outcomes that it names; or in each world, by title."""
-    columns: Mapping[str, StudyData | None]
+    """Return what every run of a study came to, in all outcomes that it names.
+
+    Of several worlds, by title, it is the one outcome that the study names, or the usual one.
+    """
+    columns: Mapping[str, OutcomeRows | None]
     if isinstance(studies, StudyData):
-        named = {_shown(name): name for name in studies.outcomes}
-        columns = dict.fromkeys(named, studies) or {"Every run": studies}
+        every = [OutcomeRows(studies, name) for name in studies.outcomes or [""]]
+        short_titles = {each.heading: each for each in every}
+        columns = short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
     else:
-        named, columns = {}, studies
-    drawn = {title: OutcomeRows(data, named.get(title, "")) for title, data in columns.items() if data}
+        columns = {
+            title: OutcomeRows(data, data.outcomes[0] if len(data.outcomes) == 1 else "") if data else None
+            for title, data in studies.items()
+        }
+    drawn = {title: found for title, found in columns.items() if found}
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
     for found in drawn.values():
         colours |= {name: found.colours[name] for name in found.values if name not in colours}
@@ -139,16 +169,20 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     pitch = min(max(LONGEST_INCHES / len(names), LEAST_ROW_INCHES), ROW_INCHES)
     mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
     alone = next(iter(drawn.values()))
+    top = max((found.highest for found in drawn.values() if found.of_killed), default=0.0)
     panels = [
-        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, title)
+        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, top, title)
         if title in drawn else grid.no_runs(title)
         for title in columns
     ]  # fmt: skip
-    if named:  # the same runs in all panels
+    said = {title: [f"{found.words}.", *found.notes] for title, found in drawn.items()}
+    if isinstance(studies, StudyData):  # the same runs in all panels
         panels = [panels[0], *(replace(panel, rows=[""] * len(names)) for panel in panels[1:])]
-    notes = merge_notes({title: (found.data, found.notes) for title, found in drawn.items()})
-    step = common_step(alone.data)
+        said = {title: [found.detail, *found.notes] for title, found in drawn.items()}
+    notes = merge_notes({title: (found.data, said[title]) for title, found in drawn.items()})
+    step, budgets = common_step(alone.data), {run.budget for each in drawn.values() for run in each.data.runs}
     shown = f"at {step:,} steps" if step else "at the end of training"
+    shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else shown
     return Page(
         basename or figure_basename(alone.data, "summary"),
         [panels],
@@ -161,11 +195,11 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     )
 
 
-def _shown(outcome: str) -> str:
-    return outcome.replace("-", " ").capitalize().replace("Hp", "HP")
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
-def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float) -> None:
+def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float, top: float) -> None:
     """Draw each run of a condition as a dot, and its means with intervals."""
     reach = float(np.ptp(np.concatenate([*found.values.values(), [0.0]])))
     for condition, runs in found.values.items():
@@ -183,9 +217,9 @@ def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark:
                 iqm: Any = {"marker": "s", "markerfacecolor": "white", "markersize": mark}
                 grid.draw_interval(axes, place + ABOVE, row, **iqm)
     if found.of_killed:
-        highest = max((float(runs.max()) for runs in found.values.values() if len(runs)), default=0.0)
-        grid.draw_random_player(axes, random_level(found.data, "share_killed"), highest, upright=True)
-        axes.set_xlim(0, max(axes.get_xlim()[1], 0.01))
+        levels = random_levels(found.data, "share_killed")
+        grid.draw_random_player(axes, levels, top, colours, [*colours])
+        axes.set_xlim(0, max(axes.get_xlim()[1], 1.05 * top, 0.01))
 
 
 def _beside(values: np.ndarray, reach: float) -> np.ndarray:

@@ -30,7 +30,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     notes = [f"A/A: {' = '.join(names)} are one configuration." for names in data.same]
     engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
     if len(engines) > 1:
-        notes.append(f"Engines are mixed ({', '.join(engines)}): no contrast holds.")
+        notes.append(f"Trained by several engines ({', '.join(engines)}), which are not compared.")
     units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
@@ -38,7 +38,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
         notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
     if absent := [name for name in data.conditions if not data.of_condition(name)]:
-        notes.append(f"Without a finished run: {', '.join(absent)}.")
+        notes.append(f"Not trained: {'; '.join(absent)}.")
     for name in data.conditions:
         runs = data.of_condition(name)
         longest = max((run.budget for run in runs), default=0)  # other conditions may go further

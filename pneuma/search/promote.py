@@ -194,7 +194,7 @@ def gains(winner: Winner, data: StudyData) -> dict[str, Gain]:
             for values, arm in zip(arms, (won, lost), strict=True)
         )
         difference, interval = math.nan, (math.nan, math.nan)
-        if np.isfinite(arms).all():  # not where a threshold was never reached
+        if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
             between = difference_interval(arms[0], arms[1])
             difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
         alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)

@@ -126,11 +126,11 @@ def mapped(data: StudyData) -> Map:
 @pytest.mark.parametrize(
     ("gains", "labels", "label"),
     [
-        ((0.2, 0.2, 0.2, 0.2), ["holds"] * 4, "robust"),
-        ((0.2, 0.0, 0.2, -0.2), ["holds", "open", "holds", "reversed"], "conditional"),
-        ((0.2, 0.0, 0.2, 0.0), ["holds", "open", "holds", "open"], "partial"),
-        ((-0.2, 0.0, 0.0, -0.2), ["reversed", "open", "open", "reversed"], "reversed"),
-        ((0.0, 0.0, 0.0, 0.0), ["open"] * 4, "undecided"),
+        ((0.2, 0.2, 0.2, 0.2), ["holds"] * 4, "holds in 4 of 4"),
+        ((0.2, 0.0, 0.2, -0.2), ["holds", "open", "holds", "reversed"], "holds in 2 of 4, reversed in 1"),
+        ((0.2, 0.0, 0.2, 0.0), ["holds", "open", "holds", "open"], "holds in 2 of 4"),
+        ((-0.2, 0.0, 0.0, -0.2), ["reversed", "open", "open", "reversed"], "holds in 0 of 4, reversed in 2"),
+        ((0.0, 0.0, 0.0, 0.0), ["open"] * 4, "holds in 0 of 4"),
     ],
 )
 def test_a_map_is_labelled_by_its_cells(
@@ -152,11 +152,11 @@ def test_factors_are_what_the_cells_differ_in_and_p_is_corrected_over_them(tmp_p
 
 
 def test_a_cell_without_runs_or_values_is_open_and_counts(tmp_path: Path) -> None:
-    """What is not trained yet makes no map robust, nor the others' p-values smaller."""
+    """What is not trained yet holds nowhere, and makes the others' p-values no smaller."""
     whole = crossed(tmp_path, 0.2, 0.2, 0.2, 0.2)
     part = mapped(replace(whole, runs=[run for run in whole.runs if run.condition != "relu 0.001 raw"]))
     assert part.cells["label"].tolist() == ["holds", "holds", "holds", "open"]
-    assert (part.label, part.cells["reason"][3]) == ("partial", "an arm has no runs")
+    assert (part.label, part.cells["reason"][3]) == ("holds in 3 of 4", "an arm has no runs")
     assert part.cells["p"][:3].tolist() == pytest.approx([4 * 2 / 924] * 3)
     first = whole.runs[0]
     store = Store(tmp_path / "results")
@@ -171,7 +171,9 @@ def test_the_command_prints_and_draws_the_map(tmp_path: Path) -> None:
     contrast = ("study", "robustness", "mine", "--contrast")
     at = ("--results", tmp_path / "results")
     told = printed(*contrast, "activation=tanh:relu", *at, "--out", tmp_path / "drawn", "--format", "svg")
-    assert told.splitlines()[0].endswith("activation tanh against relu, final-share-killed: conditional")
+    assert told.splitlines()[0].endswith(
+        "activation tanh against relu, final-share-killed: holds in 2 of 4, reversed in 1"
+    )
     (drawn,) = (tmp_path / "drawn").iterdir()
     command = read_origin(drawn).command
     (again,) = save_page(robustness_page(data, [mapped(data)]), tmp_path, ("svg",), command)
