@@ -24,7 +24,7 @@ import pandas as pd
 from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.verdict_words import verdicts_by_claim
@@ -79,7 +79,6 @@ FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
 """What names of forks have in them, and what is shown of them."""
 BESIDE = {"published-logs": "author-logs"}
 """The imported logs that are drawn with a study, and not alone."""
-BESIDE_QUANTITIES = ("return", "length", "entropy")
 
 SETTINGS = (
     "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
@@ -202,10 +201,12 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         return []
     data = next(iter(columns.values()))
     if logs:
-        held = [name for name in BESIDE_QUANTITIES if data.has_curve(name, TRAILING_WINDOW)]
         every = open_study(index, logs)
-        with_all = replace(every, runs=[run for run in every.runs if {*held} <= {*run.quantities}])
-        return [curves_page(data, held, "runs", TRAILING_WINDOW, beside=with_all, basename=study)]
+        least = (1 - SLACK) * (common_step(every) or 0)
+        whole = [run for run in every.runs if run.end >= least]
+        names = [name for name in data.conditions if data.engines(name) == {"batched"}]
+        ours, beside = data.of_conditions(names), every.of_conditions([run.condition for run in whole])
+        return [curves_page(ours, "return", "runs", TRAILING_WINDOW, beside=beside, basename=study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {title: replace(each, outcomes=FORK_OUTCOMES) for title, each in columns.items()}
         data = next(iter(columns.values()))

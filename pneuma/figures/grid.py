@@ -173,7 +173,8 @@ def save_page(
 
 def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
     panel.draw(axes)
-    wide = characters(1.2 * TYPE_POINTS, width)  # bold letters are wider
+    beside_rows = 0.72 if panel.rows else 1.0
+    wide = characters(1.2 * TYPE_POINTS, beside_rows * width)  # bold letters are wider
     title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
     panel.x_ticks(axes.xaxis)

@@ -43,7 +43,8 @@ MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
 MOST_NAMED = 3
 """Most conditions that the caption names."""
-BESIDE_COLOUR = "#404040"
+BESIDE_COLOUR, MOST_BESIDE = "#404040", 12
+"""Of the runs of another study, and most of its conditions that are named at their ends."""
 
 
 class Quantity(NamedTuple):
@@ -179,7 +180,10 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
         alpha = min(1.0, MANY_RUNS / len(column.beside.runs))
         look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
         for curve in column.others.get(name, ()):
-            axes.plot(curve.step, curve.runs.T, label=column.beside.full_title, alpha=alpha, **look)
+            label = f"{column.beside.full_title} ({len(column.beside.runs)})"
+            axes.plot(curve.step, curve.runs.T, label=label, alpha=alpha, **look)
+            if len(column.beside.conditions) <= MOST_BESIDE:
+                _name_end(axes, curve, curve.condition, BESIDE_COLOUR)
     colours = {condition: look["color"] for condition, look in column.styles.items()}
     grid.draw_random_player(axes, random_levels(data, name), column._highest(name), colours)
     if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
@@ -236,25 +240,37 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
     axes.plot(curve.step, curve.mean, color=look["color"], alpha=0.35, zorder=1.5)
     for step, value in curve.stops:
         axes.plot(step, value, "x", color=look["color"], markersize=4 * width)
-    known = np.isfinite(curve.mean)
-    if column.at_ends and known.any():
-        end = curve.step[known][-1], curve.mean[known][-1]
-        leader: Any = {"color": look["color"], "linewidth": 0.7, "alpha": 0.5}
-        if end[0] < (1 - SLACK) * column.data.budget:
-            axes.plot([end[0], column.data.budget], [end[1]] * 2, **leader)
-        axes.annotate(
-            fill(label, LONGEST_AT_END), (1, end[1]), (3, 0), ("axes fraction", "data"), "offset points",
-            color=look["color"], fontsize=0.85 * style.TYPE_POINTS, va="center", gid=style.END,
-            annotation_clip=False,
-        )  # fmt: skip
+    if column.at_ends:
+        _name_end(axes, curve, label, look["color"], column.data.budget)
+
+
+def _name_end(axes: Axes, curve: Curve, name: str, colour: str, budget: int = 0) -> None:
+    """Write a name at the end of a mean, from which a faint line leads to it if it is before the budget."""
+    if not (known := np.isfinite(curve.mean)).any():
+        return
+    step, value = curve.step[known][-1], curve.mean[known][-1]
+    if step < (1 - SLACK) * budget:
+        axes.plot([step, budget], [value, value], color=colour, linewidth=0.7, alpha=0.5)
+    axes.annotate(
+        fill(name, LONGEST_AT_END, break_long_words=False), (1, value), (3, 0), ("axes fraction", "data"),
+        "offset points", color=colour, fontsize=0.85 * style.TYPE_POINTS, va="center", gid=style.END,
+        annotation_clip=False,
+    )  # fmt: skip
 
 
 # --- Words -------------------------------------------------------------------------------------------
 
 
+def _has_gaps(curve: Curve) -> bool:
+    """Return whether some run that did not diverge lacks a value after all had one."""
+    whole = np.flatnonzero(curve.count == len(curve.runs))
+    return not curve.stops and len(whole) > 0 and len(whole) < len(curve.count) - whole[0]
+
+
 def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
     every = [*chain.from_iterable(curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
+    notes += ["Faint, without an interval: some run has no value there."] * any(map(_has_gaps, every))
     if note := step_note(data):
         notes.append(f"{note} An upright line marks it.")
     if any(QUANTITIES[name].log for name in curves):

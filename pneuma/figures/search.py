@@ -75,7 +75,7 @@ class _Drawn:
         front = best if isinstance(best, list) else [] if best is None else [best]
         self.best = [trial for trial in self.complete if trial.number in front]
         self.label, *more = [
-            f"{each.over_seeds} of {find_outcome(each.outcome).words.partition(',')[0]}"
+            f"{find_outcome(each.outcome).words.partition(',')[0].capitalize()}, {each.over_seeds} of seeds"
             for each in self.search.objectives
         ]
         self.second = more[0] if more else ""
@@ -198,11 +198,11 @@ class _Drawn:
         states = [trial.state for trial in self.trials]
         whole, *others = (
             f"{states.count(state)} {words}"
-            for state, words in (("complete", ""), ("pruned", "stopped early"), ("failed", "failed"))
+            for state, words in (("complete", ""), ("pruned", "more stopped early"), ("failed", "failed"))
         )
         others = [words for words in others if not words.startswith("0 ")]
         seeds, steps = counted(len(self.task.budget.seeds), "seed"), self.task.budget.steps
-        trials = " and ".join([f"{whole}trials of {seeds} and {steps:,} steps each", *others])
+        trials = "; ".join([f"{whole}trials of {seeds} and {steps:,} steps each", *others])
         lines = [f"{trials}. Sampler: {self.search.spec.sampler.name}."]
         if importances:
             best = "five trials" if len(self.complete) * BEST_SHARE < BEST_TRIALS else "tenth of the trials"

@@ -86,13 +86,17 @@ class OutcomeRows:
 
     @property
     def heading(self) -> str:
-        return self.words.partition(", ")[0]
+        return self._parts[0]
 
     @property
     def detail(self) -> str:
         """What the heading leaves out, as a sentence."""
-        rest = self.words.partition(", ")[2]
-        return f"{_capital(rest)}." if rest else ""
+        return f"{_capital(self._parts[1])}." if self._parts[1] else ""
+
+    @property
+    def _parts(self) -> tuple[str, str]:
+        head, _, detail = self.words.rpartition(", ")
+        return (head, detail) if head else (detail, "")
 
     @property
     def of_killed(self) -> bool:
@@ -138,7 +142,7 @@ class OutcomeRows:
                 notes.append(
                     f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere."
                 )
-        if any(len(known) < LEAST_RUNS for known in self.values.values()):
+        if any(0 < len(known) < LEAST_RUNS for known in self.values.values()):
             notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
         if any(len(known) >= LEAST_RUNS for known in self.values.values()):
             notes.append("Intervals: Student's t for means, else bootstrap.")

@@ -27,7 +27,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
 
     Returns of `beside` are drawn with it. Imported logs do not tell their reward.
     """
-    notes = [f"A/A: {' = '.join(names)} are one configuration." for names in data.same]
+    notes = [f"{' and '.join(names)} are one configuration." for names in data.same]
     engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
     if len(engines) > 1:
         notes.append(f"Trained by several engines ({', '.join(engines)}), which are not compared.")
