@@ -21,7 +21,7 @@ from pneuma.engines.batched import rollout
 from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]
-weights = np.array([0.0] * features + [1, 9, -9, 0, 0], np.float32)  # one unit, tanh(1), then logits
+weights = np.array([[0.0] * features + [1, 9, -9, 0, 0]], np.float32)  # one unit, tanh(1), then logits
 episodes = rollout.Episodes(
     np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_)
 )
