@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -109,6 +110,8 @@ def setting_words(settings: Mapping[str, Any]) -> list[str]:
     def plain(value: Any) -> str:
         if value is None or isinstance(value, bool):
             return shown_value(value)
+        if isinstance(value, Mapping):
+            return "{" + ", ".join(f"{key} = {json.dumps(each)}" for key, each in value.items()) + "}"
         return str(list(value) if isinstance(value, tuple) else value)
 
     return [f"--set={key}={plain(value)}" for key, value in settings.items()]

@@ -11,6 +11,7 @@ list theirs.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.plan import Selection, configure, round_up
 from pneuma.study.spec import Study, list_studies, load_study, run_command
-from pneuma.values import as_tuple, shown_settings, shown_value
+from pneuma.values import as_tuple, setting_words, shown_settings
 from pneuma.worlds import TEXT, WORLDS
 
 if TYPE_CHECKING:
@@ -88,7 +89,8 @@ class Shown:
         )
         parts = [f"{self.asked.where}: {counted(len(entries), 'run')}"]
         parts += [f"of {self.budget:,} steps"] if self.budget else []
-        parts += [f"({origin})" if published else "(trained here)" * bool(self.budget)]
+        here = "(trained here)" if any(entry.finished for entry in entries) else "(none has finished yet)"
+        parts += [f"({origin})" if published else here * bool(self.budget)]
         else_ = f" Stored too: {'; '.join(self.others)}." if self.others else ""
         return " ".join(filter(None, parts)) + "." + else_
 
@@ -142,8 +144,9 @@ def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
 def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     """Return the runs of a study that have the steps and seeds that were asked for.
 
-    Without steps these are the runs of the budget that was last trained here; if none was, of the budget of
-    most conditions and runs. Budgets without any of the seeds that were asked for are passed over.
+    Without steps these are the runs of the budget that was last trained here, if it has two conditions; or
+    else of the budget of most conditions and runs. Budgets without any of the seeds that were asked for are
+    passed over.
 
     Raises:
         UserError: when nothing is stored that is asked for.
@@ -222,13 +225,18 @@ def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Store
 
 
 def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
-    """Return the budget that was last trained here; if none was, that of most conditions and runs."""
+    """Return the budget that was last trained here, or else that of most conditions and runs.
+
+    One that has a single condition of several, as training another study leaves, is passed over.
+    """
     here = {entry.run_id: entry for runs in budgets.values() for *_, entry in runs if entry.table is None}
-    possible = [*budgets]
+    conditions = {steps: len({name for name, *_ in runs}) for steps, runs in budgets.items()}
+    trained, least = [], min(2, max(conditions.values()))
     if here:
         latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
-        possible = [steps for steps in budgets if any(e.run_id == latest for *_, e in budgets[steps])]
-    return max(possible, key=lambda steps: (len({name for name, *_ in budgets[steps]}), len(budgets[steps])))
+        last = [steps for steps, runs in budgets.items() if any(e.run_id == latest for *_, e in runs)]
+        trained = [steps for steps in last if conditions[steps] >= least]
+    return max(trained or budgets, key=lambda steps: (conditions[steps], len(budgets[steps])))
 
 
 # --- What else there is -----------------------------------------------------------------------------
@@ -265,7 +273,7 @@ def _changed(index: RunIndex, asked: Asked) -> list[str]:
                 key for key in {**fields, **kept} if as_tuple(fields.get(key)) != as_tuple(kept.get(key))
             ]
             if len(unlike) == 1:
-                option = f"--set {unlike[0]}={shown_value(kept.get(unlike[0]))}"
+                option = shlex.join(setting_words({unlike[0]: kept.get(unlike[0])}))
                 counts[option] = counts.get(option, 0) + len(entries)
     return [f"{counted(count, 'run')} ({option})" for option, count in counts.items()]
 

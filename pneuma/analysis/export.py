@@ -49,8 +49,9 @@ def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
     if table == "evaluations" or (data.averaged_over and table != "metrics"):
         known = ", ".join(name for name in EXPORT_TABLES if name != table)
         raise UserError(f"study {data.study}: {data.what} holds no {table}; try {known}")
-    if published := sum(run.published for run in data.runs):
-        raise UserError(f"study {data.study}: of {published} runs, only rows are published, and no {table}")
+    if any(run.published for run in data.runs):
+        train = "train the runs, or choose others by --steps"
+        raise UserError(f"study {data.study}: published tables hold no {table}; {train}")
     frames = []
     for run in data.runs:
         frame = record_frame(store, run.run_id, table)

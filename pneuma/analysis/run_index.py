@@ -21,6 +21,7 @@ from pneuma.study.identity import config_id
 from pneuma.study.measure import UNKNOWN, stored_row
 from pneuma.study.published import Published
 from pneuma.study.rows import Row
+from pneuma.study.spec import list_studies
 from pneuma.study.store import FINISHED, Identity, Store
 
 
@@ -112,8 +113,10 @@ class RunIndex:
         return listing
 
     def listings(self) -> list[str]:
-        published = (name for name, table in self.tables.items() if table.about.get("listing"))
-        return sorted({*(self.store.listings() if self._stored else ()), *published})
+        """Return the names of studies without a file that are recorded here or published."""
+        listed = (name for name, table in self.tables.items() if table.about.get("listing"))
+        here = self.store.listings() if self._stored else ()
+        return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
 
     def _entries_here(self) -> Iterator[Entry]:
         for run_id in self.store.runs():

@@ -195,6 +195,7 @@ def publish(
     from pneuma.analysis.run_index import RunIndex
     from pneuma.study.locks import run_lock
     from pneuma.study.published import encode_published
+    from pneuma.study.spec import list_studies
 
     with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
         if not alone:
@@ -206,7 +207,7 @@ def publish(
             raise UserError(f"study {data.study}: {nothing}")
         before = RunIndex(store, shipped=False).tables.get(stem)
         rows = {**(before.rows() if before else {}), **new}
-        listing = store.listing(data.study)
+        listing = None if data.study in list_studies() else store.listing(data.study)
         about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
         about |= {"listing": listing} if listing else {}
         order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))

@@ -260,6 +260,8 @@ def compare(
 def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
     """Say where what is compared was trained by different engines; claims refuse that."""
     for pair in pairs:
+        if not all(data.of_condition(name) for name in pair):
+            continue
         engines = [", ".join(sorted(data.engines(name))) or "not known" for name in pair]
         if engines[0] != engines[1]:
             return f"Note: trained by different engines ({' and '.join(engines)})."

@@ -164,7 +164,7 @@ def _checkpoint_step(store: Store, parent: str, at: int, whole: Run) -> int:
         raise UserError(f"--at {at}: {ends}, so nothing would be left to train")
     files = checkpoint_files(store.run_folder(parent))
     if not files:
-        hint = "those of a study do that says keep_checkpoints, and forks never"
+        hint = "add `keep_checkpoints = 20` to its study's file and train anew; forks keep none"
         raise UserError(f"run {parent} kept no checkpoints: {hint}")
     sound = sound_checkpoint(store.run_folder(parent), at)
     if sound is None:

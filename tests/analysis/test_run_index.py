@@ -92,7 +92,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
         assert (other.condition, other.seed) == (run.condition, run.seed)
     for table in ("curves", "summary", *(["evaluations"] if data.evaluated else [])):
         assert encode_table(again, table, "csv", store) == encode_table(data, table, "csv", store)
-    with pytest.raises(UserError, match="only rows are published|holds no episodes"):
+    with pytest.raises(UserError, match="published tables hold no episodes|holds no episodes"):
         encode_table(again, "episodes", "csv", store)
 
 
@@ -140,6 +140,12 @@ def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no
         store.write(store.published_path("table"), encode_published([row], about))
         with pytest.raises(UserError, match="unknown study 'table'"):
             open_study(RunIndex(store, shipped=False), "table")
+
+
+def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -> None:
+    index = RunIndex(store)
+    names = index.listings()
+    assert "late-collapse-forks-eb57" in names and all(map(index.listing, names))
 
 
 def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: Store) -> None:

@@ -14,7 +14,7 @@ from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
-from pneuma.values import read_value
+from pneuma.values import read_value, setting_words
 
 from .calls import Called, call, described, refused, save_finished
 
@@ -57,6 +57,15 @@ def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(
 
 
 @pytest.mark.usefixtures("unshipped")
+def test_one_condition_that_was_trained_for_another_study_does_not_hide_the_others(store: Store) -> None:
+    both = _finish(store, seeds=(0, 1), steps=2048)
+    tanh = _finish(store, seeds=(0, 1, 2), steps=512, conditions=("tanh",))
+    shown, told = _ask(store, "activation")
+    assert shown == both and "Stored too: 3 runs of 1,024 steps (--steps 1024)" in told
+    assert _ask(store, "activation", conditions=("tanh",))[0] == tanh
+
+
+@pytest.mark.usefixtures("unshipped")
 def test_a_changed_field_is_another_question(store: Store) -> None:
     plain = _finish(store, seeds=(0,), steps=1024)
     changed = _finish(store, seeds=(0, 1), steps=1024, settings={"learning_rate": 0.001})
@@ -67,7 +76,7 @@ def test_a_changed_field_is_another_question(store: Store) -> None:
     words = ("study", "status", "activation", "--set", "gamma=0.5", "--results", store.root)
     assert "has no runs in" in (told := refused(*words))
     assert "run `pneuma study run activation --set=gamma=0.5` first" in told
-    assert "2 runs (--set gamma=0.99)" in told  # all else is as asked
+    assert "2 runs (--set=gamma=0.99)" in told  # all else is as asked
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -84,11 +93,11 @@ def test_a_world_without_runs_says_in_which_there_are_some(store: Store) -> None
 
 def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
     """With one slot, 2,000 steps are 2,048 with either horizon, and 1,500 are 1,536 with that of 256."""
-    study, one = "hyperparameters", {"slots": 1}
-    index, million = RunIndex(store), Selection(steps=1_000_000, settings=one)
+    study = "hyperparameters"
+    index, million = RunIndex(store), Selection(steps=1_000_000)
     published = answer(index, ask(index, study, million), million)
-    assert {entry.steps for *_, entry in published.runs} == {1_000_192, 1_001_472}  # of 2,048 a horizon
-    what: dict[str, Any] = {"conditions": ("table-6-2", "horizon-2048"), "settings": one}
+    assert {entry.steps for *_, entry in published.runs} == {1_000_448, 1_007_616}  # of 4 x 256 and 4 x 2,048
+    what: dict[str, Any] = {"conditions": ("table-6-2", "horizon-2048"), "settings": {"slots": 1}}
     ids = {steps: _finish(store, study, seeds=(0,), steps=steps, **what) for steps in (1500, 2000)}
     assert all(_ask(store, study, steps=steps, **what)[0] == ids[steps] for steps in ids)
     with pytest.raises(UserError, match="has runs of 1,000,000, 1,536, 2,048"):
@@ -246,3 +255,9 @@ def test_a_run_whose_status_is_damaged_is_not_passed_over_in_silence(store: Stor
     for verb in ("status", "summary"):
         said = call("study", verb, "activation", "--results", store.root).err
         assert f"{lost}: its status.json is damaged" in said, verb
+
+
+@pytest.mark.parametrize("value", [3, 1e-4, True, "kills", [0.9, 0.999], {"length": 5, "name": "a b"}])
+def test_a_changed_field_is_printed_as_set_reads_it(value: object) -> None:
+    (word,) = setting_words({"key": value})
+    assert read_value(word.removeprefix("--set=key=")) == value
