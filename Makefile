@@ -7,7 +7,7 @@ INSTALLED := .venv/.installed
 PIP = $(BIN)/pip install --quiet --disable-pip-version-check
 
 .PHONY: help install constraints study figures docs test storm test-all lint clean
-.PHONY: reproduction reproduction-rest reproduction-causes reproduction-slow
+.PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
 help:            ## Say what each target does
@@ -59,6 +59,9 @@ reproduction-rest: install  ## Train chapters 3 to 5, and the published logs aga
 
 reproduction-causes: install  ## Train the studies of collapse and other causes
 	$(REPRODUCE) causes $(DO) $(ARGS)
+
+reproduction-winners: install  ## Train what searches found on fresh seeds, and the steps that lead there
+	$(REPRODUCE) winners $(DO) $(ARGS)
 
 RIVALS_optimizers = adam l2 upgd sgd momentum rmsprop
 RIVALS_algorithms = ppo trpo a2c dqn double-dqn

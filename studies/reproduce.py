@@ -27,12 +27,16 @@ PARTS = {
     ),
     "other-networks": ("architecture",),
     "other-chapters": (
-        "tabular", "policy-gradient", "perception", "vision", "algorithms", "generalisation",
-        "published-logs",
+        "tabular", "policy-gradient", "perception", "vision", "team", "algorithms", "generalisation",
+        "simplifications", "published-logs",
     ),
     "causes": (
         "collapse", "late-collapse", "robustness", "noise-scale", "betas-and-units", "three-updates",
-        "greedy-gap", "tuned",
+        "greedy-gap",
+    ),
+    "winners": (
+        "tuned", "ladder", "changes", "islands", "godot-needs", "godot-ladder", "godot-changes",
+        "tuned-optimizers", "tuned-algorithms",
     ),
 }  # fmt: skip
 """Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""

@@ -204,7 +204,7 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         every = open_study(index, logs)
         least = (1 - SLACK) * (common_step(every) or 0)
         whole = [run for run in every.runs if run.end >= least]
-        names = [name for name in data.conditions if data.engines(name) == {"batched"}]
+        names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
         ours, beside = data.of_conditions(names), every.of_conditions([run.condition for run in whole])
         return [curves_page(ours, "return", "runs", TRAILING_WINDOW, beside=beside, basename=study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes

@@ -48,7 +48,7 @@ def test_every_run_of_another_study_is_drawn_beside(
     alone, beside = (figure.axes[0] for figure in drawn)
     assert path.stem == f"mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
-    assert "Another in the text's world" in legend(drawn[1])
+    assert "Another in the text's world (4)" in legend(drawn[1])
 
 
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
