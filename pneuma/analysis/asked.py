@@ -227,7 +227,8 @@ def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Store
 def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
     """Return the budget that was last trained here, or else that of most conditions and runs.
 
-    One that has a single condition of several, as training another study leaves, is passed over.
+    One that has a single condition of several, as training another study leaves, is passed over when its
+    runs have finished.
     """
     here = {entry.run_id: entry for runs in budgets.values() for *_, entry in runs if entry.table is None}
     conditions = {steps: len({name for name, *_ in runs}) for steps, runs in budgets.items()}
@@ -235,7 +236,11 @@ def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> i
     if here:
         latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
         last = [steps for steps, runs in budgets.items() if any(e.run_id == latest for *_, e in runs)]
-        trained = [steps for steps in last if conditions[steps] >= least]
+        trained = [
+            steps
+            for steps in last
+            if conditions[steps] >= least or not all(entry.finished for *_, entry in budgets[steps])
+        ]
     return max(trained or budgets, key=lambda steps: (conditions[steps], len(budgets[steps])))
 
 

@@ -186,5 +186,7 @@ def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: S
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     yield f"{planned.study.name}: {states}; {stored}."
     if results and not any(result.status.name in UNFINISHED_STATUSES for result in results):
-        drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
+        some = planned.conditions if {*planned.conditions} < {*planned.study.conditions} else ()
+        picked = [word for name in some for word in ("--condition", name)]
+        drawn = command("study", "plot", *spec.asked_words(planned.study), *picked, "--results", store.root)
         yield f"Draw it with: {drawn}"

@@ -106,6 +106,7 @@ def _show_claims(
     yield ""
     yield "In brackets: where the difference lies. All of a world's hold together, with"
     yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
+    yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
     for world in {one.world for one in shown} & {*known.head.seen}:
         yield f"Runs of {WORLDS[world].title} were seen before the sentences were stated as tests."
     yield f"Stated in {known.path.name}; with the code that judges, SHA-256 {known.digest[:16]}…."
