@@ -66,7 +66,9 @@ class StudyData:
 
     def __repr__(self) -> str:
         conditions = ", ".join(f"{name} ({len(self.of_condition(name))})" for name in self.conditions)
-        return f"StudyData {self.study}: {counted(len(self.runs), 'run')} of {conditions}"
+        known = f"{self.study} ({self.world})" if self.world else self.study
+        known += f", {self.steps:,} steps" if self.steps else ""
+        return f"StudyData {known}: {counted(len(self.runs), 'run')} of {conditions}"
 
     def _repr_html_(self) -> str:
         rows = [(name, len(self.of_condition(name))) for name in self.conditions]

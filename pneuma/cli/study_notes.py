@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from pneuma.study.store import Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.frames import StudyData
+
+
+def what_is_shown(data: StudyData) -> dict[str, Any]:
+    """Return which runs of a study a document is about."""
+    seeds = sorted({run.seed for run in data.runs})
+    amount = {"steps": data.steps, "seeds": seeds}
+    return {"study": data.study, "world": data.world or None, **amount, "settings": dict(data.changed)}
 
 
 def nothing_yet(store: Store) -> str:

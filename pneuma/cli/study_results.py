@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, draw_files, read_formats, rows_of, wrote
-from pneuma.cli.study_notes import with_unit
+from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import ExecutorConfig
@@ -68,7 +68,7 @@ def collapse(
 
         again = picked.again(data, "collapse", name, "--out", "figures", format=formats)
         files = draw_files(store, out, formats, [(collapse_page(data, found), again)])
-    document = {"study": data.study, "runs": found, "incidence": shares, "figures": files}
+    document = {**what_is_shown(data), "runs": found, "incidence": shares, "figures": files}
     return Result(document, [*_collapse_tables(collapsed, shares), *wrote(files)])
 
 
@@ -101,7 +101,7 @@ def effects(picked: opt.Picked, name: str = opt.STUDY, outcome: opt.Text = opt.O
     found = study_effects(data, outcome)
     document = {key: getattr(found, key) for key in ("outcome", "cells", "runs", "means")}
     more = {"runs_without_outcome": found.without, "at_step": common_step(data), "effects": found.table}
-    return Result({"study": data.study, **document, **more}, _show_effects(data, found))
+    return Result({**what_is_shown(data), **document, **more}, _show_effects(data, found))
 
 
 def _show_effects(data: StudyData, found: Effects) -> Iterator[str | Table]:
@@ -157,7 +157,7 @@ def robustness(
         files = draw_files(picked.store, out, formats, [(robustness_page(data, [found]), again)])
     turned = find_outcome(found.outcome).better == "lower"
     values = {"setting": found.setting, "better": found.values[0], "worse": found.values[1]}
-    document = {"study": data.study, "contrast": values, "outcome": found.outcome, "label": found.label}
+    document = {**what_is_shown(data), "contrast": values, "outcome": found.outcome, "label": found.label}
     more = {"turned": turned, "at_step": common_step(data), "cells": found.cells, "figures": files}
     return Result({**document, **more}, [*_show_map(data, found, turned), *wrote(files)])
 

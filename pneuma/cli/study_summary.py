@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
-from pneuma.cli.study_notes import with_unit
+from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies
@@ -68,7 +68,7 @@ def summary(
 
     found, step = summary_table(data, outcome or ()), common_step(data)
     left_out = [run.run_id for run in data.runs if run.ends_before(step)]
-    document = {"study": data.study, "at_step": step, "left_out": left_out, "summary": found}
+    document = {**what_is_shown(data), "at_step": step, "left_out": left_out, "summary": found}
     every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
     listed = every if all_ else outcome or ()
     if format in PRINTED:
@@ -247,7 +247,7 @@ def compare(
     )
     engines, episodes = _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])
     return Result(
-        {"study": data.study, "comparisons": table, "figures": files},
+        {**what_is_shown(data), "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
         [step_note(data), engines, episodes],

@@ -57,6 +57,25 @@ def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(
 
 
 @pytest.mark.usefixtures("unshipped")
+def test_a_document_and_data_tell_which_runs_they_are_of(store: Store) -> None:
+    _finish(store, seeds=(0, 3), steps=2048, settings={"gamma": 0.5})
+    words = ("study", "summary", "activation", "--set", "gamma=0.5", "--json", "--results", store.root)
+    told = {
+        "study": "activation",
+        "world": "arena",
+        "steps": 2048,
+        "seeds": [0, 3],
+        "settings": {"gamma": 0.5},
+    }
+    assert call(*words).document.items() >= told.items()
+    data = open_data("activation", store.root, settings={"gamma": 0.5})
+    assert (
+        repr(data)
+        == "StudyData activation (arena), 2,048 steps: 4 runs of tanh (2), relu (2), leaky-relu (0)"
+    )
+
+
+@pytest.mark.usefixtures("unshipped")
 def test_one_condition_that_was_trained_for_another_study_does_not_hide_the_others(store: Store) -> None:
     both = _finish(store, seeds=(0, 1), steps=2048)
     tanh = _finish(store, seeds=(0, 1, 2), steps=512, conditions=("tanh",))
