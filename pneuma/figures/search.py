@@ -26,7 +26,7 @@ from pneuma.figures import grid
 from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.origin import sample, samples_of
 from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
-from pneuma.figures.words import headline_of, notes_of
+from pneuma.figures.words import capital, headline_of, notes_of
 from pneuma.search.optuna_study import ended_study
 from pneuma.search.promote import Gain, Winner, gains
 from pneuma.search.space import Parameter
@@ -75,7 +75,7 @@ class _Drawn:
         front = best if isinstance(best, list) else [] if best is None else [best]
         self.best = [trial for trial in self.complete if trial.number in front]
         self.label, *more = [
-            f"{find_outcome(each.outcome).words.partition(',')[0].capitalize()}, {each.over_seeds} of seeds"
+            f"{capital(find_outcome(each.outcome).words.partition(',')[0])}, {each.over_seeds} of seeds"
             for each in self.search.objectives
         ]
         self.second = more[0] if more else ""
@@ -220,7 +220,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     """
     objective = winners[0].searched.task.search.objectives[0]
     measured, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
-    words = f"{measured.words[:1].upper()}{measured.words[1:]}"
+    words = capital(measured.words)
     found = {winner.name: gains(winner, data)[objective.name] for winner in winners}
     means = objective.over_seeds == "mean"
     sign = -1 if objective.direction == "maximize" else 1

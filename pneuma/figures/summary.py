@@ -32,6 +32,7 @@ from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Pa
 from pneuma.figures.origin import samples_of
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import (
+    capital,
     format_counts,
     headline_of,
     label_of,
@@ -82,7 +83,7 @@ class OutcomeRows:
 
     @property
     def words(self) -> str:
-        return _capital(find_outcome(self.outcome).words)
+        return capital(find_outcome(self.outcome).words)
 
     @property
     def heading(self) -> str:
@@ -91,7 +92,7 @@ class OutcomeRows:
     @property
     def detail(self) -> str:
         """What the heading leaves out, as a sentence."""
-        return f"{_capital(self._parts[1])}." if self._parts[1] else ""
+        return f"{capital(self._parts[1])}." if self._parts[1] else ""
 
     @property
     def _parts(self) -> tuple[str, str]:
@@ -179,11 +180,14 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         if title in drawn else grid.no_runs(title)
         for title in columns
     ]  # fmt: skip
-    said = {title: [f"{found.words}.", *found.notes] for title, found in drawn.items()}
-    if isinstance(studies, StudyData):  # the same runs in all panels
+    if one_study := isinstance(studies, StudyData):  # the same runs in all panels
         panels = [panels[0], *(replace(panel, rows=[""] * len(names)) for panel in panels[1:])]
-        said = {title: [found.detail, *found.notes] for title, found in drawn.items()}
-    notes = merge_notes({title: (found.data, said[title]) for title, found in drawn.items()})
+    notes = merge_notes(
+        {
+            title: (found.data, [found.detail if one_study else f"{found.words}.", *found.notes])
+            for title, found in drawn.items()
+        }
+    )
     step, budgets = common_step(alone.data), {run.budget for each in drawn.values() for run in each.data.runs}
     shown = f"at {step:,} steps" if step else "at the end of training"
     shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else shown
@@ -197,10 +201,6 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         [*notes, parts and f"Rows: {parts}."],
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
     )
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float, top: float) -> None:

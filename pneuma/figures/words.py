@@ -84,6 +84,11 @@ def fits_panel(data: StudyData) -> bool:
     return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
 
 
+def capital(words: str) -> str:
+    """Return words that begin a sentence; the others stay, as HP."""
+    return words[:1].upper() + words[1:]
+
+
 def format_counts(counts: Iterable[int]) -> str:
     """Return counts as '10', or as '6 to 10' if they differ."""
     known = sorted({*counts})
