@@ -7,6 +7,7 @@ They are NaN if the run has no such value.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,7 @@ from pneuma.analysis.frames import RunView
 from pneuma.config import is_gymnasium_id
 from pneuma.env_fields import ACTION_NAMES
 from pneuma.study.rows import STUCK
-from pneuma.study.series import EXTREMES, mean_height
+from pneuma.study.series import EXTREMES, NO_ENTROPY, mean_height
 
 Measure = Callable[[RunView], float]
 Take = Callable[[np.ndarray], float]
@@ -79,9 +80,22 @@ def log_growth(seen: RunView) -> float:
     return float(logs[-tenth:].mean() - logs[:tenth].mean())
 
 
-def log_max(seen: RunView) -> float:
-    greatest = peak("grad_norm")(seen)
-    return NAN if np.isnan(greatest) else float(np.log(max(greatest, LEAST_NORM)))
+def log_max(quantity: str) -> Measure:
+    """Return a function that measures the logarithm of the greatest update; NaN without a value."""
+    greatest = peak(quantity)
+    return lambda seen: float(np.log(np.maximum(greatest(seen), LEAST_NORM)))
+
+
+def low_entropy_share(seen: RunView) -> float:
+    """Return the share of training in which the entropy is below `LEAST_ENTROPY`; NaN if not recorded."""
+    held = seen.run.signs.get(NO_ENTROPY)
+    fields = seen.run.fields
+    counts = fields.get("horizon"), fields.get("slots"), fields.get("players", 1)
+    if held is None or not all(isinstance(count, int) for count in counts):
+        return NAN
+    update, end = math.prod(counts), min(seen.run.end, seen.until)
+    steps = sum(min(last, end) - first + update for first, last in held if first <= end)
+    return steps / (end - seen.run.begun) if end > seen.run.begun else NAN
 
 
 def stuck_share(seen: RunView) -> float:

@@ -179,8 +179,8 @@ def reason(data: StudyData, run: Row, name: str, at_step: float | None = None) -
 
 UP, DOWN, EVALUATED = "higher", "lower", "evaluations"
 OF_PNEUMA = (
-    "share_killed", "argmax_share_killed", "score", "died", "steps_to_clear", "hp_lost", "kill_evenness",
-    "hp",
+    "share_killed", "argmax_share_killed", "score", "died", "steps_to_clear", "hp_lost", "commonest_action",
+    "kill_evenness", "hp",
 )  # fmt: skip
 """What runs in Pneuma's worlds alone record."""
 OF_OTHERS = ("success",)
@@ -254,23 +254,31 @@ OUTCOMES: dict[str, Outcome] = {
         "median of the curve of gradient norms", "", DOWN, POSITIVE, "grad_norm", "median"),
     "log-max-grad-norm": Outcome(
         "natural logarithm of the greatest gradient norm of any update", "", DOWN, ANYTHING, "grad_norm",
-        measures.log_max),
+        measures.log_max("grad_norm")),
     "grad-norm-growth": Outcome(
         "growth of the logarithm of the gradient norm, from the first tenth of training to the last", "",
         DOWN, ANYTHING, "grad_norm", measures.log_growth),
     "stuck-share": Outcome(
         "updates with no entropy and one action", "share", DOWN, SHARE, "entropy", measures.stuck_share),
+    "low-entropy-share": Outcome(
+        "training with an entropy below 0.1 nats", "share", DOWN, SHARE, "entropy",
+        measures.low_entropy_share),
     "final-dead-units": _trained("dead hidden units at the end", "share", DOWN, SHARE, "dead_units"),
     **{
         f"final-action-{i}": _trained(
             f"share of the action {name} at the end", "share", "", SHARE, f"action_{i}")
         for i, name in enumerate(ACTION_NAMES)
     },
+    "final-commonest-action": _evaluated(
+        "steps with the most frequent action, last evaluation", "share", "", SHARE, "commonest_action"),
     "one-action": Outcome(
         "share of the most frequent action at the end", "share", "", SHARE, "action_0",
         measures.share_of_commonest),
     "mean-kl": _trained(
         "mean KL divergence of an update from the policy before", "", "", ANYTHING, "approx_kl", "average"),
+    "log-max-kl": Outcome(
+        "natural logarithm of the greatest KL divergence of any update from the policy before", "", "",
+        ANYTHING, "approx_kl", measures.log_max("approx_kl")),
     "early-explained-variance": _trained(
         "share of the returns' variance that the critic explains, first tenth of training",
         "", UP, (-np.inf, 1.0), "explained_variance", "early"),

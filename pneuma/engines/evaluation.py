@@ -90,6 +90,7 @@ class Evaluation:
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
         self._tally = np.zeros(len(self.worlds), TALLY)
+        self._taken = np.zeros((len(self.worlds), int(self.worlds.action_space.n)), np.int64)  # how often each action
         self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
@@ -123,6 +124,7 @@ class Evaluation:
             **values,
             "steps_to_clear": float(np.where(cleared, cleared, self.run.episode_steps)[sampled].mean()),
             "hp_lost": float(self._tally["hp_lost"][sampled].mean()),
+            "commonest_action": float((taken := self._taken[sampled].sum(axis=0)).max() / taken.sum()),
             **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
         }
 
@@ -155,7 +157,7 @@ class Evaluation:
             returns, running = self._begin(), len(self.worlds)
             while running:
                 draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
-                running -= _play_on(self.worlds.handle, *network, draws, returns, self._tally)
+                running -= _play_on(self.worlds.handle, *network, draws, returns, self._tally, self._taken)
             return returns
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
@@ -185,7 +187,10 @@ class Evaluation:
         returns, running = self._begin(), len(self.worlds)
         rewards = self.worlds.events["reward"].T  # (P, N)
         while running:
-            running -= self.worlds.step(act(self.worlds))
+            actions = act(self.worlds)
+            running -= self.worlds.step(actions)
+            took = np.nonzero(self.worlds.present)  # worlds, players
+            np.add.at(self._taken, (took[0], actions[took]), 1)
             returns += sum(rewards) / len(rewards)  # player by player: `mean` adds eight in another order
             self._tally["hp_lost"] += self.worlds.events["hp_lost"].sum(axis=1) / len(rewards)
             first = (self.worlds.worlds["monsters_left"] == 0) & (self._tally["cleared"] == 0)
@@ -197,6 +202,7 @@ class Evaluation:
         self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
         self._tally[:] = 0
+        self._taken[:] = 0
         return np.zeros(len(self.worlds))
 
 
@@ -215,12 +221,13 @@ def evenness(kills: np.ndarray) -> float:
 
 @kernel
 def _play_on(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any, tally: Any
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any, tally: Any, taken: Any
 ) -> int:
     """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
 
     The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
-    mean rewards are added to `returns`, (N,), and the rest to `tally`, (N,) `TALLY`.
+    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and the
+    rest to `tally`, (N,) `TALLY`.
     """
     s = open_state(handle)
     worlds, players = s.players.shape
@@ -240,6 +247,8 @@ def _play_on(
             for p in range(players):
                 rewards += s.events[w, p].reward
                 hp_lost += s.events[w, p].hp_lost
+                if s.events[w, p].present or s.events[w, p].died:
+                    taken[w, actions[w, p]] += 1
             returns[w] += rewards / players
             tally[w].hp_lost += hp_lost / players
             if s.worlds[w].monsters_left == 0 and tally[w].cleared == 0:

@@ -43,14 +43,15 @@ EVALUATION_COLUMNS = (
 
 VALUE_COLUMNS = (
     "q_estimate", "q_true", "success", "random_return", "random_spread", "steps_to_clear", "hp_lost",
-    "kill_evenness",
+    "commonest_action", "kill_evenness",
 )  # fmt: skip
 """What some evaluations have on top.
 
 Where values of actions are learned the first two; in environments that are not Pneuma's, what a random
 player's episodes return, mean and standard deviation, and `success`, a share of episodes, where the
 environment tells of it. In Pneuma's, the steps after which no monster is left, the HP that a player loses in
-an episode, and of several players how evenly they share the kills. Older runs lack these three.
+an episode, the share of all steps that the most frequent action takes, and of several players how evenly they
+share the kills. Older runs lack these four.
 """
 
 Row = Mapping[str, Any]

@@ -24,7 +24,7 @@ SLACK = 1 / 40
 TRAILING_EPISODES = 100
 HUGE = 1e6
 """Up to which a running total of a run's values still has all their digits that are ever drawn."""
-EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax}
+EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax, "approx_kl": np.fmax}
 """Quantities of which an extreme is kept, as means would hide it, and which."""
 
 Series = tuple[np.ndarray, np.ndarray]

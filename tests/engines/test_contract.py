@@ -56,5 +56,5 @@ def test_one_update_of_every_network(size: str, engine: str) -> None:
     assert [(own["step"], own["length"]) for own in result.records.episodes] == [(30, 30), (60, 30)]
     assert set(result.records.episodes[0]) == set(EPISODE_COLUMNS)
     assert [set(own) for own in result.records.evaluations] == [
-        {*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost"}
+        {*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action"}
     ]
