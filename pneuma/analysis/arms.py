@@ -15,8 +15,8 @@ import numpy as np
 from pneuma.analysis.asked import Asked, Stored, ask, read_runs
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.frames import StudyData, view
+from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
-from pneuma.analysis.pvalues import student_tails
 from pneuma.analysis.run_index import RunIndex
 from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
@@ -30,7 +30,7 @@ TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
 
 FLOOR_LEVEL = 0.05
-"""The level of the one-sided test of whether an arm plays better than the random player."""
+"""The chance that an arm that plays like the random player is said to play better."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class ClaimRuns:
         return self._machines(names) if timed else ""
 
     def _missing(self, condition: str) -> str:
-        fixed, found = len(self.claim.seeds_in(self.world)[condition]), len(self.found(condition))
+        fixed, found = len(self.claim.seeds[condition]), len(self.found(condition))
         if found == fixed:
             return ""
         steps = f"{self.budget(condition):,} steps" + "".join(f" ({problem})" for problem in self.damaged)
@@ -119,28 +119,29 @@ class ClaimRuns:
         parts, why = name.split(MINUS), ""
         values = np.subtract.reduce([[outcome(data, run, part, at_step) for run in runs] for part in parts])
         for run, value in zip(runs, values, strict=True):
-            # A threshold that is never reached gives inf: not a number to compare, but one to count.
-            if not why and (np.isnan(value) or (np.isinf(value) and not claim.event)):
-                found = filter(None, (reason(data, run, part, at_step) for part in parts))
-                why = f"{condition} seed {run.seed}: {next(found, f'it never gets to its {name}')}"
-        if claim.event:
-            values = claim.has_event(values).astype(float)
+            if not why and np.isnan(value):
+                why = f"{condition} seed {run.seed}: " + next(
+                    filter(None, (reason(data, run, part, at_step) for part in parts))
+                )
+        if claim.counts:
+            values = claim.has_event(name, values).astype(float)
+        # steps to what is never reached are at least those of the run
+        values = np.where(np.isinf(values), at_step or self.budget(condition), values)
         return Arm(values, tuple(run.run_id for run in runs), why, _learned(data, runs, at_step))
 
 
 def _learned(data: StudyData, runs: Sequence[Row], at_step: float | None) -> bool | None:
-    """Return whether an arm plays better than the random player, by a one-sided Student's test.
+    """Return whether an arm plays better than the random player: its interval of the mean is above it.
 
-    The test uses each run's mean score over all evaluations, where 0 is the random player; the greatest score
+    Of each run its mean score over all evaluations counts, where 0 is the random player; the greatest score
     would be above 0 by chance alone. None if a run has no score.
     """
     every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
     scores = np.array([scores.mean() if len(scores) else np.nan for scores in every])
     if not np.isfinite(scores).all() or scores.size < 2:
         return None
-    error = scores.std(ddof=1) / np.sqrt(scores.size)
-    p_greater, _ = student_tails(scores.mean(), np.array(error), scores.size - 1)
-    return bool(p_greater <= FLOOR_LEVEL) and bool(scores.mean() > 0)
+    interval = mean_interval(scores, 1 - 2 * FLOOR_LEVEL)
+    return interval.low > 0 if interval.exists else bool(scores.mean() > 0)
 
 
 # --- Finding runs ----------------------------------------------------------------------------------
@@ -175,7 +176,7 @@ def _fixed(index: RunIndex, runs: ClaimRuns) -> list[Stored]:
             for entry in index.of_run(runs.asked.runs[name])
             if entry.steps == runs.budget(name)
         }
-        seeds = runs.claim.seeds_in(runs.world)[name]
+        seeds = runs.claim.seeds[name]
         found += [(name, seed, stored[seed]) for seed in seeds if seed in stored]
     return found
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import special
 
 from pneuma.analysis.claims import Arms, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare_ranges, estimate, undecided
+from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
 from pneuma.analysis.intervals import Interval
 
 UNKNOWN_SHARE = 0.5
@@ -40,7 +40,8 @@ class ClaimContrast:
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
         run_ids: of the runs that were read.
         verdict: on this contrast alone; empty before it is judged.
-        p: corrected for the whole list.
+        none_learned: whether neither arm is shown to play better than the random player, so that being alike
+            counts for nothing.
     """
 
     claim: Claim
@@ -54,10 +55,10 @@ class ClaimContrast:
     half_width: float | None = None
     why_undecidable: str = ""
     refused: str = ""
-    contrast: Contrast = undecided("")
+    contrast: Contrast = Contrast()
     run_ids: tuple[str, ...] = ()
     verdict: str = ""
-    p: float = 1.0
+    none_learned: bool = False
 
     @property
     def margin(self) -> float | None:
@@ -76,7 +77,7 @@ class ClaimContrast:
     @property
     def seen(self) -> bool:
         """Whether its runs were seen before the claim was stated: a description, and no test."""
-        return self.world in self.claim.seen
+        return self.claim.seen
 
     @property
     def has_effect(self) -> bool:
@@ -87,7 +88,7 @@ def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
     table: list[ClaimContrast] = []
     for claim in claims.claims.values():
         for world in claim.worlds:
-            alpha, seeds = claims.head.alpha / claims.contrasts(world), claim.seeds_in(world)
+            alpha, seeds = claims.head.alpha / claims.contrasts(world), claim.seeds
             rows = [
                 ClaimContrast(
                     claim, world, outcome, a, b, tuple(len(seeds[name]) for name in (*a, *b)), alpha
@@ -95,34 +96,36 @@ def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
                 for outcome in claim.outcome
                 for a, b in claim.pairs
             ]
-            rows = [row if row.seen else _with_half_width(row, _spread(claims, row)) for row in rows]
+            rows = [_with_half_width(row, _spread(claims, row)) for row in rows]
             refused = _why_refused(rows) if claims.pilot else ""
             table += [replace(row, refused=refused) for row in rows]
     return table
 
 
 def _why_refused(rows: Sequence[ClaimContrast]) -> str:
-    """Return why a claim is not admitted; empty if one of its outcomes can be decided in all contrasts."""
+    """Return why a claim is not admitted; empty if one of its outcomes can be decided in all contrasts.
+
+    All of them must be if the claim needs all, and runs that were seen are described however few they are.
+    """
     undecidable = {row.outcome for row in rows if row.why_undecidable}
-    if undecidable < {row.outcome for row in rows}:
+    few = undecidable < {row.outcome for row in rows} if rows[0].claim.need == "one" else not undecidable
+    if few or rows[0].claim.seen:
         return ""
     return "; ".join(dict.fromkeys(row.why_undecidable for row in rows if row.why_undecidable))
 
 
 def _spread(claims: ClaimList, row: ClaimContrast) -> float | None:
     spreads = claims.pilot.spreads.get(row.world, {}) if claims.pilot else {}
-    event = row.claim.event
-    known = row.claim.number("spread", row.world, row.outcome) or spreads.get(
-        f"{row.outcome} {event}".strip()
-    )
-    return UNKNOWN_SHARE if event and known is None else known
+    named = f"{row.outcome} {row.claim.event(row.outcome)}".strip()
+    known = row.claim.number("spread", row.world, row.outcome) or spreads.get(named)
+    return UNKNOWN_SHARE if row.claim.counts and known is None else known
 
 
 def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
     if spread is None:
         return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
-    if min(row.planned) < 2 and not row.claim.event:
+    if min(row.planned) < 2 and not row.claim.counts:
         return replace(row, spread=spread, why_undecidable="one run shows no spread")
     interval = _expected(row, spread)
     half = (interval.high - interval.low) / 2 if interval.exists else 0.0  # runs that are all alike
@@ -137,12 +140,13 @@ def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
 
 def _expected(row: ClaimContrast, spread: float) -> Interval:
     """Return the interval of arms that spread as the pilot's, and do not differ."""
-    sample, level = _share if row.claim.event else _normal, 1 - row.alpha
+    sample, level = _share if row.claim.counts else _normal, 1 - row.alpha
     arms = {name: sample(count, spread) for name, count in zip((*row.a, *row.b), row.planned, strict=True)}
     if row.claim.kind == "range":
         a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
-        return compare_ranges([*arms.values()], a, b or 0.0, None, level).simultaneous
-    return estimate(row.claim.kind, arms[row.a[0]], arms[row.b[0]] if row.b else row.value)[1](level)
+        return compare_ranges([*arms.values()], a, b or 0.0, level).simultaneous
+    against = arms[row.b[0]] if row.b else row.value
+    return compare(row.claim.kind, arms[row.a[0]], against, level).simultaneous
 
 
 def _normal(runs: int, spread: float) -> np.ndarray:

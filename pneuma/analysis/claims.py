@@ -6,8 +6,8 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. A checksum of the file
-and of the code that judges is printed with the verdicts. docs/claims.md explains each key.
+studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. The file's checksum and
+the version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -44,13 +43,8 @@ from pneuma.worlds import WORLDS
 
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
-JUDGES = (
-    "study/series", "study/measure", "study/rows", "study/published", "analysis/run_index", "analysis/asked",
-    "analysis/frames", "analysis/measures", "analysis/outcomes", "analysis/collapse", "analysis/claims",
-    "analysis/claim_table", "analysis/arms", "analysis/intervals", "analysis/pvalues", "analysis/contrasts",
-    "analysis/judgement",
-)  # fmt: skip
-"""The modules that choose runs and turn their records into verdicts."""
+RULES = 4
+"""The version of the rules by which claims are judged; raised whenever a verdict could change."""
 
 
 def _listed(value: object) -> object:
@@ -76,7 +70,7 @@ def _find_outcomes(names: tuple[str, ...]) -> None:
     for name in names:
         first, *rest = name.split(MINUS)
         if len(rest) > 1 or names.count(name) > 1:
-            raise UserError("at most two outcomes, unlike each other, each one or the difference of two")
+            raise UserError("at most three outcomes, unlike each other, each one or the difference of two")
         for outcome in (first, *rest):
             find_outcome(outcome)
 
@@ -98,9 +92,10 @@ Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
 Kind = Literal["mean", "incidence", "spread", "range"]
-Direction = Literal["greater", "less", "different", "equal", "no-less"]
+Direction = Literal["greater", "less", "different", "equal", "no-less", "better", "worse"]
+Need = Literal["one", "all"]
 Outcomes = Annotated[
-    tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=2), passes(_find_outcomes)
+    tuple[Words, ...], BeforeValidator(_listed), Field(min_length=1, max_length=3), passes(_find_outcomes)
 ]
 Measured = Annotated[str, passes(_find_measured)]
 ByWorld = Positive | dict[World, Positive]
@@ -108,6 +103,8 @@ ByWorld = Positive | dict[World, Positive]
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
 Value = float | dict[str, float | dict[World, float]] | None
+Threshold = float | dict[str, float] | None
+"""What a run's outcome must be above or below to be counted; one for all outcomes, or one for each."""
 Arms = tuple[str, ...]
 
 
@@ -116,7 +113,6 @@ class ListHead(Table):
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
     seeds_from: Seed = 0
-    seen: dict[World, tuple[Seed, Seed]] = {}
 
 
 class Pilot(Table):
@@ -132,28 +128,33 @@ class Pilot(Table):
 class Claim(Table):
     """A sentence of the thesis as a test; docs/claims.md explains its keys.
 
-    Each condition of a is compared with each of b; for a range, all of a together with all of b. `_fix_runs`
-    gives it the seeds and steps of each condition, its worlds, and `seen`: for worlds in which nothing is
-    trained anew, the seeds of earlier runs.
+    Each condition of a is compared with each of b, or the first with the first and so on if they are paired;
+    for a range, all of a together with all of b. `_fix_runs` gives it the seeds and steps of each condition,
+    and its worlds.
     """
 
     name: str
+    like: str = ""
     quote: Words
+    short: Text = ""
     context: Text = ""
     section: Words
     study: Words
     a: Annotated[Conditions, Field(min_length=1)]
     b: Conditions = ()
-    control: Annotated[Conditions, Field(max_length=1)] = ()
+    called: Annotated[tuple[Text, Text], Field()] | tuple[()] = ()
+    paired: bool = False
     beside: Conditions = ()
     seeds: SeedsOf
+    seeds_from: Seed | None = None
     steps: StepsOf
     worlds: tuple[World, ...] = ()
-    seen: dict[str, tuple[int, ...]] = {}
+    seen: bool = False
     value: Value = None
     outcome: Outcomes
-    above: float | None = None
-    below: float | None = None
+    above: Threshold = None
+    below: Threshold = None
+    need: Need = "one"
     kind: Kind
     direction: Direction
     margin: ByOutcome = None
@@ -163,31 +164,51 @@ class Claim(Table):
     @property
     def compared(self) -> tuple[str, ...]:
         """Every condition that its verdict needs."""
-        return tuple(dict.fromkeys((*self.a, *self.b, *self.control)))
+        return tuple(dict.fromkeys((*self.a, *self.b)))
 
     @property
     def conditions(self) -> tuple[str, ...]:
         """Every condition that is trained for it."""
         return tuple(dict.fromkeys((*self.compared, *self.beside)))
 
-    def seeds_in(self, world: str) -> dict[str, tuple[int, ...]]:
-        return dict.fromkeys(self.compared, self.seen[world]) if world in self.seen else self.seeds
+    @property
+    def row(self) -> str:
+        """The claim in whose row of a table its verdicts stand: its own, or the one that it is like."""
+        return self.like or self.name
 
     @property
-    def event(self) -> str:
-        """The event that is counted, as 'below 0.05'; empty if means are compared."""
-        if self.above is not None:
-            return f"above {self.above:.15g}"
-        return "" if self.below is None else f"below {self.below:.15g}"
+    def counts(self) -> bool:
+        """Whether runs with an event are counted; else means are compared."""
+        return self.kind == "incidence"
 
-    def has_event(self, values: np.ndarray) -> np.ndarray:
-        return values > self.above if self.above is not None else values < np.array(self.below)
+    def threshold(self, outcome: str) -> float:
+        """Return the number above or below which a run of an incidence is counted."""
+        of = self.below if self.above is None else self.above
+        return float((of.get(outcome) if isinstance(of, dict) else of) or 0)
+
+    def event(self, outcome: str) -> str:
+        """Return the event that is counted, as 'below 0.05'; empty if means are compared."""
+        way = "below" if self.above is None else "above"
+        return f"{way} {self.threshold(outcome):.15g}" if self.counts else ""
+
+    def has_event(self, outcome: str, values: np.ndarray) -> np.ndarray:
+        threshold = self.threshold(outcome)
+        return values < threshold if self.above is None else values > threshold
+
+    def claimed(self, outcome: str) -> str:
+        """Return the direction that is claimed of an outcome: `better` is greater, or less, by its kind."""
+        if self.direction not in ("better", "worse"):
+            return self.direction
+        higher = find_outcome(outcome).better == "higher"
+        return "greater" if higher == (self.direction == "better") else "less"
 
     @property
     def pairs(self) -> list[tuple[Arms, Arms]]:
         """The contrasts for each outcome: arms against other arms, or against none for a constant."""
         if self.kind == "range":
             return [(self.a, self.b)]
+        if self.paired:
+            return [((a,), (b,)) for a, b in zip(self.a, self.b, strict=True)]
         return [((a,), (b,) if b else ()) for a, b in product(self.a, self.b or ("",))]
 
     def number(self, key: Literal["margin", "value", "spread"], world: str, outcome: str) -> float | None:
@@ -221,7 +242,7 @@ class ClaimList:
     """All claims of a file, which are judged together.
 
     Attributes:
-        digest: SHA-256 of the file and of the code that judges.
+        digest: SHA-256 of the file.
     """
 
     path: Path
@@ -233,7 +254,7 @@ class ClaimList:
     def contrasts(self, world: str) -> int:
         """Return the number of contrasts in a world, with or without runs.
 
-        Each p-value is multiplied by it (Bonferroni).
+        Each interval's error rate is divided by it (Bonferroni).
         """
         about = [claim for claim in self.claims.values() if world in claim.worlds]
         return sum(len(claim.outcome) * len(claim.pairs) for claim in about)
@@ -248,19 +269,18 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     said = read_model(ClaimsFile, file)
     claims = {name: _read_claim(file, name, said) for name in said.claims}
-    return ClaimList(file.path, checksum(file.text.encode() + _judges()), claims, said.list, said.pilot)
-
-
-@cache
-def _judges() -> bytes:
-    """Return the source of the code that judges, whatever its line ends."""
-    paths = (Path(__file__).parents[1] / f"{name}.py" for name in JUDGES)
-    return "".join(path.read_text(encoding="utf-8") for path in paths).encode()
+    return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
 
 
 def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
     where = ("claims", name)
-    claim = read_model(Claim, file, where, file.table(("defaults",)), {"name": name})
+    usual = file.table(("defaults",))
+    if other := said.claims[name].get("like"):
+        if other not in said.claims or "like" in said.claims[other]:
+            plain = [each for each, keys in said.claims.items() if "like" not in keys]
+            raise file.mistake(where, f"like: {unknown_name('claim', str(other), plain)}", "like")
+        usual |= said.claims[other]
+    claim = read_model(Claim, file, where, usual, {"name": name})
     path = str(file.path.parent / claim.study) if claim.study.endswith(".toml") else claim.study
     try:
         study = load_study(path)
@@ -275,7 +295,7 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
 
 def _fix_runs(claim: Claim, head: ListHead, file: TomlFile, where: Where, study: Study) -> Claim:
     """Return a claim with the seeds and steps of each condition, after checking that its study has them."""
-    for key in ("a", "b", "control", "beside"):
+    for key in ("a", "b", "beside"):
         names = getattr(claim, key)
         for name in names:
             if name not in study.conditions:
@@ -287,7 +307,7 @@ def _fix_runs(claim: Claim, head: ListHead, file: TomlFile, where: Where, study:
         if name not in study.worlds:
             known = ", ".join(study.worlds)
             raise file.mistake(where, f"worlds: study {study.name} is run in {known}, not {name}", "worlds")
-    first = head.seeds_from
+    first = head.seeds_from if claim.seeds_from is None else claim.seeds_from
     spread: dict[str, dict[str, Any]] = {}
     for key in ("seeds", "steps"):
         value = getattr(claim, key)
@@ -300,8 +320,7 @@ def _fix_runs(claim: Claim, head: ListHead, file: TomlFile, where: Where, study:
         for name, given in spread["seeds"].items()
     }
     worlds = tuple(name for name in WORLDS if name in (claim.worlds or study.worlds))
-    seen = {world: tuple(range(least, most + 1)) for world, (least, most) in head.seen.items()}
-    return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds, "seen": seen})
+    return claim.model_copy(update={"seeds": seeds, "steps": spread["steps"], "worlds": worlds})
 
 
 def _filled(claim: Claim, usual: Mapping[str, ByWorld]) -> ByOutcome:
@@ -309,7 +328,7 @@ def _filled(claim: Claim, usual: Mapping[str, ByWorld]) -> ByOutcome:
     given = claim.margin
     if given is not None and not isinstance(given, dict):
         return given
-    names = {name: "incidence" if claim.event else name for name in claim.outcome}
+    names = {name: "incidence" if claim.counts else name for name in claim.outcome}
     return {**{name: usual[of] for name, of in names.items() if of in usual}, **(given or {})} or None
 
 
@@ -317,24 +336,34 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
     """Return the key and the mistake of a claim whose keys are valid one by one but not together."""
     if bool(claim.b) == (claim.value is not None):
         return "", "a claim holds a against either b, conditions, or value"
-    if sum(threshold is not None for threshold in (claim.above, claim.below)) != (claim.kind == "incidence"):
+    if sum(threshold is not None for threshold in (claim.above, claim.below)) != claim.counts:
         return "", "an incidence, and nothing else, counts runs by above or below, a number"
+    if claim.paired and (len(claim.a) != len(claim.b) or claim.kind == "range"):
+        return "paired", "paired: as many conditions in b as in a, and no range"
+    if claim.direction in ("better", "worse"):
+        for name in claim.outcome:
+            if claim.counts or MINUS in name or not find_outcome(name).better:
+                return "direction", f"direction = {claim.direction}: of {name} neither is better; say which way"
     if claim.kind == "spread" and not claim.b:
         return "b", "a spread is compared with that of other conditions"
     if claim.kind == "range" and 1 in (len(claim.a), len(claim.b)):
         return "a", "a range is of two conditions or more"
-    if claim.control and not (claim.event and claim.direction in ("greater", "less") and not claim.b):
-        return "control", "a control is for an incidence that is claimed to be greater or less than value"
-    for key in ("margin", "value", "spread"):
+    for key in ("margin", "value", "spread", "above", "below"):
         given = getattr(claim, key)
         for name in given if isinstance(given, dict) else ():
             if name not in claim.outcome:
                 return key, f"{key}: {unknown_name('outcome of the claim', name, claim.outcome)}"
+    for key in ("above", "below"):
+        given = getattr(claim, key)
+        if isinstance(given, dict) and (lacking := [name for name in claim.outcome if name not in given]):
+            return key, f"the key '{key}' has no number for {lacking[0]}"
     for world, outcome in product(claim.worlds, claim.outcome):
         if found := _mistaken_number(claim, world, outcome):
             return found
     early = [seed for seeds in claim.seeds.values() for seed in seeds if seed < head.seeds_from]
-    return ("seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}") if early else None
+    if early and not claim.seen:
+        return "seeds", f"seeds: {min(early)} is below seeds_from = {head.seeds_from}"
+    return None
 
 
 def _mistaken_number(claim: Claim, world: str, outcome: str) -> tuple[str, str] | None:
@@ -342,11 +371,11 @@ def _mistaken_number(claim: Claim, world: str, outcome: str) -> tuple[str, str] 
     margin, value = claim.number("margin", world, outcome), claim.number("value", world, outcome)
     if value is None and not claim.b:
         return "value", f"the key 'value' has no number for {outcome}"
-    if claim.event and not 0 <= (value or 0) <= 1:
+    if claim.counts and not 0 <= (value or 0) <= 1:
         return "value", f"value = {value:g} is not allowed: a share of runs, 0 to 1"
     if margin is None and claim.direction in ("equal", "no-less"):
         return "margin", "the key 'margin' is missing: within it, a difference counts as none"
-    if margin is not None and margin >= 1 and claim.event:
+    if margin is not None and margin >= 1 and claim.counts:
         return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
     return None
 
@@ -385,7 +414,7 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
         own = (beside.parent / claim.study).resolve() == study.path.resolve()
         shipped = study.own_path is None and claim.study == study.path.stem
         if (own or shipped) and study.world in claim.worlds:
-            for condition, seeds in claim.seeds_in(study.world).items():
+            for condition, seeds in claim.seeds.items():
                 found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
     return {
         steps: {

@@ -23,6 +23,8 @@ LEVEL = 0.95
 LEAST_RUNS = 5
 """The fewest runs of which tables and figures give an interval."""
 RESAMPLES = 2_000
+ROUNDING = 1e-12
+"""Runs that differ by less, in proportion to the largest, are equal."""
 SIGNIFICANT = 2
 """Digits of an interval's half width that are shown."""
 MOST = 6
@@ -88,27 +90,14 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
     return float(((first > second) + 0.5 * (first == second)).mean())
 
 
-def welch_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the standard error of a difference of means and its degrees of freedom.
-
-    Source: Welch (1947). Arms that do not spread have an error of 0, and 1 degree.
-    """
-    part_a, part_b = (arm.var(axis=-1, ddof=1) / arm.shape[-1] for arm in (a, b))
-    squared = np.asarray(part_a + part_b)
-    below = part_a**2 / (a.shape[-1] - 1) + part_b**2 / (b.shape[-1] - 1)
-    return np.sqrt(squared), np.divide(squared**2, below, out=np.ones_like(squared), where=below > 0)
+def is_constant(values: np.ndarray) -> bool:
+    """Return whether runs differ by rounding alone."""
+    return bool(np.ptp(values) <= ROUNDING * np.abs(values).max())
 
 
 def distances(values: np.ndarray) -> np.ndarray:
     """Return how far each run lies from its arm's median, (…, runs)."""
     return np.abs(values - np.median(values, axis=-1, keepdims=True))
-
-
-def pooled_error(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the standard error of a difference of means of one variance, and its degrees of freedom."""
-    freedom = a.shape[-1] + b.shape[-1] - 2
-    squares = sum(arm.var(axis=-1) * arm.shape[-1] for arm in (a, b))
-    return np.sqrt(squares / freedom * (1 / a.shape[-1] + 1 / b.shape[-1])), freedom
 
 
 # --- Intervals -------------------------------------------------------------------------------------
@@ -126,6 +115,9 @@ class Interval:
     def exists(self) -> bool:
         return self.method != "none"
 
+    def less(self, value: float) -> Interval:
+        return replace(self, low=self.low - value, high=self.high - value)
+
 
 def no_interval() -> Interval:
     return Interval(float("nan"), float("nan"), "none")
@@ -140,7 +132,7 @@ def around(centre: float, error: float, freedom: float, level: float, method: st
 def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
     runs = finite(values)
-    if runs.size < 2 or np.ptp(runs) == 0:
+    if runs.size < 2 or is_constant(runs):
         return no_interval()
     error = runs.std(ddof=1) / np.sqrt(runs.size)
     return around(runs.mean(), error, runs.size - 1, level, "t")
@@ -152,20 +144,24 @@ def within(interval: Interval, low: float, high: float) -> Interval:
 
 
 def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
-    """Return Welch's t interval of the difference of means, a - b."""
+    """Return Welch's t interval of the difference of means, a - b (Welch 1947)."""
     first, second = finite(a), finite(b)
-    if min(first.size, second.size) < 2 or np.ptp(first) + np.ptp(second) == 0:
+    if min(first.size, second.size) < 2 or is_constant(first) or is_constant(second):
         return no_interval()
-    error, freedom = welch_error(first, second)
-    return around(first.mean() - second.mean(), float(error), float(freedom), level, "Welch t")
+    parts = [arm.var(ddof=1) / arm.size for arm in (first, second)]
+    below = sum(part**2 / (arm.size - 1) for part, arm in zip(parts, (first, second), strict=True))
+    freedom = sum(parts) ** 2 / below
+    return around(first.mean() - second.mean(), float(np.sqrt(sum(parts))), freedom, level, "Welch t")
 
 
 def spread_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's interval of the difference of mean distances from the median, a - b."""
     first, second = distances(finite(a)), distances(finite(b))
-    error, freedom = pooled_error(first, second)
-    if not error > 0:
+    if min(first.size, second.size) < 2 or is_constant(first) or is_constant(second):
         return no_interval()
+    freedom = first.size + second.size - 2
+    squares = sum(arm.var() * arm.size for arm in (first, second))
+    error = np.sqrt(squares / freedom * (1 / first.size + 1 / second.size))
     return around(first.mean() - second.mean(), float(error), freedom, level, "Brown-Forsythe t")
 
 
@@ -175,7 +171,7 @@ def deviation_interval(values: ArrayLike) -> Interval:
     Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
     runs = finite(values)
-    if runs.size < 5 or np.ptp(runs) == 0:
+    if runs.size < 5 or is_constant(runs):
         return no_interval()
     z = special.ndtri((1 + LEVEL) / 2)
     cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
@@ -233,7 +229,7 @@ def bootstrap_interval(
     the last axis, as `mean` and `median` do.
     """
     runs = finite(values)
-    if runs.size < LEAST_RUNS or np.ptp(runs) == 0:
+    if runs.size < LEAST_RUNS or is_constant(runs):
         return no_interval()
     seen = float(statistic(runs))
     drawn = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])

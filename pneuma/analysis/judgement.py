@@ -2,14 +2,10 @@
 
     ClaimList and Store → the table of contrasts with verdicts → [Verdict], one a claim and world
 
-Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. All contrasts
-of all claims in one world, including those without runs, are one family for the correction. So the chance of
-any false verdict in a world is at most the list's alpha, whichever claims are shown and whatever was run.
-
-Each contrast enters with the smallest p-value that can decide it, corrected by Bonferroni. Holm's steps would
-be wrong here: a contrast that is found equivalent would leave the list because its effect looked small, so
-that those with large ones remain. Most lists of 60 true equivalences, judged in steps, can contain a false
-difference. docs/evidence.md explains why the smaller p-value bounds the chance of any false verdict.
+Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict compares
+the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else decides. All
+intervals of a world, also those of claims without runs, hold together with 95 % probability. So the chance of any
+false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
 """
 
 from __future__ import annotations
@@ -21,21 +17,20 @@ from itertools import groupby
 
 import numpy as np
 
-from pneuma.analysis.arms import FLOOR_LEVEL, TRAIN_WITH, Arm, ClaimRuns, Wanted, find_runs
+from pneuma.analysis.arms import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_runs
 from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_ranges, undecided
+from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
+from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.pvalues import one_share_p_values
 from pneuma.analysis.run_index import RunIndex
-from pneuma.errors import counted
 from pneuma.study.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
-"""The reason if equivalence refutes a claim whose interval lies wholly on the claimed side."""
+"""The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +50,12 @@ class Verdict:
     contrasts: tuple[ClaimContrast, ...] = ()
 
     @property
-    def decisive(self) -> ClaimContrast | None:
-        """The contrast that decides the outcome with the claim's verdict; of two such outcomes, the surer.
-
-        An outcome is decided by the surest if one is enough for its verdict, which is so if it refutes, else
-        by the least sure.
-        """
-        deciding = []
-        for each in _by_outcome(self.contrasts):
-            word = combine_contrasts([row.verdict for row in each]) or INCONCLUSIVE
-            agreeing = [row for row in each if row.verdict == word] or each
-            deciding.append((min if word == REFUTED else max)(agreeing, key=lambda row: row.p))
-        agreeing = [row for row in deciding if row.verdict == self.verdict]
-        return min(agreeing or deciding, key=lambda row: row.p, default=None)
+    def decisive(self) -> tuple[ClaimContrast, ...]:
+        """For each outcome the contrast by which it is decided: the first one with the outcome's verdict."""
+        return tuple(
+            next((row for row in rows if row.verdict == verdict_of_outcome(rows)), rows[0])
+            for rows in by_outcome(self.contrasts)
+        )
 
     @property
     def run_ids(self) -> list[str]:
@@ -100,117 +88,96 @@ def judge(
         rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
         if rows[0].refused:
             reason = f"not admitted: {rows[0].refused}"
-            table = tuple(replace(row, verdict=UNTESTABLE, contrast=undecided(reason)) for row in rows)
+            table = tuple(replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason)) for row in rows)
             verdicts.append(Verdict(runs.claim, runs.world, UNTESTABLE, reason, table))
         else:
-            table = tuple(_judge_contrast(row, runs, arm, claims) for row in rows)
+            table = tuple(_judge_contrast(row, runs, arm) for row in rows)
             verdicts.append(_combine(runs.claim, runs.world, table))
         on_progress(len(verdicts), wanted)
     return verdicts
 
 
 def _combine(claim: Claim, world: str, table: tuple[ClaimContrast, ...]) -> Verdict:
-    each = [combine_contrasts([row.verdict for row in rows]) for rows in _by_outcome(table)]
-    untestable = any(row.verdict == UNTESTABLE for row in table)
-    verdict = combine_outcomes(each) or (UNTESTABLE if untestable else INCONCLUSIVE)
-    reason = ""
+    verdict, reason = combine_outcomes([*map(verdict_of_outcome, by_outcome(table))], claim.need), ""
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what lacks last
         parts = dict.fromkeys(part for row in table for part in row.contrast.reason.split("; ") if part)
         reason = "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
     elif verdict == REFUTED:
-        refuted = [row.contrast for row in table if row.verdict == REFUTED]
-        small = all(_is_as_claimed_but_small(contrast, claim.direction) for contrast in refuted)
-        reason = AS_CLAIMED_BUT_SMALL if small else ""
+        refuted = [row for row in table if row.verdict == REFUTED]
+        reason = AS_CLAIMED_BUT_SMALL if all(map(_is_as_claimed_but_small, refuted)) else ""
     return Verdict(claim, world, verdict, reason, table)
 
 
-def _by_outcome(table: Iterable[ClaimContrast]) -> list[list[ClaimContrast]]:
+def by_outcome(table: Iterable[ClaimContrast]) -> list[list[ClaimContrast]]:
     return [list(rows) for _, rows in groupby(table, key=lambda row: row.outcome)]
 
 
-def _is_as_claimed_but_small(contrast: Contrast, direction: str) -> bool:
-    """Return whether equivalence refutes a claim although its interval supports the direction."""
-    low, high = contrast.interval.low, contrast.interval.high
-    as_claimed = (direction != "less" and low > 0) or (direction != "greater" and high < 0)
-    return significant_direction(contrast) == "equal" and as_claimed
+def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
+    """Return whether an effect is refuted as too small although its interval is on the claimed side of 0."""
+    ends, claimed = row.contrast.simultaneous, row.claim.claimed(row.outcome)
+    return (claimed in ("greater", "different") and ends.low > 0) or (
+        claimed in ("less", "different") and ends.high < 0
+    )
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(
-    row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str], Arm], claims: ClaimList
-) -> ClaimContrast:
-    """Judge one contrast of a claim. It is untestable for a reason, or if too few runs could support it."""
-    claim, names = row.claim, [*dict.fromkeys((*row.a, *row.b, *row.claim.control))]
+def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str], Arm]) -> ClaimContrast:
+    """Judge one contrast of a claim; it is untestable for a reason."""
+    names = [*dict.fromkeys((*row.a, *row.b))]
     reason = runs.why_incomparable(row.outcome, names)
     arms = {} if reason else {name: arm(row.outcome, name) for name in names}
     if reason := reason or _why_untestable(row, arms):
         sizes = [arms[name].values.size for name in (*row.a, *row.b) if name in arms] + [0, 0]
-        contrast = undecided(reason, (sizes[0], sizes[1]))
+        contrast = Contrast(seeds=(sizes[0], sizes[1]), reason=reason)
     else:
         contrast = _compare(row, arms)
-    factor, alpha = claims.contrasts(row.world), claims.head.alpha
-    verdict, p = decide(contrast, claim.direction, factor, alpha)
-    if verdict == INCONCLUSIVE:  # equivalence may need fewer runs than a difference
-        smallest = smallest_p(contrast, claim.direction)
-        if not contrast.reason and smallest * factor > alpha:
-            few = f"too few seeds: the smallest p possible of {claim.direction} is {smallest:.2g}"
-            problem = f"{few}, and the list has {counted(factor, 'contrast')} in this world"
-            contrast = replace(contrast, reason=problem)
-        verdict = UNTESTABLE if contrast.reason else INCONCLUSIVE
     found = [run_id for own in arms.values() for run_id in own.run_ids]
     found = found or [run.run_id for name in names for run in runs.found(name)]
-    return replace(row, contrast=contrast, run_ids=tuple(found), verdict=verdict, p=p)
+    margin = row.margin if row.b or not row.value else None  # a threshold itself is the least that counts
+    none_learned = _none_learned(row, arms)
+    ends, claimed = contrast.simultaneous, row.claim.claimed(row.outcome)
+    verdict = UNTESTABLE if reason else decide(ends, claimed, margin, alike_counts=not none_learned)
+    return replace(
+        row, contrast=contrast, run_ids=tuple(found), verdict=verdict, none_learned=none_learned and not reason
+    )
 
 
 def _compare(row: ClaimContrast, arms: Mapping[str, Arm]) -> Contrast:
-    margin, level = row.margin, 1 - row.alpha
+    level = 1 - row.alpha
     if row.claim.kind == "range":
-        margin = margin if row.b else None  # the constant itself counts as none, as no range is below 0
         a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
-        return compare_ranges([own.values for own in arms.values()], a, b or row.value, margin, level)
+        return compare_ranges([own.values for own in arms.values()], a, b or row.value, level)
     against = arms[row.b[0]].values if row.b else row.value
-    return compare(row.claim.kind, arms[row.a[0]].values, against, margin, level)
+    return compare(row.claim.kind, arms[row.a[0]].values, against, level)
 
 
 def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
     """Return why arms of finished runs decide nothing; empty if they can be compared."""
-    tested = {name: own for name, own in arms.items() if name in (*row.a, *row.b)}
     return (
         next((own.reason for own in arms.values() if own.reason), "")
-        or _at_floor(row, tested)
-        or _at_an_end(row, [*tested.values()])
-        or _not_ill(row, arms)
+        or _at_floor(row, arms)
+        or _at_an_end(row, [*arms.values()])
     )
 
 
-def _not_ill(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
-    """Return the reason if the control does not show what the claim says is cured; empty if it does."""
-    for name in row.claim.control:
-        ill, value = arms[name].values, row.value
-        p = one_share_p_values(np.array([ill.sum()]), ill.size, value, None)
-        if (p.greater if row.claim.direction == "less" else p.less)[0] > FLOOR_LEVEL:
-            than = "more" if row.claim.direction == "less" else "less"
-            runs = f"{ill.sum():.0f} of {ill.size} runs of {name}"
-            return f"nothing to cure: {runs} are not shown to be {than} than {value:g}"
-    return ""
-
-
 def _at_floor(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
-    """Return why arms cannot be compared, given how well they play; empty if they can.
-
-    An arm is at the floor if it is not shown to play better than the random player, whatever its number of
-    runs. Outcomes that are meaningful only for runs that learned need every arm above the floor. Outcomes
-    that measure play, and claims that nothing is lost, need one.
-    """
+    """Return why arms cannot be compared by an outcome that only runs that learned have; empty if they can."""
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).requires_learning for part in row.outcome.split(MINUS)):
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
-    of_play = _is_of_play(row.outcome) and not row.claim.event
-    if not (of_play or row.claim.direction in ("equal", "no-less")) or len(arms) < 2 or len(idle) < len(arms):
-        return ""
-    return f"arms at floor: none of {', '.join(arms)} is shown to play better than the random player"
+    return ""
+
+
+def _none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
+    """Return whether play is compared of arms of which none is shown to play better than the random player.
+
+    Such arms may be alike because nothing was learned, so that only a difference between them counts.
+    """
+    of_play = _is_of_play(row.outcome) and not row.claim.counts
+    judged = of_play or row.claim.direction in ("equal", "no-less")
+    return judged and len(arms) > 1 and all(arm.learned is False for arm in arms.values())
 
 
 def _at_an_end(row: ClaimContrast, arms: Sequence[Arm]) -> str:
@@ -219,7 +186,7 @@ def _at_an_end(row: ClaimContrast, arms: Sequence[Arm]) -> str:
     Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
     For outcomes that measure play, the floor is decided by the comparison with the random player.
     """
-    if len(arms) < 2 or row.claim.event or MINUS in row.outcome:
+    if len(arms) < 2 or row.claim.counts or MINUS in row.outcome:
         return ""
     measured = find_outcome(row.outcome)
     near = row.margin or measured.alike
@@ -240,71 +207,48 @@ def _is_of_play(outcome: str) -> bool:
 # --- Decisions -----------------------------------------------------------------------------------
 
 
-def decide(contrast: Contrast, claimed: str, factor: float = 1.0, alpha: float = 0.05) -> tuple[str, float]:
-    """Return the verdict on one contrast of a list, and its corrected p-value.
+def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
+    """Return what an interval of a less b says of a claimed direction.
 
-    A claim of no difference is refuted only by a difference beyond the margin, tested two-sided there, and
-    one of no loss only by a loss beyond it. `factor` is that on its p-value, such as the number of contrasts
-    in the list, and `alpha` the chance of any false verdict in the list.
+    A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes a
+    claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing is
+    decided, and without a margin no difference is too small; nor if that arms are alike does not count.
     """
-    if claimed == "equal":
-        p_far = min(2 * min(contrast.p.far_less, contrast.p.far_greater), 1.0)
-        p, so = min(contrast.p.equivalent, p_far), contrast.p.equivalent <= p_far
-    elif claimed == "no-less":
-        p, so = min(contrast.p.no_less, contrast.p.far_less), contrast.p.no_less <= contrast.p.far_less
-    else:
-        what = significant_direction(contrast)
-        p = contrast.p.equivalent if what == "equal" else contrast.p_different
-        so = what in _supporting(claimed)
-    corrected = min(p * factor, 1.0)
-    return (SUPPORTED if so else REFUTED) if corrected <= alpha else INCONCLUSIVE, corrected
+    if not ends.exists:
+        return INCONCLUSIVE
+    near = margin is not None and -margin < ends.low and ends.high < margin and alike_counts
+    far_above, far_below = margin is not None and ends.low > margin, margin is not None and ends.high < -margin
+    shown = {
+        "greater": (ends.low > 0, ends.high < 0 or near),
+        "less": (ends.high < 0, ends.low > 0 or near),
+        "different": (ends.low > 0 or ends.high < 0, near),
+        "equal": (near, far_above or far_below),
+        "no-less": (margin is not None and ends.low > -margin and alike_counts, far_below),
+    }
+    supported, refuted = shown[claimed]
+    return REFUTED if refuted else SUPPORTED if supported else INCONCLUSIVE
 
 
-def significant_direction(contrast: Contrast) -> str:
-    """Return what a significant contrast shows: "greater", "less" or "equal".
-
-    It follows from the smaller p-value only. To use the other one too would be a second test of the same
-    claim, which the correction does not count. If both are the smallest that relabelings can give, they say
-    nothing about which is smaller, and the effect is equal if it is nearer to zero than to the margin.
-    """
-    floor = sum(contrast.smallest)
-    if contrast.p_different <= floor and 2 * contrast.p.equivalent <= floor:
-        near = contrast.margin is not None and abs(contrast.effect) < contrast.margin / 2
-    else:
-        near = contrast.p.equivalent < contrast.p_different
-    if near:
-        return "equal"
-    return "greater" if contrast.p.greater < contrast.p.less else "less"
+def verdict_of_outcome(rows: Sequence[ClaimContrast]) -> str:
+    """Return the verdict on one outcome: all its contrasts must be as claimed, and one that is not refutes."""
+    verdicts = [row.verdict for row in rows]
+    for decides in (REFUTED, UNTESTABLE, INCONCLUSIVE):
+        if decides in verdicts:
+            return decides
+    return SUPPORTED
 
 
-def combine_contrasts(verdicts: Sequence[str]) -> str:
-    """Return the verdict on a claim, given those on its contrasts; empty if they do not decide."""
-    if REFUTED in verdicts:
-        return REFUTED
-    return SUPPORTED if all(verdict == SUPPORTED for verdict in verdicts) else ""
-
-
-def combine_outcomes(verdicts: Sequence[str]) -> str:
+def combine_outcomes(verdicts: Sequence[str], need: str = "one") -> str:
     """Return the verdict on a claim, given those on its outcomes.
 
-    It is supported if one outcome supports it and none refutes it, refuted in the opposite case, mixed if
-    they contradict each other, and empty if none decides. Such a verdict is false only if that on one of the
-    outcomes is.
+    If it needs one, one outcome that is as claimed supports it unless another is not, which makes it mixed;
+    and in the opposite case it is refuted. If it needs all, one that is not as claimed refutes it. An outcome
+    that cannot be tested decides nothing. A verdict is false only if that on one of the outcomes is.
     """
-    decided = {verdict for verdict in verdicts if verdict in (SUPPORTED, REFUTED)}
-    return MIXED if len(decided) == 2 else "".join(decided)
-
-
-def smallest_p(contrast: Contrast, claimed: str) -> float:
-    """Return the smallest p-value by which so many runs could support the claimed direction.
-
-    For equivalence it is a lower bound, except for shares, where smaller ones may be possible.
-    """
-    greater, less = contrast.smallest
-    possible = {"greater": 2 * greater, "less": 2 * less, "equal": min(greater, less)}
-    possible["no-less"] = greater
-    return min(possible[way] for way in _supporting(claimed))
-
-
-def _supporting(claimed: str) -> tuple[str, ...]:
-    return ("greater", "less") if claimed == "different" else (claimed,)
+    tested = [verdict for verdict in verdicts if verdict != UNTESTABLE]
+    if not tested or (need == "all" and UNTESTABLE in verdicts and REFUTED not in verdicts):
+        return UNTESTABLE
+    if need == "all":
+        return REFUTED if REFUTED in tested else SUPPORTED if {*tested} == {SUPPORTED} else INCONCLUSIVE
+    decided = {*tested} - {INCONCLUSIVE}
+    return MIXED if len(decided) == 2 else next(iter(decided), INCONCLUSIVE)

@@ -48,9 +48,7 @@ WORLD_NAMES = {
 
 _PLAIN_REASONS = {
     "not admitted": "too few runs",
-    "too few seeds": "too few runs",
     "arm at floor": "the agents learned nothing there",
-    "arms at floor": "the agents learned nothing there",
     "both arms are at the floor": "all runs end alike",
     "both arms are at the ceiling": "all runs end alike",
     "A/A": "what is compared is the same",
@@ -75,21 +73,37 @@ _SAID = {
     "grad-norm-growth": "gradient norm, end over beginning",
     "log-max-grad-norm": "greatest gradient norm",
     "one-action above 0.9": "runs with one action",
-    "collapsed above 0.5": "runs that collapse",
+    "final-commonest-action above 0.9": "runs that end in one action",
+    "low-entropy-share above 0.05": "runs without entropy",
+    "log-max-kl": "largest change of policy (KL)",
+    "early-explained-variance": "variance that the critic explains at first",
+    "steps-to:0.23": "steps to 23 % of the monsters",
+    "steps-to:0.34": "steps to 34 % of the monsters",
+    "steps-to:0.43": "steps to 43 % of the monsters",
+    "steps-to:0.47": "steps to 47 % of the monsters",
 }
 """Outcomes in fewer words than `OUTCOMES` has."""
 _OF_KIND = {"spread": "spread of {}", "range": "range of {}"}
 MOST_LOG = 23.0
 """Factors above ten thousand million are told as infinite."""
-_LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm")
+_LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
 
 
 def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdict]]:
-    """Return verdicts by claim and world, the claims in the order of the thesis's sections."""
+    """Return verdicts by claim and world, the claims in the order of the thesis's sections.
+
+    Those of a claim that is like another stand with the other's.
+    """
     grouped: dict[str, dict[str, Verdict]] = {}
     for one in sorted(verdicts, key=lambda one: [*map(int, re.findall(r"\d+", one.claim.section))]):
-        grouped.setdefault(one.claim.name, {})[one.world] = one
+        grouped.setdefault(one.claim.row, {})[one.world] = one
     return grouped
+
+
+def first_claim(name: str, judged: Mapping[str, Verdict]) -> Claim:
+    """Return the claim of a row: the one that others are like, or the first of these if it was not asked for."""
+    of_row = [one.claim for one in judged.values()]
+    return next((claim for claim in of_row if claim.name == name), of_row[0])
 
 
 def worlds_of(claims: Mapping[str, Mapping[str, Verdict]]) -> list[str]:
@@ -112,8 +126,8 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
     With `whole`, sentences are not shortened.
     """
     columns, rows, quoted = worlds_of(claims), [], set()
-    for judged in claims.values():
-        claim = next(iter(judged.values())).claim
+    for name, judged in claims.items():
+        claim = first_claim(name, judged)
         text = f"“{sentence(claim) if whole else short_sentence(claim)}”"
         told = claim.context if text in quoted and claim.context else text
         quoted.add(text)
@@ -123,7 +137,7 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
 
 
 def cell(verdict: Verdict | None) -> str:
-    """Return a verdict's word, and in the next line its effect, or why there is none."""
+    """Return a verdict's word, and in the next lines its effects, or why there are none."""
     return "–" if verdict is None else "\n".join(filter(None, (word(verdict), told(verdict))))
 
 
@@ -135,10 +149,10 @@ def word(verdict: Verdict) -> str:
 
 
 def told(verdict: Verdict) -> str:
-    """Return the effect that decides, if any was tested, and what must be said beside it or in its place."""
-    row = verdict.decisive
-    tested = row and row.has_effect and word(verdict) != NOT_TESTED
-    return "; ".join(filter(None, (effect(row) if row and tested else "", why(verdict))))
+    """Return the effect of each outcome, if any was tested, and what must be said beside it or in its place."""
+    tested = [row for row in verdict.decisive if row.has_effect and word(verdict) != NOT_TESTED]
+    idle = "none plays better than at random" if any(row.none_learned for row in tested) else ""
+    return "\n".join(filter(None, (*map(effect, tested), idle, why(verdict))))
 
 
 def why(verdict: Verdict) -> str:
@@ -163,16 +177,30 @@ def effect(row: ClaimContrast) -> str:
         a, b, size, low, high = (_factor(number) for number in numbers)
         difference = " times as much"
     else:
-        if row.claim.event or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
+        if row.claim.counts or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
         places = _places(*numbers[2:])
         a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
         size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
     between = f" ({low} to {high})" if contrast.simultaneous.exists else ""
+    first, second = arm_words(row)
     if alone:
-        return f"{_said(row)}: {_arm(row.a)} {size}{unit}{between}"
-    other = _arm(row.b) if row.b else "threshold"
-    return f"{_said(row)}: {_arm(row.a)} {a}{unit}, {other} {b}{unit}; {size}{difference}{between}"
+        return f"{_said(row)}: {first} {size}{unit}{between}"
+    other = second if row.b else "threshold"
+    return f"{_said(row)}: {first} {a}{unit}, {other} {b}{unit}; {size}{difference}{between}"
+
+
+def arm_words(row: ClaimContrast) -> tuple[str, str]:
+    """Return what both arms are called: as the claim says if it has one pair, else by their conditions too."""
+    claim = row.claim
+    if not claim.called:
+        return _arm(row.a), _arm(row.b) if row.b else ""
+    several = claim.kind != "range"
+    named = [
+        f"{called} ({_arm(arm)})" if several and len(of_claim) > 1 else called
+        for called, arm, of_claim in zip(claim.called, (row.a, row.b), (claim.a, claim.b), strict=True)
+    ]
+    return named[0], named[1]
 
 
 def _arm(conditions: Arms) -> str:
@@ -180,12 +208,13 @@ def _arm(conditions: Arms) -> str:
 
 
 def _said(row: ClaimContrast) -> str:
-    named = f"{row.outcome} {row.claim.event}".strip()
+    event = row.claim.event(row.outcome)
+    named = f"{row.outcome} {event}".strip()
     words = _SAID.get(named) or " less ".join(
         _SAID.get(part, find_outcome(part).words) for part in row.outcome.split(MINUS)
     )
-    if row.claim.event and named not in _SAID:
-        words = f"runs with {words} {row.claim.event}"
+    if event and named not in _SAID:
+        words = f"runs with {words} {event}"
     return _OF_KIND.get(row.claim.kind, "{}").format(words)
 
 
@@ -219,64 +248,9 @@ def sentence(claim: Claim) -> str:
 
 def short_sentence(claim: Claim) -> str:
     """Return the sentence with … where words are left out."""
-    return _SHORT.get(claim.name) or shorten(sentence(claim), LONGEST_SENTENCE, placeholder=" …")
+    return claim.short or shorten(sentence(claim), LONGEST_SENTENCE, placeholder=" …")
 
 
 LONGEST_SENTENCE = 160
 _SUBSCRIPTS = str.maketrans("012t", "₀₁₂ₜ")
 _SYMBOLS = {"tanh": "tanh ", "beta": "β", "nabla": "∇", "vartheta": "ϑ", "leq": "≤ ", "|": "‖"}
-
-_SHORT = {
-    "tanh-better": "We see that tanh … improves performance",
-    "tanh-steadier": "We see that tanh … decreases variance",
-    "betas-better": "… the non-stationary Adam greatly outperforms the default configuration",
-    "betas-steadier": "Notice how the variance of the non-stationary Adam version is smaller",
-    "small-best": "The small network has the best overall performance",
-    "small-steadiest": "The small network has … the lowest variance",
-    "actor-loses-nothing": (
-        "Letting the actor’s network size remain small … whilst having the critic’s network be "
-        "significantly bigger … seemed to have little to no effect"
-    ),
-    "default-adam-collapses": (
-        "… the bad choice caused the agents to steadily improve up to a point, upon which they completely "
-        "collapsed …, or even worse to converge to a single-action optimum"
-    ),
-    "early-one-action": (
-        "… we run into many cases where the agent(s) would collapse into a single repetitive action"
-    ),
-    "betas-solve": (
-        "… we used a non-stationary Adam optimizer, where β₁ = β₂ = 0.9, … which seems to effectively "
-        "solve the issue"
-    ),
-    "sgd-sensitive": (
-        "… SGD has several limitations, with the most important being a sensitivity to changes of the "
-        "learning rate"
-    ),
-    "relu-explodes": "… we run into issues with exploding gradient norms",
-    "relu-never-converges": "… which … caused the agent to oscillate, and ultimately never converge",
-    "leaky-helps": (
-        "Although this helped reduce the problem, it did not completely eliminate it, and so we settled "
-        "with the tanh function"
-    ),
-    "ppo-sensitive": (
-        "Proximal Policy Optimization … can be very sensitive to hyperparameter changes, with … overall "
-        "performance fluctuating greatly"
-    ),
-    "horizon-faster": (
-        "The horizon was reduced from 2048 to 256, so that the networks … respond and adapt faster"
-    ),
-    "magic-no-benefit": "This … increased the complexity for no noticeable benefit",
-    "sigmoid-frenzy": (
-        "… a structure where the agent has to maintain a short distance to the enemies using a sigmoid "
-        "function, resulted in … a suicidal frenzy"
-    ),
-    "reward-balances": (
-        "The reward function therefore pushes the agent to try to strike a balance between combating "
-        "enemies … whilst trying to maintain some distance"
-    ),
-    "classes-differ": (
-        '… predefined classes, such as "tank", "mage", and "warrior", which encourage agents to tackle '
-        "their assigned objectives using different approaches"
-    ),
-}
-"""The words of a shipped claim's sentence that say what it tests, where others can be left out."""

@@ -36,7 +36,7 @@ def verify(
 
     Name claims to see also what is compared, how many runs there are, and the reason.
     """
-    from pneuma.analysis.claims import load_claims
+    from pneuma.analysis.claims import RULES, load_claims
     from pneuma.analysis.judgement import judge
     from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
 
@@ -48,7 +48,7 @@ def verify(
         return _design(known, claims or (), world, format)
 
     def asked(claim: Claim, where: str) -> bool:
-        return (not claims or claim.name in claims) and world in (None, where)
+        return (not claims or claim.name in claims or claim.like in claims) and world in (None, where)
 
     judged = judge(known, store, asked=asked, on_progress=progress_of("verdicts"))
     lacking = ""
@@ -56,7 +56,7 @@ def verify(
         lacking = f"Note: none of their runs is in {store.root}. {_how_to_train(file)}."
     people = _show_claims(known, judged, bool(claims), lacking)
     contrasts = {world: known.contrasts(world) for world in WORLDS}
-    head = {"claims_hash": known.digest, "alpha": known.head.alpha, "contrasts": contrasts}
+    head = {"claims_hash": known.digest, "rules": RULES, "alpha": known.head.alpha, "contrasts": contrasts}
     document = {**head, "claims": [_document(one) for one in judged]}
     numbers = [_record(row) for one in judged for row in one.contrasts]
     table = verdict_table(verdicts_by_claim(judged))
@@ -77,9 +77,11 @@ def _show_claims(
     known: ClaimList, shown: Sequence[Verdict], in_detail: bool, lacking: str
 ) -> Iterator[str | Table]:
     """Yield each sentence, and below it for each world the word, and the effect or why there is none."""
+    from pneuma.analysis.claims import RULES
     from pneuma.analysis.verdict_words import (
         WORLD_NAMES,
         count_words,
+        first_claim,
         sentence,
         told,
         verdicts_by_claim,
@@ -91,14 +93,16 @@ def _show_claims(
         yield ""
     grouped, quoted = verdicts_by_claim(shown), set()
     for name, judged in grouped.items():
-        claim = next(iter(judged.values())).claim
+        claim = first_claim(name, judged)
         yield f"{name} (section {claim.section})"
         yield from _indented(f"“{sentence(claim)}”", 2)
-        if claim.context and (in_detail or claim.quote in quoted):
+        if not in_detail and claim.context and claim.quote in quoted:
             yield from _indented(claim.context, 2)
         quoted.add(claim.quote)
         for one in judged.values():
-            yield f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{told(one)}".rstrip()
+            first, *more = told(one).split("\n")
+            yield f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{first}".rstrip()
+            yield from (" " * (4 + 2 * NAME_WIDTH) + line for line in more)
             for line in _details(one) if in_detail else ():
                 yield from _indented(line, 6)
         yield ""
@@ -107,18 +111,22 @@ def _show_claims(
     yield "In brackets: where the difference lies. All of a world's hold together, with"
     yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    for world in {one.world for one in shown} & {*known.head.seen}:
-        yield f"Runs of {WORLDS[world].title} were seen before the sentences were stated as tests."
-    yield f"Stated in {known.path.name}; with the code that judges, SHA-256 {known.digest[:16]}…."
+    if seen := sorted({one.claim.row for one in shown if one.claim.seen}):
+        yield f"By runs that were known before, hence described and not tested: {', '.join(seen)}."
+    yield f"Stated in {known.path.name}, SHA-256 {known.digest[:16]}…, judged by rules {RULES}."
 
 
 def _details(one: Verdict) -> Iterator[str]:
-    """Yield for each contrast its arms, numbers of runs and effect; and why there is no verdict."""
+    """Yield what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
     from pneuma.analysis.verdict_words import effect
 
+    yield one.claim.context
     for row in one.contrasts if not one.lacks_runs else ():
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
-        yield f"{' against '.join(row.names)}, {runs} runs: {row.contrast.reason or effect(row)}"
+        smallest = f"; smallest that counts: {row.margin:g}" if row.margin else ""
+        told = f"{effect(row)}{smallest}" if row.contrast.effect == row.contrast.effect else ""
+        told = "; ".join(filter(None, (told, row.contrast.reason)))
+        yield f"{' against '.join(row.names)}, {runs} runs: {told}"
     if one.lacks_runs:
         yield one.reason
 
@@ -132,16 +140,15 @@ def _indented(text: str, spaces: int) -> list[str]:
 
 
 def _document(one: Verdict) -> dict[str, Any]:
-    """Return the row that decides, with the claim's own verdict and reason, and all its rows."""
+    """Return the row that decides first, with the claim's own verdict and reason, and all its rows."""
     from pneuma.analysis.verdict_words import word
 
-    claim = one.claim
+    claim, kept = one.claim, ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
     return {
-        **(_record(one.decisive) if one.decisive else {}),
+        **_record(one.decisive[0]),
         "word": word(one),
         **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
-        **{key: getattr(claim, key) for key in ("section", "quote", "context", "study", "kind", "direction")},
-        "seen": one.world in claim.seen,
+        **{key: getattr(claim, key) for key in kept},
         "outcomes": list(claim.outcome),
         "contrasts": [_record(row) for row in one.contrasts],
     }
@@ -170,7 +177,6 @@ def _record(row: ClaimContrast) -> dict[str, Any]:
         "high": found.interval.high,
         "simultaneous_low": found.simultaneous.low,
         "simultaneous_high": found.simultaneous.high,
-        "p": row.p,
         "verdict": row.verdict,
         "reason": found.reason,
         "seeds_a": seeds[0],
@@ -197,7 +203,7 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
             "admitted": not row.refused,
         }
         for row in every
-        if not row.seen and (not claims or row.claim.name in claims) and world in (None, row.world)
+        if (not claims or row.claim.name in claims) and world in (None, row.world)
     ]
     rows = []
     for plan in plans:
