@@ -343,7 +343,10 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
     if claim.direction in ("better", "worse"):
         for name in claim.outcome:
             if claim.counts or MINUS in name or not find_outcome(name).better:
-                return "direction", f"direction = {claim.direction}: of {name} neither is better; say which way"
+                return (
+                    "direction",
+                    f"direction = {claim.direction}: of {name} neither is better; say which way",
+                )
     if claim.kind == "spread" and not claim.b:
         return "b", "a spread is compared with that of other conditions"
     if claim.kind == "range" and 1 in (len(claim.a), len(claim.b)):

@@ -20,6 +20,7 @@ from scipy import special
 from pneuma.analysis import intervals
 from pneuma.analysis.intervals import Interval, finite, is_constant, no_interval
 
+
 @dataclass(frozen=True)
 class Contrast:
     """The result of one comparison.

@@ -140,7 +140,11 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str
     ends, claimed = contrast.simultaneous, row.claim.claimed(row.outcome)
     verdict = UNTESTABLE if reason else decide(ends, claimed, margin, alike_counts=not none_learned)
     return replace(
-        row, contrast=contrast, run_ids=tuple(found), verdict=verdict, none_learned=none_learned and not reason
+        row,
+        contrast=contrast,
+        run_ids=tuple(found),
+        verdict=verdict,
+        none_learned=none_learned and not reason,
     )
 
 
@@ -217,7 +221,10 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
     if not ends.exists:
         return INCONCLUSIVE
     near = margin is not None and -margin < ends.low and ends.high < margin and alike_counts
-    far_above, far_below = margin is not None and ends.low > margin, margin is not None and ends.high < -margin
+    far_above, far_below = (
+        margin is not None and ends.low > margin,
+        margin is not None and ends.high < -margin,
+    )
     shown = {
         "greater": (ends.low > 0, ends.high < 0 or near),
         "less": (ends.high < 0, ends.low > 0 or near),

@@ -143,7 +143,10 @@ def _document(one: Verdict) -> dict[str, Any]:
     """Return the row that decides first, with the claim's own verdict and reason, and all its rows."""
     from pneuma.analysis.verdict_words import word
 
-    claim, kept = one.claim, ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
+    claim, kept = (
+        one.claim,
+        ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen"),
+    )
     return {
         **_record(one.decisive[0]),
         "word": word(one),
