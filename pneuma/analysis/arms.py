@@ -45,7 +45,6 @@ class Arm:
     """
 
     values: np.ndarray
-    run_ids: tuple[str, ...]  # of the same runs
     reason: str
     learned: bool | None
 
@@ -127,7 +126,7 @@ class ClaimRuns:
             values = claim.has_event(name, values).astype(float)
         # steps to what is never reached are at least those of the run
         values = np.where(np.isinf(values), at_step or self.budget(condition), values)
-        return Arm(values, tuple(run.run_id for run in runs), why, _learned(data, runs, at_step))
+        return Arm(values, why, _learned(data, runs, at_step))
 
 
 def _learned(data: StudyData, runs: Sequence[Row], at_step: float | None) -> bool | None:

@@ -11,8 +11,8 @@ differ, made by the code that makes the real intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import special
@@ -38,7 +38,7 @@ class ClaimContrast:
         why_undecidable: why so many seeds cannot decide it; empty if they can.
         refused: why its claim is not admitted in the world; empty if it is, or the list has no pilot.
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
-        run_ids: of the runs that were read.
+        runs: the ids of the runs that were read, by condition.
         verdict: on this contrast alone; empty before it is judged.
         none_learned: whether neither arm is shown to play better than the random player, so that being alike
             counts for nothing.
@@ -56,7 +56,7 @@ class ClaimContrast:
     why_undecidable: str = ""
     refused: str = ""
     contrast: Contrast = Contrast()
-    run_ids: tuple[str, ...] = ()
+    runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     verdict: str = ""
     none_learned: bool = False
 

@@ -6,8 +6,8 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. The file's checksum and
-the version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
+studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. The file's checksum
+and the version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
     ClaimList and Store → the table of contrasts with verdicts → [Verdict], one a claim and world
 
-Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict compares
-the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else decides. All
-intervals of a world, also those of claims without runs, hold together with 95 % probability. So the chance of any
-false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
+Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict
+compares the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else
+decides. All intervals of a world, also those of claims without runs, hold together with 95 % probability. So
+the chance of any false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class Verdict:
 
     @property
     def run_ids(self) -> list[str]:
-        return list(dict.fromkeys(run_id for row in self.contrasts for run_id in row.run_ids))
+        return list(
+            dict.fromkeys(run_id for row in self.contrasts for ids in row.runs.values() for run_id in ids)
+        )
 
     @property
     def lacks_runs(self) -> bool:
@@ -133,8 +135,7 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str
         contrast = Contrast(seeds=(sizes[0], sizes[1]), reason=reason)
     else:
         contrast = _compare(row, arms)
-    found = [run_id for own in arms.values() for run_id in own.run_ids]
-    found = found or [run.run_id for name in names for run in runs.found(name)]
+    found = {name: tuple(run.run_id for run in runs.found(name)) for name in names}
     margin = row.margin if row.b or not row.value else None  # a threshold itself is the least that counts
     none_learned = _none_learned(row, arms)
     ends, claimed = contrast.simultaneous, row.claim.claimed(row.outcome)
@@ -142,7 +143,7 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str
     return replace(
         row,
         contrast=contrast,
-        run_ids=tuple(found),
+        runs=found,
         verdict=verdict,
         none_learned=none_learned and not reason,
     )
@@ -167,7 +168,7 @@ def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
 
 
 def _at_floor(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
-    """Return why arms cannot be compared by an outcome that only runs that learned have; empty if they can."""
+    """Return why arms cannot be compared by an outcome of runs that learned; empty if they can."""
     idle = [name for name, arm in arms.items() if arm.learned is False]
     if idle and any(find_outcome(part).requires_learning for part in row.outcome.split(MINUS)):
         return f"arm at floor: {idle[0]} is not shown to play better than the random player"
@@ -214,9 +215,9 @@ def _is_of_play(outcome: str) -> bool:
 def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
     """Return what an interval of a less b says of a claimed direction.
 
-    A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes a
-    claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing is
-    decided, and without a margin no difference is too small; nor if that arms are alike does not count.
+    A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes
+    a claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing
+    is decided, and without a margin no difference is too small; nor if that arms are alike does not count.
     """
     if not ends.exists:
         return INCONCLUSIVE
@@ -237,7 +238,7 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
 
 
 def verdict_of_outcome(rows: Sequence[ClaimContrast]) -> str:
-    """Return the verdict on one outcome: all its contrasts must be as claimed, and one that is not refutes."""
+    """Return the verdict on one outcome: all its contrasts must be as claimed; one that is not refutes."""
     verdicts = [row.verdict for row in rows]
     for decides in (REFUTED, UNTESTABLE, INCONCLUSIVE):
         if decides in verdicts:

@@ -101,7 +101,7 @@ def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdic
 
 
 def first_claim(name: str, judged: Mapping[str, Verdict]) -> Claim:
-    """Return the claim of a row: the one that others are like, or the first of these if it was not asked for."""
+    """Return the claim of a row: the one that others are like, or the first of these without it."""
     of_row = [one.claim for one in judged.values()]
     return next((claim for claim in of_row if claim.name == name), of_row[0])
 
@@ -149,7 +149,7 @@ def word(verdict: Verdict) -> str:
 
 
 def told(verdict: Verdict) -> str:
-    """Return the effect of each outcome, if any was tested, and what must be said beside it or in its place."""
+    """Return the effect of each outcome, if any was tested, and what must be said beside or instead."""
     tested = [row for row in verdict.decisive if row.has_effect and word(verdict) != NOT_TESTED]
     idle = "none plays better than at random" if any(row.none_learned for row in tested) else ""
     return "\n".join(filter(None, (*map(effect, tested), idle, why(verdict))))
@@ -191,7 +191,7 @@ def effect(row: ClaimContrast) -> str:
 
 
 def arm_words(row: ClaimContrast) -> tuple[str, str]:
-    """Return what both arms are called: as the claim says if it has one pair, else by their conditions too."""
+    """Return what both arms are called; with their conditions where the claim has several."""
     claim = row.claim
     if not claim.called:
         return _arm(row.a), _arm(row.b) if row.b else ""

@@ -153,7 +153,7 @@ def _document(one: Verdict) -> dict[str, Any]:
         **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
         **{key: getattr(claim, key) for key in kept},
         "outcomes": list(claim.outcome),
-        "contrasts": [_record(row) for row in one.contrasts],
+        "contrasts": [{**_record(row), "runs": row.runs} for row in one.contrasts],
     }
 
 
@@ -184,6 +184,7 @@ def _record(row: ClaimContrast) -> dict[str, Any]:
         "reason": found.reason,
         "seeds_a": seeds[0],
         "seeds_b": seeds[1],
+        "none_learned": row.none_learned,
     }
 
 

@@ -228,8 +228,8 @@ def _play_on(
     """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
 
     The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
-    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and the
-    rest to `tally`, (N,) `TALLY`.
+    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and
+    the rest to `tally`, (N,) `TALLY`.
     """
     s = open_state(handle)
     worlds, players = s.players.shape
