@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from pneuma.analysis.frames import StudyData  # which loads pandas: not for `status`
 
 ALL = Selection()
+MOST_TOLD = 80
+"""Characters for what else is stored, in the line that says what is shown."""
 Tell = Callable[[str], object]
 """Says something to the user."""
 Stored = tuple[str, int, Entry]
@@ -71,12 +73,14 @@ class Shown:
         runs: condition, seed and entry of each run, seed by seed.
         budget: agent steps, as `--steps` takes them; None for a study that lists its runs.
         others: what else is stored of the study, each with the option that shows it.
+        last_here: whether the budget is that of the study's last `study run` in this results folder.
     """
 
     asked: Asked
     runs: Sequence[tuple[str, int, Entry]]
     budget: int | None = None
     others: Sequence[str] = ()
+    last_here: bool = False
 
     def told(self, root: Path) -> str:
         """Say in one sentence what of a results folder is shown, and what else is stored."""
@@ -90,9 +94,18 @@ class Shown:
         parts = [f"{self.asked.where}: {counted(len(entries), 'run')}"]
         parts += [f"of {self.budget:,} steps"] if self.budget else []
         here = "(trained here)" if any(entry.finished for entry in entries) else "(none has finished yet)"
+        here = "(as last run here)" if self.last_here and here == "(trained here)" else here
         parts += [f"({origin})" if published else here * bool(self.budget)]
-        else_ = f" Stored too: {'; '.join(self.others)}." if self.others else ""
-        return " ".join(filter(None, parts)) + "." + else_
+        return " ".join(filter(None, parts)) + "." + self._told_others()
+
+    def _told_others(self) -> str:
+        """Say what else is stored in at most `MOST_TOLD` characters; `study status` says the rest."""
+        told: list[str] = []
+        rest = list(self.others)
+        while rest and len("; ".join([*told, rest[0]])) < MOST_TOLD:
+            told.append(rest.pop(0))
+        more = [f"{len(rest)} more (pneuma study status {self.asked.study.name})"] if rest else []
+        return f" Stored too: {'; '.join([*told, *more])}." if self.others else ""
 
 
 def ask(index: RunIndex, name: str, picked: Selection = ALL, world: str | None = None) -> Asked:
@@ -144,9 +157,9 @@ def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
 def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
     """Return the runs of a study that have the steps and seeds that were asked for.
 
-    Without steps these are the runs of the budget that was last trained here, if it has two conditions; or
-    else of the budget of most conditions and runs. Budgets without any of the seeds that were asked for are
-    passed over.
+    Without steps these are the runs of the budget of this study's last `study run` here, or else of the
+    published budget with most conditions and runs. What other studies train changes neither. Budgets without
+    any of the seeds that were asked for are passed over.
 
     Raises:
         UserError: when nothing is stored that is asked for.
@@ -160,25 +173,26 @@ def answer(index: RunIndex, asked: Asked, picked: Selection = ALL) -> Shown:
         return _narrowed(Shown(asked, found), picked)
     if not stored:
         raise UserError(_nothing(index, asked))
-    budgets = _by_budget(asked, stored)
+    budgets, last_here = _by_budget(asked, stored), False
     if picked.steps is None:
         having = {
             steps: runs
             for steps, runs in budgets.items()
             if picked.seeds is None or any(seed in picked.seeds for _, seed, _ in runs)
         }
-        budget = _usual_budget(index, having or budgets)
+        budget, last_here = _usual_budget(index, asked.study, having or budgets)
     elif chosen := _of_budget(asked, stored, picked.steps):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
         known = ", ".join(f"{steps:,}" for steps in budgets)
         raise UserError(f"--steps {picked.steps}: {asked.where} has runs of {known} steps")
     shown, others = budgets[budget], []
-    for steps, runs in budgets.items():
+    for steps, runs in sorted(budgets.items(), key=lambda each: -len(each[1])):
         if runs != shown:
             published = ", published" if all(entry.table for *_, entry in runs) else ""
             others.append(f"{counted(len(runs), 'run')} of {steps:,} steps{published} (--steps {steps})")
-    return _narrowed(Shown(asked, shown, budget, [*others, *_elsewhere(index, asked.study)]), picked)
+    others += _elsewhere(index, asked.study)
+    return _narrowed(Shown(asked, shown, budget, others, last_here), picked)
 
 
 def stored_runs(index: RunIndex, asked: Asked) -> list[Stored]:
@@ -224,24 +238,14 @@ def _of_budget(asked: Asked, stored: Sequence[Stored], steps: int) -> list[Store
     return [each for each in stored if each[2].steps == budgets[each[0]]]
 
 
-def _usual_budget(index: RunIndex, budgets: Mapping[int, Sequence[Stored]]) -> int:
-    """Return the budget that was last trained here, or else that of most conditions and runs.
-
-    One that has a single condition of several, as training another study leaves, is passed over when its
-    runs have finished.
-    """
-    here = {entry.run_id: entry for runs in budgets.values() for *_, entry in runs if entry.table is None}
-    conditions = {steps: len({name for name, *_ in runs}) for steps, runs in budgets.items()}
-    trained, least = [], min(2, max(conditions.values()))
-    if here:
-        latest = max(here, key=lambda run_id: (index.store.saved_at(run_id), run_id))
-        last = [steps for steps, runs in budgets.items() if any(e.run_id == latest for *_, e in runs)]
-        trained = [
-            steps
-            for steps in last
-            if conditions[steps] >= least or not all(entry.finished for *_, entry in budgets[steps])
-        ]
-    return max(trained or budgets, key=lambda steps: (conditions[steps], len(budgets[steps])))
+def _usual_budget(index: RunIndex, study: Study, budgets: Mapping[int, Sequence[Stored]]) -> tuple[int, bool]:
+    """Return the budget that is shown without --steps, and whether it is that of the last run here."""
+    last = index.store.last_steps(study.name, study.variant)
+    if last is not None and last in budgets:
+        return last, True
+    published = {steps: runs for steps, runs in budgets.items() if any(entry.table for *_, entry in runs)}
+    sizes = {steps: (len({name for name, *_ in runs}), len(runs)) for steps, runs in budgets.items()}
+    return max(published or budgets, key=sizes.__getitem__), False
 
 
 # --- What else there is -----------------------------------------------------------------------------

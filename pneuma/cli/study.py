@@ -166,6 +166,7 @@ def status(
         table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
     queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
     told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
+    told += [f"Stored too: {other}" for other in shown.others]
     document = {"study": shown.asked.study.name, "runs": runs, "jobs": queued}
     return Result(document, told, table=runs, form=format)
 

@@ -65,6 +65,8 @@ def prepare(
         store.plan_run(name, run_identity(run))
     if plan.study.path is None:
         store.save_listing(plan.study.name, listing_of(plan))
+    elif plan.steps:
+        store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
     return todo, _notes(plan, statuses, todo)
 
 

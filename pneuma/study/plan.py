@@ -69,12 +69,14 @@ class Plan:
 
     Attributes:
         notes: sentences for the user, for example that the budget was rounded up.
+        steps: agent steps as they were asked for; 0 for a study without a file.
         published: ids of runs that need no training because a published table has them.
     """
 
     study: Study
     cells: tuple[Cell, ...]
     notes: tuple[str, ...] = ()
+    steps: int = 0
     published: frozenset[str] = frozenset()
 
     @property
@@ -105,7 +107,8 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    return Plan(asked.study, cells, tuple(_notes(asked, runs, steps)))
+    notes = tuple(_notes(asked, runs, steps))
+    return Plan(asked.study, cells, notes, selection.steps or preset.steps)
 
 
 def _able_engines() -> Callable[[Run], str]:

@@ -104,6 +104,11 @@ class Study:
         return replace(self, world=world)
 
     @property
+    def variant(self) -> str:
+        """The study's world and changed fields, as one text."""
+        return " ".join([self.world, *setting_words(self.settings)])
+
+    @property
     def own_path(self) -> str | None:
         """The path of a user's own file; None for a shipped study, or one without a file."""
         if self.path is None or self.path.resolve().parent == studies_folder().resolve():

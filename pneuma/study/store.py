@@ -10,6 +10,7 @@
                             checkpoints/     where a run that has not ended goes on from
     results/published/      tables of rows, for version control
     results/studies/NAME.json  the runs of a study without a file: imported logs, forks, trials of a search
+    results/last/NAME.json  the steps of a study's last `study run` here, by world and changed fields
 
 Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
 status.json are right. An untrusted folder is safe to read: names that would lead out of it are refused, and
@@ -176,12 +177,6 @@ class Store:
             return replace(status, name="damaged", detail="status.json")
         return replace(status, name="partial") if status.step and status.name == "planned" else status
 
-    def saved_at(self, run_id: str) -> float:
-        """Return when a run's status was written, in seconds since 1970; 0 if there is none."""
-        with suppress(OSError):
-            return (self.run_folder(run_id) / "status.json").stat().st_mtime
-        return 0.0
-
     def plan_run(self, run_id: str, identity: Identity) -> None:
         """Note that a run is to be trained, unless something of it is stored."""
         folder = self.run_folder(run_id)
@@ -265,6 +260,19 @@ class Store:
     def listings(self) -> list[str]:
         names = names_in(self.root / "studies")
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
+
+    def save_last_steps(self, study: str, variant: str, steps: int) -> None:
+        """Note the steps that a study, in a world and with changed fields, was last run with."""
+        path = self.root / "last" / f"{study}.json"
+        known = load_checksummed(path) or {}
+        known.pop("schema", None)
+        if known.get(variant) != steps:
+            self.write(path, dump_checksummed({**known, variant: steps}))
+
+    def last_steps(self, study: str, variant: str) -> int | None:
+        """Return what `save_last_steps` noted; None if it noted nothing."""
+        steps = (load_checksummed(self.root / "last" / f"{study}.json") or {}).get(variant)
+        return steps if isinstance(steps, int) else None
 
     def published_path(self, name: str) -> Path:
         return self.root / PUBLISHED / f"{name}{TABLE_SUFFIX}"

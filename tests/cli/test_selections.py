@@ -19,9 +19,13 @@ from pneuma.values import read_value, setting_words
 from .calls import Called, call, described, refused, save_finished
 
 
-def _finish(store: Store, study: str = "activation", world: str | None = None, **selection: Any) -> list[str]:
-    """Store some runs of a study as done, as if they were trained now; return their ids."""
+def _finish(
+    store: Store, study: str = "activation", world: str | None = None, noted: bool = True, **selection: Any
+) -> list[str]:
+    """Store some runs of a study as done, trained by its own `study run` or another's; return their ids."""
     plan = make_plan(load_study(study, world), Selection(**{"conditions": ("tanh", "relu"), **selection}))
+    if noted:
+        store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
     return [save_finished(store, cell.run) for cell in plan.cells]
 
 
@@ -41,7 +45,9 @@ def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(
     other = _finish(store, seeds=(0,), steps=2048)
     shown, told = _ask(store, "activation")
     assert shown == other
-    assert ": 2 runs of 2,048 steps (trained here). Stored too: 4 runs of 1,024 steps (--steps 1024)" in told
+    assert (
+        ": 2 runs of 2,048 steps (as last run here). Stored too: 4 runs of 1,024 steps (--steps 1024)" in told
+    )
     assert _ask(store, "activation", steps=512)[0] == first
     more = _finish(store, seeds=(2,), steps=512)
     assert _ask(store, "activation")[0] == [*first, *more]
@@ -76,12 +82,13 @@ def test_a_document_and_data_tell_which_runs_they_are_of(store: Store) -> None:
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_one_condition_that_was_trained_for_another_study_does_not_hide_the_others(store: Store) -> None:
+def test_what_another_study_trains_changes_nothing_that_is_shown(store: Store) -> None:
+    """Neither a single condition of a budget of its own, nor more runs of more conditions."""
     both = _finish(store, seeds=(0, 1), steps=2048)
-    tanh = _finish(store, seeds=(0, 1, 2), steps=512, conditions=("tanh",))
+    _finish(store, seeds=(0, 1, 2), steps=512, conditions=("tanh",), noted=False)
+    _finish(store, seeds=(0, 1, 2), steps=4096, conditions=("tanh", "relu", "leaky-relu"), noted=False)
     shown, told = _ask(store, "activation")
-    assert shown == both and "Stored too: 3 runs of 1,024 steps (--steps 1024)" in told
-    assert _ask(store, "activation", conditions=("tanh",))[0] == tanh
+    assert shown == both and "; 3 runs of 1,024 steps (--steps 1024)." in told
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -148,7 +155,7 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
 
     told, runs = compare()
     assert runs == "3 and 3" and _ask(store, "activation")[0] == quick
-    assert told.startswith("activation in the arena: 6 runs of 50,000 steps (trained here). Stored too: ")
+    assert told.startswith("activation in the arena: 6 runs of 50,000 steps (as last run here). Stored too: ")
     assert f"{every[0]} runs of 1,000,000 steps, published (--steps 1000000)" in told
     assert compare("--steps", "1e6")[1] == every[1]
     told, runs = compare("--seeds", "300..309")
