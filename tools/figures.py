@@ -62,6 +62,27 @@ THESIS_FIGURES = {
     "fig-6-5": ("activation", ("tanh", "relu", "leaky-relu")),
 }
 """The study of a figure in chapter 6, and the conditions in it."""
+OWN_GAME = "own-game"
+OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    "fig-6-4": {
+        "clip 0.1": {"stationary": "stationary", "non-stationary": "non-stationary"},
+        "clip 0.2": {"stationary-wide": "stationary", "non-stationary-wide": "non-stationary"},
+    },
+    "fig-6-5": {"": {"non-stationary": "tanh", "relu": "relu", "leaky-relu": "leaky-relu"}},
+    OWN_GAME: {
+        "clip range 0.1": {"stationary": "stationary", "non-stationary": "non-stationary"},
+        "clip range 0.2": {
+            "stationary-wide": "stationary",
+            "non-stationary-wide": "non-stationary",
+            "l2-wide": "l2",
+            "upgd-wide": "upgd",
+        },
+    },
+}
+"""The conditions of the thesis's own game that a figure shows in the published code's world, by its names."""
+FRESH = 1000
+"""The first of the seeds on which the own game's claims are judged."""
+OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 WINNERS = {
     "tuned-optimizers": ("tune-adam", "tune-l2", "tune-upgd", "tune-sgd", "tune-momentum", "tune-rmsprop")
@@ -174,9 +195,11 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
     index, pages = _published(results), []
     for figure, (of, conditions) in THESIS_FIGURES.items():
         if of == study:
-            columns = thesis_columns(index, study, conditions)
+            columns = {**thesis_columns(index, study, conditions), **_own_columns(index, figure)}
             pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
-    if study == noise_scale.STUDY:
+    if study == OWN_GAME:
+        pages.append(curves_page(_own_columns(index, study), OWN_QUANTITIES, basename=study))
+    elif study == noise_scale.STUDY:
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
     elif searches := WINNERS.get(study):
         winners = find_winners(
@@ -225,8 +248,11 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
 
 
 def _title(world: str | None) -> str:
-    title = WORLDS[world].title if world else ""
-    return title[:1].upper() + title[1:]
+    return _capital(WORLDS[world].title if world else "")
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def study_runs(index: RunIndex, study: str, world: str | None) -> StudyData | None:
@@ -241,6 +267,8 @@ def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> di
     """
     columns = {}
     for world in WORLDS:
+        if world == "godot" and any(of == study for name in OF_OWN_GAME for of, _ in [THESIS_FIGURES[name]]):
+            continue  # the own game's runs stand there
         shown: set[str] = set()
         for settings, added in (({}, ""), (EARLIER, ", one environment")):
             data = _longest(index, study, world, conditions, settings)
@@ -249,6 +277,25 @@ def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> di
                 columns[_title(world) + added] = data
                 shown |= trained
     return columns
+
+
+def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
+    """Return the runs of the thesis's own game that a figure shows, under the names of its conditions."""
+    if figure not in OF_OWN_GAME or not (data := study_runs(index, OWN_GAME, None)):
+        return {}
+    columns = {}
+    for said, names in OF_OWN_GAME[figure].items():
+        runs = [run for run in data.runs if run.condition in names and run.seed >= FRESH]
+        alone = figure == OWN_GAME
+        columns[_capital(said) if alone else ", ".join(filter(None, [_title("godot"), said]))] = replace(
+            data,
+            fields={new: data.fields[old] for old, new in names.items()},
+            runs=[replace(run, condition=names[run.condition]) for run in runs],
+            labels={new: data.labels[old].partition(";")[0] for old, new in names.items() if new != "tanh"},
+            same=(),
+            every=[*names.values()],
+        )
+    return {title: data for title, data in columns.items() if data.runs}
 
 
 def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:

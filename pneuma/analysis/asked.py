@@ -346,4 +346,5 @@ def read_runs(index: RunIndex, asked: Asked, stored: Sequence[Stored]) -> StudyD
         world=study.world if len(study.worlds) > 1 else "",
         changed=study.settings,
         outcomes=study.outcomes,
+        labels=study.labels,
     )

@@ -20,11 +20,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from pneuma.analysis.contrasts import Contrast, compare, undecided
+from pneuma.analysis.contrasts import Contrast, compare
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import finite
 from pneuma.analysis.outcomes import find_outcome, outcome_values, primary, refuse_unlike_returns
-from pneuma.analysis.pvalues import holm
 from pneuma.config import Run, stream_seed
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted
@@ -294,7 +293,7 @@ def _contrast(data: StudyData, better: str, worse: str, outcome: str, direction:
     a, b = (direction * _values(data, name, outcome) for name in (better, worse))
     blank = int(np.isnan(a).sum() + np.isnan(b).sum())
     if blank:
-        return undecided(f"{counted(blank, 'run')} without a value", (a.size, b.size))
+        return Contrast(reason=f"{counted(blank, 'run')} without a value")
     return compare("mean", a, b, None)
 
 

@@ -42,6 +42,7 @@ class StudyData:
         world: its world; empty if it has a single one.
         changed: fields that `--set` changed.
         outcomes: those that the study asks about, in place of the usual ones.
+        labels: what conditions are called in figures, where not by their names.
         steps: agent steps of each run, as `--steps` takes them; None for a study that lists its runs.
         budget: at which curves end: the largest of the runs.
     """
@@ -58,6 +59,7 @@ class StudyData:
     world: str = ""
     changed: Mapping[str, Any] = field(default_factory=dict)
     outcomes: Sequence[str] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
     steps: int | None = None
     budget: int = 0
 

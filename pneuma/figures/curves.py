@@ -85,8 +85,12 @@ def _known(data: StudyData, quantities: Sequence[str]) -> list[str]:
 
 
 def _joint_label(condition: str, columns: Iterable[Column]) -> str:
-    counts = (len(column.data.of_condition(condition)) for column in columns)
-    return f"{condition} ({', '.join(map(str, counts))})"
+    counts: list[int] = []
+    names: dict[str, str] = {}
+    for column in columns:
+        counts.append(len(column.data.of_condition(condition)))
+        names |= column.data.labels
+    return f"{names.get(condition, condition)} ({', '.join(map(str, counts))})"
 
 
 def usual_quantities(data: StudyData) -> list[str]:
@@ -124,11 +128,14 @@ def _columns_page(
 ) -> Page:
     """Return a column for each world, and a row for each quantity."""
     drawn = {title: column for title, column in columns.items() if column}
+    by_world = len({column.data.world for column in drawn.values()}) > 1
     first = next(iter(drawn))
     notes = merge_notes({title: (column.data, column.notes) for title, column in drawn.items()})
-    if not all(column.at_ends for column in drawn.values()):  # one legend for all columns
+    together = len(drawn) > style.COLUMNS or not all(column.at_ends for column in drawn.values())
+    if together:  # one legend for all columns
         notes.append("In brackets: runs in each column.")
-        labels = {name: _joint_label(name, drawn.values()) for name in drawn[first].data.every}
+        every = dict.fromkeys(name for column in drawn.values() for name in column.data.every)
+        labels = {name: _joint_label(name, drawn.values()) for name in every}
         drawn = {title: replace(column, labels=labels) for title, column in drawn.items()}
 
     def panel(title: str, name: str) -> Panel | None:
@@ -145,7 +152,7 @@ def _columns_page(
         basename,
         [[panel(title, name) for title in columns] for name in quantities],
         0.95 * len(quantities) * style.PANEL_INCHES,
-        f"{drawn[first].data.title}: {after_thesis(basename) or 'by world'}",
+        ": ".join(filter(None, [drawn[first].data.title, after_thesis(basename) or "by world" * by_world])),
         runs,
         meanings,
         notes,

@@ -245,16 +245,15 @@ def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
 
 
 def _name_end(axes: Axes, curve: Curve, name: str, colour: str, budget: int = 0) -> None:
-    """Write a name at the end of a mean, from which a faint line leads to it if it is before the budget."""
+    """Write a name at the end of a mean: at the panel's edge, or where it ends before the budget."""
     if not (known := np.isfinite(curve.mean)).any():
         return
     step, value = curve.step[known][-1], curve.mean[known][-1]
-    if step < (1 - SLACK) * budget:
-        axes.plot([step, budget], [value, value], color=colour, linewidth=0.7, alpha=0.5)
+    early = step < (1 - SLACK) * budget
     axes.annotate(
-        fill(name, LONGEST_AT_END, break_long_words=False), (1, value), (3, 0), ("axes fraction", "data"),
-        "offset points", color=colour, fontsize=0.85 * style.TYPE_POINTS, va="center", gid=style.END,
-        annotation_clip=False,
+        fill(name, LONGEST_AT_END, break_long_words=False), (step if early else 1, value), (3, 0),
+        "data" if early else ("axes fraction", "data"), "offset points", color=colour,
+        fontsize=0.85 * style.TYPE_POINTS, va="center", gid="" if early else style.END, annotation_clip=False,
     )  # fmt: skip
 
 

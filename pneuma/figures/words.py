@@ -70,7 +70,7 @@ def _within(titles: Sequence[str]) -> list[str]:
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    return f"{name or condition} ({len(data.of_condition(condition))})"
+    return f"{name or data.labels.get(condition, condition)} ({len(data.of_condition(condition))})"
 
 
 def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:

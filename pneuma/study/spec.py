@@ -61,6 +61,7 @@ class Study:
         base: name of the fields to start from.
         shared: fields of every condition on top of the base.
         conditions: what each condition sets on top.
+        labels: what conditions are called in figures, where not by their names.
         keep_checkpoints: number of checkpoints kept of each run for forks, evenly spread, besides that of its
             first update.
         levels: for each condition of a crossed study, its value of each factor.
@@ -79,6 +80,7 @@ class Study:
     section: str = ""
     base: str = ""
     shared: Mapping[str, Any] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
     presets: Mapping[str, Preset] = field(default_factory=dict)
     keep_checkpoints: int = 0
     levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)

@@ -132,6 +132,7 @@ class StudyFile(Table):
     run: Fields = {}
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
     conditions: dict[Name, Fields] = {}
+    labels: dict[str, Annotated[str, MinLen(1)]] = {}
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], PresetTable], MinLen(1)]
 
     @model_validator(mode="before")
@@ -170,6 +171,9 @@ def read_study(path: Path) -> Study:
     if baseline not in conditions:
         unknown = unknown_name("condition", baseline, conditions)
         raise file.mistake((), f"baseline: {unknown}", "baseline")
+    for name in said.labels:
+        if name not in conditions:
+            raise file.mistake(("labels",), str(unknown_name("condition", name, conditions)), name)
     env = said.run.get("env", ENVIRONMENTS[0])
     fixed = env != ENVIRONMENTS[0] or any("env" in fields for fields in conditions.values())
     alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
@@ -186,6 +190,7 @@ def read_study(path: Path) -> Study:
         base=said.base,
         shared=files_beside(path, said.run),
         conditions={name: files_beside(path, fields) for name, fields in conditions.items()},
+        labels=said.labels,
         presets={name: _preset(file, name, preset, conditions) for name, preset in said.presets.items()},
         keep_checkpoints=said.keep_checkpoints,
         levels=levels,
