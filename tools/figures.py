@@ -287,7 +287,7 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
     for said, names in OF_OWN_GAME[figure].items():
         runs = [run for run in data.runs if run.condition in names and run.seed >= FRESH]
         alone = figure == OWN_GAME
-        columns[_capital(said) if alone else ", ".join(filter(None, [_title("godot"), said]))] = replace(
+        columns[_capital(said) if alone else ", ".join(filter(None, ["Published code", said]))] = replace(
             data,
             fields={new: data.fields[old] for old, new in names.items()},
             runs=[replace(run, condition=names[run.condition]) for run in runs],

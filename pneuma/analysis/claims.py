@@ -80,6 +80,11 @@ def _find_measured(name: str) -> None:
         _find_outcomes((re.split(" (?:above|below) ", name)[0],))
 
 
+def _check_called(words: tuple[str, ...]) -> None:
+    if len(words) == 1:
+        raise UserError("what a is called and what b is; if they are paired also what each pair is")
+
+
 World = Annotated[str, OneOf(tuple(WORLDS))]
 Seed = Annotated[int, Field(ge=0)]
 Conditions = Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -142,7 +147,7 @@ class Claim(Table):
     study: Words
     a: Annotated[Conditions, Field(min_length=1)]
     b: Conditions = ()
-    called: Annotated[tuple[Text, Text], Field()] | tuple[()] = ()
+    called: Annotated[tuple[Text, ...], passes(_check_called)] = ()
     paired: bool = False
     beside: Conditions = ()
     seeds: SeedsOf
@@ -207,7 +212,7 @@ class Claim(Table):
         """The contrasts for each outcome: arms against other arms, or against none for a constant."""
         if self.kind == "range":
             return [(self.a, self.b)]
-        if self.paired:
+        if self.paired and self.b:
             return [((a,), (b,)) for a, b in zip(self.a, self.b, strict=True)]
         return [((a,), (b,) if b else ()) for a, b in product(self.a, self.b or ("",))]
 
@@ -338,7 +343,7 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
         return "", "a claim holds a against either b, conditions, or value"
     if sum(threshold is not None for threshold in (claim.above, claim.below)) != claim.counts:
         return "", "an incidence, and nothing else, counts runs by above or below, a number"
-    if claim.paired and (len(claim.a) != len(claim.b) or claim.kind == "range"):
+    if claim.paired and (claim.kind == "range" or (claim.b and len(claim.a) != len(claim.b))):
         return "paired", "paired: as many conditions in b as in a, and no range"
     if claim.direction in ("better", "worse"):
         for name in claim.outcome:

@@ -50,8 +50,10 @@ class Verdict:
     contrasts: tuple[ClaimContrast, ...] = ()
 
     @property
-    def decisive(self) -> tuple[ClaimContrast, ...]:
-        """For each outcome the contrast by which it is decided: the first one with the outcome's verdict."""
+    def told(self) -> tuple[ClaimContrast, ...]:
+        """For each outcome the contrast by which it is decided, the first one with its verdict; or all pairs."""
+        if self.claim.paired:
+            return self.contrasts
         return tuple(
             next((row for row in rows if row.verdict == verdict_of_outcome(rows)), rows[0])
             for rows in by_outcome(self.contrasts)

@@ -121,7 +121,7 @@ def count_words(claims: Mapping[str, Mapping[str, Verdict]]) -> pd.DataFrame:
 
 
 def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = False) -> pd.DataFrame:
-    """Return a row for each claim: section, sentence, and for each world the word with the effect below it.
+    """Return a row for each claim: section, sentence and arms, and for each world the word and effects.
 
     With `whole`, sentences are not shortened.
     """
@@ -131,7 +131,13 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
         text = f"“{sentence(claim) if whole else short_sentence(claim)}”"
         told = claim.context if text in quoted and claim.context else text
         quoted.add(text)
-        rows.append([claim.section, told, *(cell(judged.get(world)) for world in columns)])
+        rows.append(
+            [
+                claim.section,
+                f"{told}\n{arms_in_words(claim)}",
+                *(cell(judged.get(world)) for world in columns),
+            ]
+        )
     heads = ["Section", "The thesis's sentence", *(WORLD_NAMES[world] for world in columns)]
     return pd.DataFrame(rows, columns=heads)
 
@@ -150,7 +156,7 @@ def word(verdict: Verdict) -> str:
 
 def told(verdict: Verdict) -> str:
     """Return the effect of each outcome, if any was tested, and what must be said beside or instead."""
-    tested = [row for row in verdict.decisive if row.has_effect and word(verdict) != NOT_TESTED]
+    tested = [row for row in verdict.told if row.has_effect and word(verdict) != NOT_TESTED]
     idle = "none plays better than at random" if any(row.none_learned for row in tested) else ""
     return "\n".join(filter(None, (*map(effect, tested), idle, why(verdict))))
 
@@ -166,7 +172,7 @@ def why(verdict: Verdict) -> str:
 
 
 def effect(row: ClaimContrast) -> str:
-    """Return an effect in plain units, as 'kills: tanh 85 %, relu 83 %; +2 points (−1 to 5)'.
+    """Return an effect in plain units, as 'kills 85 against 83 %: +2 points (−1 to 5)'.
 
     It is the first less the second. The interval is the one that holds together with all others of the world.
     """
@@ -183,24 +189,16 @@ def effect(row: ClaimContrast) -> str:
         a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
         size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
     between = f" ({low} to {high})" if contrast.simultaneous.exists else ""
-    first, second = arm_words(row)
     if alone:
-        return f"{_said(row)}: {first} {size}{unit}{between}"
-    other = second if row.b else "threshold"
-    return f"{_said(row)}: {first} {a}{unit}, {other} {b}{unit}; {size}{difference}{between}"
+        return f"{_said(row)} {size}{unit}{between}"
+    both = f"{a} against {b}" if row.b else f"{a}{unit}, threshold {b}"
+    return f"{_said(row)} {both}{unit}: {size}{difference}{between}"
 
 
-def arm_words(row: ClaimContrast) -> tuple[str, str]:
-    """Return what both arms are called; with their conditions where the claim has several."""
-    claim = row.claim
-    if not claim.called:
-        return _arm(row.a), _arm(row.b) if row.b else ""
-    several = claim.kind != "range"
-    named = [
-        f"{called} ({_arm(arm)})" if several and len(of_claim) > 1 else called
-        for called, arm, of_claim in zip(claim.called, (row.a, row.b), (claim.a, claim.b), strict=True)
-    ]
-    return named[0], named[1]
+def arms_in_words(claim: Claim) -> str:
+    """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
+    first, second = claim.called[:2] if claim.called else (_arm(claim.a), _arm(claim.b) if claim.b else "")
+    return f"{first} against {second}" if second else first
 
 
 def _arm(conditions: Arms) -> str:
@@ -215,7 +213,8 @@ def _said(row: ClaimContrast) -> str:
     )
     if event and named not in _SAID:
         words = f"runs with {words} {event}"
-    return _OF_KIND.get(row.claim.kind, "{}").format(words)
+    pair = dict(zip(row.claim.pairs, row.claim.called[2:], strict=False)).get((row.a, row.b), "")
+    return ", ".join(filter(None, [pair, _OF_KIND.get(row.claim.kind, "{}").format(words)]))
 
 
 def _places(size: float, low: float, high: float) -> int:

@@ -80,6 +80,7 @@ def _show_claims(
     from pneuma.analysis.claims import RULES
     from pneuma.analysis.verdict_words import (
         WORLD_NAMES,
+        arms_in_words,
         count_words,
         first_claim,
         sentence,
@@ -99,6 +100,7 @@ def _show_claims(
         if not in_detail and claim.context and claim.quote in quoted:
             yield from _indented(claim.context, 2)
         quoted.add(claim.quote)
+        yield from _indented(f"{arms_in_words(claim)}:", 2)
         for one in judged.values():
             first, *more = told(one).split("\n")
             yield f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{first}".rstrip()
@@ -148,7 +150,7 @@ def _document(one: Verdict) -> dict[str, Any]:
         ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen"),
     )
     return {
-        **_record(one.decisive[0]),
+        **_record(one.told[0]),
         "word": word(one),
         **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
         **{key: getattr(claim, key) for key in kept},
