@@ -15,7 +15,7 @@ from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.identity import describe_user_code
-from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, is_known, stored_paces
+from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, stored_paces
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 
@@ -51,10 +51,11 @@ def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLI
         rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     shown: list[str | Table] = [Table([""] * 3, rows), f"{tallied(states.values())}."]
     if todo:
-        at_once = opt.most_workers(None)
-        expected = duration(max(sum(seconds.values()) / at_once, *seconds.values()))
-        rough = "" if all(is_known(paces, run) for run in todo.values()) else " (a rough estimate)"
-        shown.append(f"To train: about {expected} with {at_once} at once{rough}.")
+        known, at_once = [each for each in seconds.values() if each is not None], opt.most_workers(None)
+        expected = "unknown until a run of each kind has ended"
+        if len(known) == len(seconds):
+            expected = f"about {duration(max(sum(known) / at_once, *known))} with {at_once} at once"
+        shown.append(f"Time to train: {expected}.")
     notes = [f"Note: {note}." for note in planned.notes]
     return Result({"study": planned.study.name, "runs": cells}, shown, notes=notes)
 

@@ -1,6 +1,6 @@
 """The time of a study: an estimate before it runs, and its progress: a bar in a terminal, lines elsewhere.
 
-The estimate of a run comes from similar finished runs, or from the size of its networks.
+The estimate of a run comes from finished runs like it.
 """
 
 from __future__ import annotations
@@ -10,12 +10,9 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
-from pneuma.config import Run, as_fields, is_gymnasium_id
+from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, print_aside
 from pneuma.study.execute import kept_step
 from pneuma.study.executors.base import Event
@@ -23,16 +20,6 @@ from pneuma.study.plan import Cell
 from pneuma.study.provenance import machine, processors
 from pneuma.study.store import FINISHED, Store
 
-SECONDS_PER_STEP = {
-    "batched": ((1e3, 2e-5), (3e4, 4e-5), (4e6, 5e-3), (5e7, 6.5e-2)),
-    "sb3": ((1e3, 1.2e-3), (1e5, 1.8e-3), (1e6, 5e-3), (1e7, 4e-2)),
-    "tabular": ((1e3, 2e-5),),
-}
-"""By engine: seconds per agent step by the number of weights."""
-FOREIGN_STEP = 5e-5
-"""Seconds that a step takes more in an environment that is not Pneuma's, which is not compiled."""
-EVALUATION_SECONDS = 5.0
-"""Seconds of a run's evaluations, which are as many however few its steps are."""
 SAMPLE = 100
 """Other runs in the results folder from which paces are read."""
 START_SECONDS = 4.0
@@ -82,28 +69,14 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     return {kind: statistics.fmean(paces) for kind, paces in found.items()}
 
 
-def expected_seconds(paces: Paces, run: Run, steps: int) -> float:
-    settings = as_fields(run)
-    if pace := paces.get(_kind(settings)):
-        return START_SECONDS + steps * pace
-    evaluations = EVALUATION_SECONDS if run.engine != "tabular" else 0.0
-    return START_SECONDS + evaluations + steps * _usual(settings)
-
-
-def is_known(paces: Paces, run: Run) -> bool:
-    return _kind(as_fields(run)) in paces
+def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
+    """Return the seconds that so many steps of a run take; None if no run like it has ended."""
+    pace = paces.get(_kind(as_fields(run)))
+    return START_SECONDS + steps * pace if pace else None
 
 
 def _kind(settings: Mapping[str, Any]) -> str:
     return repr([settings.get(key) for key in OF_PACE])
-
-
-def _usual(settings: Mapping[str, Any]) -> float:
-    layers = [[64, *(settings.get(part) or ()), 5] for part in ("actor", "critic")]
-    weights = max(1, sum(before * after for sizes in layers for before, after in pairwise(sizes)))
-    known, seconds = np.log(SECONDS_PER_STEP[settings["engine"]]).T
-    more = FOREIGN_STEP if is_gymnasium_id(settings["env"]) else 0.0
-    return more + float(np.exp(np.interp(np.log(weights), known, seconds)))
 
 
 # --- While it runs ---------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.config import BASES, Run, as_fields, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.study.identity import run_id
 from pneuma.study.progress import START_SECONDS, expected_seconds, stored_paces
 from pneuma.study.provenance import Attempt, finished_provenance, machine
@@ -32,7 +32,9 @@ def save(store: Store, run: Run, step: int, seconds: float, *machines: dict[str,
 
 def pace(store: Store, run: Run = RUN) -> float:
     """Return the seconds that a step of a run is estimated to take."""
-    return (expected_seconds(stored_paces(store, []), run, 1000) - START_SECONDS) / 1000
+    seconds = expected_seconds(stored_paces(store, []), run, 1000)
+    assert seconds is not None
+    return (seconds - START_SECONDS) / 1000
 
 
 def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path: Path) -> None:
@@ -44,12 +46,8 @@ def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path:
     assert pace(store) == pytest.approx(0.001)
 
 
-def test_a_short_run_unlike_all_others_takes_a_start_and_its_evaluations() -> None:
-    """Measured: 8 to 10 s of processor time in the text's world, 15 s in CartPole of 100,000 steps."""
-    text = make_run({**BASES["table-6-2"], "steps": 50_000})
-    assert 7 < expected_seconds({}, text, text.steps) < 13
-    cartpole = make_run({**BASES["table-6-2"], "env": "CartPole-v1", "steps": 100_000})
-    assert 11 < expected_seconds({}, cartpole, cartpole.steps) < 20
+def test_of_a_run_unlike_all_others_the_time_is_unknown() -> None:
+    assert expected_seconds({}, RUN, RUN.steps) is None
 
 
 def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
