@@ -51,7 +51,7 @@ class Verdict:
 
     @property
     def told(self) -> tuple[ClaimContrast, ...]:
-        """For each outcome the contrast by which it is decided, the first one with its verdict; or all pairs."""
+        """For each outcome the contrast that decides it, the first one with its verdict; or all pairs."""
         if self.claim.paired:
             return self.contrasts
         return tuple(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pneuma.cli import delete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, write_file
 from pneuma.cli.study_run import train
@@ -20,6 +21,7 @@ from pneuma.study.stored_runs import default_settings, find_run, run_files, stor
 from pneuma.values import shown_value
 
 app = opt.Commands("Look at single runs and take them along.")
+app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 
 
 @app.command("list", short_help="List the stored runs.")

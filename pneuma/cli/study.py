@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli import complete, study_files, study_results, study_run, study_summary, study_verify
+from pneuma.cli import complete, delete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_file
 from pneuma.errors import UserError, counted, unknown_name
@@ -24,6 +24,7 @@ app = opt.Commands("Compare conditions over many seeds.")
 
 app.command("plan", short_help="Say which runs are stored, and which would be trained.")(study_run.plan_)
 app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
+app.command("delete", short_help="Remove a study's runs from the results folder.")(delete.delete_study)
 app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_files.plot)
 app.command()(study_files.export)
 app.command(short_help="Write a study's runs as one small table.")(study_files.publish)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -183,6 +184,16 @@ class Store:
         with self._writing(folder, folder):
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
+    def delete_run(self, run_id: str) -> None:
+        """Remove a run with all its files.
+
+        Raises:
+            UserError: if it cannot be removed.
+        """
+        folder = self.run_folder(run_id)
+        with self._writing(folder, folder):
+            shutil.rmtree(folder)
+
     def save_row(self, run_id: str, data: bytes) -> None:
         """Write the row of a finished run that lacks it."""
         manifest = self._manifest(run_id)
@@ -268,6 +279,10 @@ class Store:
         known.pop("schema", None)
         if known.get(variant) != steps:
             self.write(path, dump_checksummed({**known, variant: steps}))
+
+    def last_studies(self) -> list[str]:
+        """Return the names of studies with a file that were run here."""
+        return [name.removesuffix(".json") for name in names_in(self.root / "last")]
 
     def last_steps(self, study: str, variant: str) -> int | None:
         """Return what `save_last_steps` noted; None if it noted nothing."""

@@ -1,0 +1,56 @@
+"""`pneuma study delete` and `pneuma run delete`: what is removed, and what stays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from pneuma.study.locks import run_lock
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store, run_identity
+
+from .calls import call, described, refused, save_finished
+
+
+def _finish(store: Store, study: str, **selection: Any) -> dict[str, list[str]]:
+    """Store some runs of a study as its own `study run` leaves them; return their ids by condition."""
+    plan = make_plan(load_study(study), Selection(**selection))
+    store.save_last_steps(study, plan.study.variant, plan.steps)
+    found: dict[str, list[str]] = {}
+    for cell in plan.cells:
+        found.setdefault(cell.condition, []).append(save_finished(store, cell.run))
+    return found
+
+
+def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) -> None:
+    """tanh in the study of activations is Table 6.2, as one of the clip ranges is."""
+    activation = _finish(store, "activation", seeds=(0, 1), steps=1024)
+    clip = _finish(store, "clip-range", seeds=(0,), steps=1024, conditions=("0.1", "0.2"))
+    assert activation["tanh"][0] == clip["0.1"][0]
+    words = ("study", "delete", "activation", "--results", store.root)
+    assert "--yes is needed where nobody can be asked" in refused(*words)
+    code, out, err = call(*words, "--yes")
+    kept = "Note: kept, as clip-range has them too: 2 runs."
+    assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 4 runs from {store.root}."])
+    assert {*store.runs()} == {*activation["tanh"], *clip["0.2"]}
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_only_runs_of_the_steps_that_are_asked_for_are_removed(store: Store) -> None:
+    short = _finish(store, "activation", seeds=(0,), steps=1024, conditions=("tanh",))
+    _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))
+    words = ("study", "delete", "activation", "--yes", "--json", "--results", store.root)
+    assert described(*words, "--steps", "1024") ["removed"] == short["tanh"]
+    assert len(store.runs()) == 1
+
+
+def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
+    (cell,) = make_plan(load_study("activation"), Selection("quick", (0,), conditions=("tanh",))).cells
+    run_id = cell.run_id
+    store.plan_run(run_id, run_identity(cell.run))
+    words = ("run", "delete", run_id, "--yes", "--results", store.root)
+    with run_lock(store.run_folder(run_id)):
+        assert "trains now" in refused(*words)
+    assert call(*words).code == 0 and store.runs() == []
