@@ -67,13 +67,14 @@ def counted(count: int, noun: str) -> str:
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the most similar of `names`; empty if none is similar.
 
-    A name that others give the same thing is near as well: `lr` of `learning_rate`, `reward` of
-    `final-return`.
+    A name that others give the same thing is near as well, or a first word: `lr` of `learning_rate`, `reward`
+    of `final-return`, `entropy` of `entropy_coefficient`.
     """
     known, typed = list(names), str(word).lower()
     meant = MEANT.get(typed, typed)
     near = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in known]
-    near = near or difflib.get_close_matches(typed, known, 1, NEAR)
+    begun = [name for name in known if name.startswith(f"{typed}_")]
+    near = near or begun[:1] or difflib.get_close_matches(typed, known, 1, NEAR)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

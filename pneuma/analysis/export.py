@@ -91,7 +91,9 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         lines = shown.map(lambda cell: cell.replace("\n", _NEW_LINE))
         long = len(frame) > LINES_OF_A_PAGE
         text = lines.to_latex(index=False, escape=True, column_format=columns, longtable=long)
-        return text.replace(_NEW_LINE, r" \newline ").encode()
+        text = text.replace(_NEW_LINE, r" \newline ").translate(_LATEX)
+        packages = "booktabs and longtable" if long else "booktabs"
+        return f"% needs the package{'s' * long} {packages}\n{text}".encode()
     rows = [
         [str(name).translate(_MARKDOWN) for name in shown.columns],
         ["---:" if right else "---" for right in numeric],
@@ -139,6 +141,12 @@ LONGEST_IN_A_LINE = 40
 PARAGRAPH = r"p{0.2\linewidth}"
 """A LaTeX column whose cells may have several lines."""
 _NEW_LINE = "\x00"
+_LATEX = str.maketrans({
+    "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "≤": r"$\leq$", "∞": r"$\infty$", "∇": r"$\nabla$",
+    "‖": r"$\|$", "α": r"$\alpha$", "β": r"$\beta$", "γ": r"$\gamma$", "λ": r"$\lambda$",
+    "ϵ": r"$\epsilon$", "ϑ": r"$\vartheta$", "₀": "$_0$", "₁": "$_1$", "₂": "$_2$", "ₜ": "$_t$", "²": "$^2$",
+})  # fmt: skip
+"""What pdfLaTeX's usual encodings lack."""
 _MARKDOWN = str.maketrans(
     {"\n": "<br>", "|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"}
 )

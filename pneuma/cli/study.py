@@ -27,6 +27,7 @@ app.command(short_help="Train a study's runs that are not stored yet.")(study_ru
 app.command("delete", short_help="Remove a study's runs from the results folder.")(delete.delete_study)
 app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_files.plot)
 app.command()(study_files.export)
+app.command(short_help="Print one of the thesis's tables of hyperparameters.")(study_files.table)
 app.command(short_help="Write a study's runs as one small table.")(study_files.publish)
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
 app.command(short_help="Compare two conditions.")(study_summary.compare)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli import complete
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, check_file, draw_files, read_formats, say, write_file, wrote
+from pneuma.cli.output import Result, Table, check_file, draw_files, read_formats, say, write_file, wrote
 from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
@@ -127,6 +127,37 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
     if names and not quantities:
         raise UserError(f"study {data.study}: {data.what} has no {names[0]}")
     return quantities
+
+
+# --- table ----------------------------------------------------------------------------------------
+
+THESIS_TABLES = ("table-6-1", "table-6-2")
+THESIS_ROWS = {
+    "Discount γ": "gamma", "Learning rate α": "learning_rate", "GAE parameter λ": "gae_lambda",
+    "Clipping parameter ϵ": "clip_range", "Horizon": "horizon", "Minibatch size": "minibatch",
+    "Num. epochs": "epochs", "Value coefficient": "value_coefficient",
+    "Entropy coefficient": "entropy_coefficient",
+}  # fmt: skip
+"""What the tables have, by the thesis's words."""
+
+
+def table(
+    names: opt.Several = opt.argument("TABLE", "table-6-1, table-6-2 (default: both).", default=None),
+    format: str = opt.OUTPUT_FORMAT,
+) -> Result:
+    """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters, as printed there."""
+    for name in names or ():
+        if name not in THESIS_TABLES:
+            raise unknown_name("table", name, THESIS_TABLES)
+    from pneuma.bases import BASES
+    from pneuma.study.study_file import short
+
+    heads = ["Hyperparameter", *(name.replace("table-6-", "Table 6.") for name in names or THESIS_TABLES)]
+    rows = [
+        dict(zip(heads, [said, *(short(BASES[name][field]) for name in names or THESIS_TABLES)], strict=True))
+        for said, field in THESIS_ROWS.items()
+    ]
+    return Result({"rows": rows}, [Table(heads, [[*row.values()] for row in rows])], table=rows, form=format)
 
 
 # --- export ---------------------------------------------------------------------------------------

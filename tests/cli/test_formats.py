@@ -73,14 +73,30 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     """0.735 against 0.235: a difference of one half in every run."""
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     asked = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
-    effect = "kills: high 74 %, low 24 %; +50 points"
+    effect = "kills 74 against 24 %: +50 points"
     lines = printed(*asked, "--format", "markdown").splitlines()
     assert lines[0] == "| Section | The thesis's sentence | text |"
-    assert lines[2].startswith(f"| 6 | “a quote” | holds<br>{effect} (")
+    assert lines[2].startswith(f"| 6 | “a quote”<br>high against low | holds<br>{effect} (")
     assert f"holds \\newline {effect.replace('%', chr(92) + '%')} (" in printed(*asked, "--format", "latex")
     (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
     assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
     told = call(*asked, "better").out
-    assert told.startswith("better (section 6)\n  “a quote”\n    text            holds           kills")
-    assert "high against low, 8 and 8 runs: kills: high" in told
+    assert told.startswith("better (section 6)\n  “a quote”\n  high against low:\n    text            holds           kills")
+    assert "high against low, 8 and 8 runs: kills 74" in told
+
+
+def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
+    """Table 6.2 in the thesis's order and words; γ and others are commands of LaTeX."""
+    rows = described("study", "table", "--json")["rows"]
+    assert [row["Table 6.1"] for row in rows] == ["0.99", "3e-4", "0.95", "0.2", "2048", "64", "15", "1", "0.01"]
+    latex = printed("study", "table", "table-6-2", "--format", "latex")
+    assert latex.isascii() and latex.startswith("% needs the package booktabs\n")
+    assert r"Clipping parameter $\epsilon$ & 0.1 \\" in latex and "Table 6.1" not in latex
+    assert "did you mean table-6-2?" in refused("study", "table", "table-62")
+
+
+def test_latex_of_verdicts_has_only_what_pdflatex_knows() -> None:
+    """Dashes and quotation marks are in its usual encodings; minus signs and Greek letters are not."""
+    text = printed("study", "verify", "betas-solve", "clip-alike", "--format", "latex")
+    assert {character for character in text if not character.isascii()} <= set("“”’–…")
