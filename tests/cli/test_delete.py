@@ -42,7 +42,7 @@ def test_only_runs_of_the_steps_that_are_asked_for_are_removed(store: Store) -> 
     short = _finish(store, "activation", seeds=(0,), steps=1024, conditions=("tanh",))
     _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))
     words = ("study", "delete", "activation", "--yes", "--json", "--results", store.root)
-    assert described(*words, "--steps", "1024") ["removed"] == short["tanh"]
+    assert described(*words, "--steps", "1024")["removed"] == short["tanh"]
     assert len(store.runs()) == 1
 
 
