@@ -308,10 +308,6 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f"learners = independent is not allowed: {run.engine} trains one policy for all players"
         )
-    samples = run.steps_per_update // run.policies
-    if run.algorithm in ("ppo", "trpo") and run.minibatch > samples:
-        most = f"at most horizon x slots{' x players' if run.policies == 1 else ''} = {samples}"
-        raise UserError(f"minibatch = {run.minibatch} is not allowed: {most}")
     if run.train_every and run.horizon % run.train_every:
         whole = f"horizon = {run.horizon} is no multiple of it"
         raise UserError(f"train_every = {run.train_every} is not allowed: {whole}")

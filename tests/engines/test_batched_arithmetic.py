@@ -31,6 +31,7 @@ from .trained import SMALL
 CASES: dict[str, dict[str, object]] = {
     "table 6.2": {"betas": (0.9, 0.9)},
     "usual Adam": {"betas": (0.9, 0.999)},
+    "a minibatch of all and more": {"minibatch": 4096},
     "momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2},
     "the thesis's momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9, "learning_rate": 1e-2},
     "plain descent": {"optimizer": "sgd", "learning_rate": 1e-2},

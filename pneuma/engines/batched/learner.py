@@ -67,7 +67,7 @@ class Learner:
             numbers,
             run.activation,
             run.optimizer,
-            run.minibatch,
+            min(run.minibatch, count),
             decays=bool(numbers["weight_decay"] != 0),
             normalizes=run.normalize_advantage,
         )
