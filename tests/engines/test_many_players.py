@@ -173,7 +173,6 @@ def test_it_goes_on_from_a_checkpoint_with_the_same_bits() -> None:
     [
         ({"engine": "sb3"}, "sb3 trains one policy for all players"),
         ({"algorithm": "a2c"}, "a2c trains one policy for all players"),
-        ({"minibatch": 100}, "at most horizon x slots = 64"),
     ],
 )
 def test_what_cannot_learn_apart_is_refused(fields: dict[str, Any], message: str) -> None:
