@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from zipfile import ZipFile
 
+import cloudpickle
 import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
@@ -66,15 +69,15 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
         run = replace(run, optimizer="adam", weight_decay=0.0)
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
-    model = make_model(run, DummyVecEnv([lambda: spaces_only]))
+    model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
     with torch.no_grad():
         if policy.deviation is not None:
             model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))
         for layers, hidden, head in (
-            (_folded(policy.actor, policy.scaling), nets.policy_net, model.policy.action_net),
-            (_folded(policy.critic, policy.scaling), nets.value_net, model.policy.value_net),
+            (policy.actor, nets.policy_net, model.policy.action_net),
+            (policy.critic, nets.value_net, model.policy.value_net),
         ):
             linear = [module for module in hidden if isinstance(module, nn.Linear)]
             for (weight, bias), module in zip(layers, (*linear, head), strict=True):
@@ -87,14 +90,34 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     return file.getvalue()
 
 
-def _folded(layers: Layers, scaling: Scaling | None) -> Layers:
-    """Return a network that observes what is not normalised: its first layer does that, but for clipping."""
+class Normalized(FlattenExtractor):
+    """Observations as the policy's networks see them: normalised in double precision, and clipped.
+
+    It goes into the .zip itself, as the byte code of its methods.
+    """
+
+    def __init__(self, space: spaces.Box, mean: list[float], deviation: list[float], clip: float) -> None:
+        super().__init__(space)
+        self.register_buffer("mean", torch.tensor(mean, dtype=torch.float64))
+        self.register_buffer("deviation", torch.tensor(deviation, dtype=torch.float64))
+        self.clip = clip
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Normalise observations: (N, features) -> (N, features) float32."""
+        scaled = (super().forward(observations).double() - self.mean) / self.deviation
+        return scaled.clamp(-self.clip, self.clip).float()
+
+
+cloudpickle.register_pickle_by_value(sys.modules[__name__])
+
+
+def _extractor(scaling: Scaling | None) -> dict[str, Any]:
+    """Return the arguments of Stable-Baselines3's policy that put the normalisation before its networks."""
     if scaling is None:
-        return layers
-    (weight, bias), *others = layers
+        return {}
     deviation = np.sqrt(scaling.variance + EPSILON)
-    moved = bias - (scaling.mean / deviation) @ weight
-    return ((weight / deviation[:, None]).astype(np.float32), moved.astype(np.float32)), *others
+    numbers = {"mean": scaling.mean.tolist(), "deviation": deviation.tolist(), "clip": CLIP}
+    return {"features_extractor_class": Normalized, "features_extractor_kwargs": numbers}
 
 
 def _action_space(policy: Policy) -> spaces.Space[Any]:
