@@ -23,14 +23,14 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
+from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import REWARDS, are_own_characters, is_own_level
+from pneuma.env_fields import REWARDS
 from pneuma.errors import UserError, install_extra
 from pneuma.files import MADE_BY
 
@@ -96,6 +96,9 @@ class Normalized(FlattenExtractor):
     It goes into the .zip itself, as the byte code of its methods.
     """
 
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
     def __init__(self, space: spaces.Box, mean: list[float], deviation: list[float], clip: float) -> None:
         super().__init__(space)
         self.register_buffer("mean", torch.tensor(mean, dtype=torch.float64))
@@ -129,18 +132,15 @@ def _action_space(policy: Policy) -> spaces.Space[Any]:
     return spaces.Box(low, high, dtype=low.dtype)
 
 
-def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
+def observation_space(policy: Policy, run: Run) -> spaces.Box:
     """Return a policy's observation space, so that the exported file loads with its environment.
 
-    A user's own level or characters file is opened only with `trust`. Rewards do not matter here and are
-    never imported.
+    Rewards do not matter here and are never imported.
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
     features = policy.features
     if is_gymnasium_id(run.env):
-        if (run.env_module or run.wrappers or run.env == GODOT) and not trust:
-            raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
         env = make_env(run)
         env.close()
         if np.any(getattr(env.action_space, "start", 0)):
@@ -149,8 +149,6 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
         if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
             return seen
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
-    if (is_own_level(run.level) or are_own_characters(run.characters)) and not trust:
-        raise UserError("names a level or characters file of its own, which --trust opens")
     space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
     if space.shape != (features,):
         raise UserError(f"the policy observes {features} features, its environment has {space.shape[0]}")

@@ -139,7 +139,7 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.syspath_prepend(str(tmp_path))
     run = make_run({"reward": "stranger:reward"})
     policy = random_policy(run, FEATURES)
-    PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run, trust=True))), device="cpu")
+    PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run))), device="cpu")
     assert "stranger" not in sys.modules
     assert not (tmp_path / "ran").exists()
 
