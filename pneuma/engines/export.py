@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from zipfile import ZipFile
 
-import cloudpickle
 import gymnasium
 import numpy as np
 import torch
@@ -90,34 +88,31 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     return file.getvalue()
 
 
-class Normalized(FlattenExtractor):
-    """Observations as the policy's networks see them: normalised in double precision, and clipped.
-
-    It goes into the .zip itself, as the byte code of its methods.
-    """
-
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
-    def __init__(self, space: spaces.Box, mean: list[float], deviation: list[float], clip: float) -> None:
-        super().__init__(space)
-        self.register_buffer("mean", torch.tensor(mean, dtype=torch.float64))
-        self.register_buffer("deviation", torch.tensor(deviation, dtype=torch.float64))
-        self.clip = clip
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Normalise observations: (N, features) -> (N, features) float32."""
-        scaled = (super().forward(observations).double() - self.mean) / self.deviation
-        return scaled.clamp(-self.clip, self.clip).float()
-
-
-cloudpickle.register_pickle_by_value(sys.modules[__name__])
-
-
 def _extractor(scaling: Scaling | None) -> dict[str, Any]:
-    """Return the arguments of Stable-Baselines3's policy that put the normalisation before its networks."""
+    """Return the arguments of Stable-Baselines3's policy that put the normalisation before its networks.
+
+    A class within a function goes into the .zip itself, as the byte code of its methods.
+    """
     if scaling is None:
         return {}
+
+    class Normalized(FlattenExtractor):
+        """Observations as the networks see them: normalised in double precision, and clipped."""
+
+        mean: torch.Tensor
+        deviation: torch.Tensor
+
+        def __init__(self, space: spaces.Box, mean: list[float], deviation: list[float], clip: float) -> None:
+            super().__init__(space)
+            self.register_buffer("mean", torch.tensor(mean, dtype=torch.float64))
+            self.register_buffer("deviation", torch.tensor(deviation, dtype=torch.float64))
+            self.clip = clip
+
+        def forward(self, observations: torch.Tensor) -> torch.Tensor:
+            """Normalise observations: (N, features) -> (N, features) float32."""
+            scaled = (super().forward(observations).double() - self.mean) / self.deviation
+            return scaled.clamp(-self.clip, self.clip).float()
+
     deviation = np.sqrt(scaling.variance + EPSILON)
     numbers = {"mean": scaling.mean.tolist(), "deviation": deviation.tolist(), "clip": CLIP}
     return {"features_extractor_class": Normalized, "features_extractor_kwargs": numbers}
