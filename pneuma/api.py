@@ -18,17 +18,16 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import OF_WORLDS, is_gymnasium_id, make_run
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
+from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
+from pneuma.env_fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, stored_settings
+from pneuma.study.stored_runs import find_run, trusted_settings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +165,7 @@ def load_policy(
     Args:
         run_id: the run's id, or its first digits if no other begins so.
         results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        trust: use level, characters and reward files, and modules, that the run names.
+        trust: use files, modules, and arguments of its environment, that the run names.
 
     Returns:
         The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`. If the
@@ -180,19 +179,16 @@ def load_policy(
 
     store = _store(results)
     found = find_run(store, run_id)
-    run = stored_settings(store, found)
+    run = trusted_settings(store, found, trust)
     if POLICY_FILE not in store.checksums(found):
         raise UserError(f"run {found} left no policy")
-    env = str(run.get("env"))
+    env = read_field(Run, "env", run.get("env"))
     if is_gymnasium_id(env):
         settings = json.loads(run.get("env_kwargs") or "{}")
     elif env == MAILMAN:
         settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
     else:
         settings = {key: run[key] for key in OF_WORLDS if key in run}
-    if (named_code := describe_user_code(run)) and not trust:
-        fix = "if you trust its source, give --trust (in Python trust=True)"
-        raise UserError(f"run {found} would {' and '.join(named_code.values())}: {fix}")
     return read_sound_policy(store.read_file(found, POLICY_FILE)), env, settings
 
 

@@ -154,24 +154,24 @@ def one_action(first: int, last: int = 100) -> np.ndarray:
     return updates
 
 
-def encode_events(points: Sequence[tuple[str, int, float]]) -> bytes:
-    """Return points (tag, step, value) as an event file, one a second, in their order."""
+def encode_events(points: Sequence[tuple[str, int, float]], after: int = 0) -> bytes:
+    """Return points (tag, step, value) as an event file, one a second, in their order, from a second on."""
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.summary.writer.record_writer import RecordWriter
 
     writer = RecordWriter(written := io.BytesIO())
     writer.write(Event(wall_time=1e9, file_version="brain.Event:2").SerializeToString())
-    for second, (tag, step, value) in enumerate(points):
+    for second, (tag, step, value) in enumerate(points, after):
         event = Event(wall_time=1e9 + second, step=step)
         event.summary.value.add(tag=tag, simple_value=value)
         writer.write(event.SerializeToString())
     return written.getvalue()
 
 
-def write_events(path: Path, points: Sequence[tuple[str, int, float]]) -> Path:
+def write_events(path: Path, points: Sequence[tuple[str, int, float]], after: int = 0) -> Path:
     """Write points as an event file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode_events(points))
+    path.write_bytes(encode_events(points, after))
     return path
 
 

@@ -116,7 +116,9 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> No
 
 def test_the_settings_of_another_environment_are_its_own_arguments(tmp_path: Path) -> None:
     _store_run(tmp_path, {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
-    assert load_policy("0123", tmp_path)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
+    with pytest.raises(UserError, match="would make CartPole-v1 with .*sutton"):
+        load_policy("0123", tmp_path)
+    assert load_policy("0123", tmp_path, trust=True)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
 
 
 EXCEPTION = """\

@@ -82,6 +82,7 @@ def render(
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
     chosen = dict(set_ or ())
+    _check_drawn(name)
     settings, make_act = _player(player, name, seed, results, trust)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     gif = out.suffix.lower() == ".gif"  # which grows fast: half as many frames, half as wide
@@ -132,16 +133,24 @@ def serve(
     print(f"played {counted(steps, 'step')}")
 
 
-def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
+def _check_drawn(name: str) -> None:
     from pneuma.algorithms import MAILMAN
+    from pneuma.config import is_gymnasium_id
     from pneuma.env import REGISTERED
-    from pneuma.env.worlds import Worlds
-    from pneuma.env_fields import make_env_config
 
+    if is_gymnasium_id(name):
+        raise UserError(f"{name} is drawn by Gymnasium: play it with pneuma.load_policy, see docs/python.md")
     if name not in REGISTERED:
         raise unknown_name("environment", name, REGISTERED)
     if name == MAILMAN:
         raise UserError(f"{name} has no picture: it is three states and two actions")
+
+
+def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
+    from pneuma.env.worlds import Worlds
+    from pneuma.env_fields import make_env_config
+
+    _check_drawn(name)
     worlds = Worlds(1, make_env_config(settings, name.replace("/mo-", "/")))
     worlds.seed([seed])
     worlds.reset()
@@ -185,5 +194,6 @@ def _player(
         raise UserError(f"--player {player}: {error}") from None
     if env != name.replace("/mo-", "/"):
         raise UserError(f"--player {player}: was trained in {env}, not in {name}")
-    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in settings["reward"]]
+    paid = settings.get("reward") or ()
+    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
     return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

@@ -168,7 +168,7 @@ OUTPUT_FORMAT = choice(
 )
 QUIET = flag("--quiet", "Print nothing but results and mistakes.")
 FORCE = flag("--force", "Replace the file even if Pneuma has not made it.")
-TRUST = flag("--trust", "Use the reward, level and characters files that the run names.")
+TRUST = flag("--trust", "Use files, code and arguments of its environment that the run names.")
 RETRY_FAILED = flag("--retry-failed", "Try runs again that crashed before.")
 STEPS = count("--steps", "Steps of each run, rounded up to whole updates.")
 WORKERS = count("--workers", "Runs trained at once (default: one a core).")

@@ -17,7 +17,7 @@ from pneuma.sb3_names import own_fields
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings
+from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings, trusted_settings
 from pneuma.values import shown_value
 
 app = opt.Commands("Look at single runs and take them along.")
@@ -140,9 +140,9 @@ def export(
     check_file(out, (".zip", ".onnx"), force)
     store = Store(results)
     run_id = find_run(store, name)
-    status = store.status(run_id)
+    status, fields = store.status(run_id), trusted_settings(store, run_id, trust)
     try:
-        data = _exported(store, run_id, status.name, out.suffix.lower(), trust)
+        data = _exported(store, run_id, fields, out.suffix.lower())
     except UserError as error:
         raise UserError(f"run {run_id}: {error}") from None
     write_file(out, data)
@@ -150,21 +150,20 @@ def export(
     return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [told])
 
 
-def _exported(store: Store, run_id: str, status: str, suffix: str, trust: bool) -> bytes:
+def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines import mailman
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
-    fields = stored_settings(store, run_id)
     if POLICY_FILE not in store.checksums(run_id) or not fields:
-        raise UserError(f"is {status}: it has no policy to export")
+        raise UserError(f"is {store.status(run_id).name}: it has no policy to export")
     settings, policy = make_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
     if policy.players > 1:
         raise UserError(
             f"has a policy for each of {policy.players} players: a file for other programs holds one"
         )
     if suffix == ".zip":
-        return exports.to_sb3(policy, settings, exports.observation_space(policy, settings, trust))
+        return exports.to_sb3(policy, settings, exports.observation_space(policy, settings))
     about = {"run_id": run_id, "env": settings.env}
     if settings.env in ENVIRONMENTS:
         about["observation"] = settings.observation

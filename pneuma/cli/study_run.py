@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -92,6 +94,7 @@ def run(
 def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: bool, quiet: bool) -> Result:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
     todo, notes = execute.prepare(planned, store, retry_failed)
+    _check_logs(how.logs[name] for name in todo if name in how.logs)
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.", aside=True, quiet=quiet)
     if todo:
@@ -111,6 +114,17 @@ def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: b
     results = results or execute.cell_results(planned, store, todo)
     rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
     return Result({"study": planned.study.name, "runs": rows}, notes=told, code=code)
+
+
+def _check_logs(folders: Iterable[str]) -> None:
+    """Make the folders of TensorBoard logs, and refuse one that cannot be written."""
+    for folder in folders:
+        try:
+            os.makedirs(folder, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise UserError(f"--tensorboard: {folder} cannot be written ({error.strerror})") from None
 
 
 def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:

@@ -90,9 +90,8 @@ class Evaluation:
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
         self._tally = np.zeros(len(self.worlds), TALLY)
-        self._taken = np.zeros(
-            (len(self.worlds), int(self.worlds.action_space.n)), np.int64
-        )  # how often each action
+        actions = int(self.worlds.action_space.n)
+        self._taken = np.zeros((len(self.worlds), actions), np.int64)  # how often each action
         self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 

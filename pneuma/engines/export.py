@@ -17,17 +17,18 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
+from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import REWARDS, are_own_characters, is_own_level
+from pneuma.env_fields import REWARDS
 from pneuma.errors import UserError, install_extra
 from pneuma.files import MADE_BY
 
@@ -66,15 +67,15 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
         run = replace(run, optimizer="adam", weight_decay=0.0)
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
-    model = make_model(run, DummyVecEnv([lambda: spaces_only]))
+    model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))
     model.num_timesteps = run.steps
     nets = model.policy.mlp_extractor
     with torch.no_grad():
         if policy.deviation is not None:
             model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))
         for layers, hidden, head in (
-            (_folded(policy.actor, policy.scaling), nets.policy_net, model.policy.action_net),
-            (_folded(policy.critic, policy.scaling), nets.value_net, model.policy.value_net),
+            (policy.actor, nets.policy_net, model.policy.action_net),
+            (policy.critic, nets.value_net, model.policy.value_net),
         ):
             linear = [module for module in hidden if isinstance(module, nn.Linear)]
             for (weight, bias), module in zip(layers, (*linear, head), strict=True):
@@ -87,14 +88,34 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     return file.getvalue()
 
 
-def _folded(layers: Layers, scaling: Scaling | None) -> Layers:
-    """Return a network that observes what is not normalised: its first layer does that, but for clipping."""
+def _extractor(scaling: Scaling | None) -> dict[str, Any]:
+    """Return the arguments of Stable-Baselines3's policy that put the normalisation before its networks.
+
+    A class within a function goes into the .zip itself, as the byte code of its methods.
+    """
     if scaling is None:
-        return layers
-    (weight, bias), *others = layers
+        return {}
+
+    class Normalized(FlattenExtractor):
+        """Observations as the networks see them: normalised in double precision, and clipped."""
+
+        mean: torch.Tensor
+        deviation: torch.Tensor
+
+        def __init__(self, space: spaces.Box, mean: list[float], deviation: list[float], clip: float) -> None:
+            super().__init__(space)
+            self.register_buffer("mean", torch.tensor(mean, dtype=torch.float64))
+            self.register_buffer("deviation", torch.tensor(deviation, dtype=torch.float64))
+            self.clip = clip
+
+        def forward(self, observations: torch.Tensor) -> torch.Tensor:
+            """Normalise observations: (N, features) -> (N, features) float32."""
+            scaled = (super().forward(observations).double() - self.mean) / self.deviation
+            return scaled.clamp(-self.clip, self.clip).float()
+
     deviation = np.sqrt(scaling.variance + EPSILON)
-    moved = bias - (scaling.mean / deviation) @ weight
-    return ((weight / deviation[:, None]).astype(np.float32), moved.astype(np.float32)), *others
+    numbers = {"mean": scaling.mean.tolist(), "deviation": deviation.tolist(), "clip": CLIP}
+    return {"features_extractor_class": Normalized, "features_extractor_kwargs": numbers}
 
 
 def _action_space(policy: Policy) -> spaces.Space[Any]:
@@ -106,18 +127,15 @@ def _action_space(policy: Policy) -> spaces.Space[Any]:
     return spaces.Box(low, high, dtype=low.dtype)
 
 
-def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.Box:
+def observation_space(policy: Policy, run: Run) -> spaces.Box:
     """Return a policy's observation space, so that the exported file loads with its environment.
 
-    A user's own level or characters file is opened only with `trust`. Rewards do not matter here and are
-    never imported.
+    Rewards do not matter here and are never imported.
     """
     if run.algorithm not in IN_ZIP:
         raise UserError(f".zip is of {' and '.join(IN_ZIP)}, and not of {run.algorithm}: choose .onnx")
     features = policy.features
     if is_gymnasium_id(run.env):
-        if (run.env_module or run.wrappers or run.env == GODOT) and not trust:
-            raise UserError("names a module, a wrapper or a game of its own, which --trust runs")
         env = make_env(run)
         env.close()
         if np.any(getattr(env.action_space, "start", 0)):
@@ -126,8 +144,6 @@ def observation_space(policy: Policy, run: Run, trust: bool = False) -> spaces.B
         if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
             return seen
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
-    if (is_own_level(run.level) or are_own_characters(run.characters)) and not trust:
-        raise UserError("names a level or characters file of its own, which --trust opens")
     space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
     if space.shape != (features,):
         raise UserError(f"the policy observes {features} features, its environment has {space.shape[0]}")

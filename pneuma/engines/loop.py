@@ -11,6 +11,7 @@ runs that the same process trained before.
 
 from __future__ import annotations
 
+import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,10 +19,13 @@ from functools import cached_property, partial
 from importlib import import_module
 from typing import Any
 
-from pneuma.config import Run
+import numpy as np
+
+from pneuma.config import Run, is_gymnasium_id, stream_seed
 from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
+from pneuma.env_fields import own_rewards
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -97,6 +101,7 @@ class Trainer(ABC):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
+    _seed_shared_generators(run)
     module, name = TRAINERS[run.engine].split(":")
     trainer: Trainer = getattr(import_module(module), name)(run)
     records, step = Records(), 0
@@ -119,6 +124,17 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())
     return Result("done", step, records, trainer.policy())
+
+
+def _seed_shared_generators(run: Run) -> None:
+    """Seed the process's own generators, from which a user's code may draw, whatever was trained before."""
+    seed = stream_seed(run.stream, "shared")
+    random.seed(seed)
+    np.random.seed(seed % 2**32)
+    if is_gymnasium_id(run.env) or own_rewards(run.reward):  # torch loads in a second: for others' code alone
+        import torch
+
+        torch.manual_seed(seed)
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:

@@ -42,8 +42,8 @@ _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 Learner = PPO | A2C | TRPO | DQN
 
 
-def make_model(run: Run, env: VecEnv) -> Any:
-    """Set up a run's learner, one of `Learner`.
+def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None) -> Any:
+    """Set up a run's learner, one of `Learner`; `extractor` are arguments of what its networks see.
 
     The global generators of torch and NumPy have separate streams. Torch's gives the initial weights, then
     the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
@@ -69,6 +69,7 @@ def make_model(run: Run, env: VecEnv) -> Any:
             "activation_fn": ACTIVATIONS[run.activation],
             "optimizer_class": OPTIMIZERS[run.optimizer],
             "optimizer_kwargs": optimizer_arguments(run),
+            **(extractor or {}),
         },
         device="cpu",
         **arguments,

@@ -15,11 +15,11 @@ from pneuma.algorithms import OF_OPTIMIZERS
 from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run, as_fields, make_run
 from pneuma.env_fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.identity import describe_user_code, run_id
+from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import stored_settings
+from pneuma.study.stored_runs import trusted_settings
 from pneuma.worlds import TEXT, WORLDS
 
 CONTROL = "control"
@@ -137,17 +137,11 @@ def _plan(
 
 
 def _control_run(store: Store, parent: str, at: int, trust: bool) -> Run:
-    """Return the fork of a parent from the checkpoint nearest before `at` with nothing changed.
-
-    Files and code that the parent names are used only with `trust`.
-    """
+    """Return the fork of a parent from the checkpoint nearest before `at` with nothing changed."""
     status = store.status(parent)
     if not status.finished:
         raise UserError(f"run {parent} is {status.name}: only a finished run can be forked")
-    settings = stored_settings(store, parent)
-    if (named_code := describe_user_code(settings)) and not trust:
-        raise UserError(f"run {parent}: a fork would {' and '.join(named_code.values())}; --trust allows it")
-    whole = make_run(settings)
+    whole = make_run(trusted_settings(store, parent, trust))
     if run_id(whole) != parent:
         why = "was imported, or trained by other rules or another engine, or its own files have changed"
         raise UserError(f"run {parent} {why}: a fork would not go on from where it stood")

@@ -95,14 +95,16 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
-    """Return what using a user's own files in untrusted fields would do, by field; for messages.
+    """Return what using untrusted fields would do beyond what is installed, by field; for messages.
 
-    Nothing is imported or opened.
+    They may name files, code, and arguments of an environment, which may start programs. Nothing is imported
+    or opened.
     """
     keys = (key for key in _FILES if fields.get(key) is not None)
     named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
     texts = {key: value if isinstance(value, str) else ", ".join(value) for key, value in named.items()}
     described = {key: f"{_USES.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
-    if fields.get("env") == GODOT and fields.get("env_kwargs"):
-        described["env_kwargs"] = f"start the game of {fields['env_kwargs']}"
+    if arguments := fields.get("env_kwargs"):
+        env = fields.get("env")
+        described["env_kwargs"] = f"{'start the game of' if env == GODOT else f'make {env} with'} {arguments}"
     return described

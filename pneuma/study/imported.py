@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from pneuma.errors import UserError, install_extra
+from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import checksum, read_whole, to_json
 from pneuma.study.measure import cells_of_files
 from pneuma.study.rows import encode_row
@@ -28,7 +28,7 @@ from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
 
 SOURCE = "tensorboard"
 """The source named in the record of an imported study."""
-IMPORT_VERSION = 2
+IMPORT_VERSION = 3
 """Raised by hand when the same logs give other points; part of every imported run's id."""
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
@@ -87,6 +87,8 @@ def import_tensorboard(
     for log in logs:
         run = _read_log(log, store)
         notes += [f"{log.shown}: {damage}" for damage in run.damage]
+        if anew := int(run.points["superseded"].sum()):
+            notes.append(f"{log.shown}: left out {counted(anew, 'point')} that a restart superseded")
         if not run.steps:
             notes.append(f"{log.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
         elif run.run_id in found:
@@ -251,17 +253,19 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
-    """Return which scalars of a log were replaced by later ones, after a restart.
+    """Return which scalars of a log were replaced by later ones of their tag, after a restart.
 
-    A restarted logger goes back in steps and writes them again. If a tag goes back, its values from that step
-    on are replaced. If a file begins before the end of earlier files, it replaces their values from there on,
-    for all tags that count agent steps.
+    A restarted logger goes back in steps and writes them again: from that step on, what its file holds so far
+    is replaced, and what is in files that had ended when its own began. Files that are written at the same
+    time are of several writers, and replace nothing of each other.
     """
-    of_agent = points["tag"].str.startswith(AGENT_STEPS)
-    begins = points[of_agent].groupby("file")["step"].first()
-    later_files = begins[::-1].cummin().shift()  # NaN for the last
-    gone = of_agent & (points["step"] >= points["file"].map(later_files))
-    for _, steps in points.groupby("tag")["step"]:
-        went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
-        gone[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
+    gone = pd.Series(False, index=points.index)
+    written = points.groupby("file")["second"].agg(["min", "max"])
+    for _, of_tag in points.groupby("tag"):
+        for file, steps in of_tag.groupby("file")["step"]:
+            ended = written.index[(written.index < file) & (written["max"] <= written["min"][file])]
+            before = of_tag["step"][of_tag["file"].isin(ended)]
+            gone[before.index] |= before >= steps.min()
+            went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
+            gone[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
     return gone

@@ -112,8 +112,8 @@ def _logged_evaluations(named: pd.DataFrame) -> list[Any]:
 
 
 def named_scalars(scalars: pd.DataFrame) -> pd.DataFrame:
-    """Return name, step and value of every point that no restart superseded, in the order of writing."""
-    scalars = scalars[~scalars["superseded"].astype(bool)]
+    """Return name, step and value of every point that no restart superseded, by step, then as written."""
+    scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
     values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
     for tag in ONE_EPISODE:
         of_tag = scalars["tag"] == tag

@@ -11,6 +11,7 @@ from typing import Any
 
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError, nearest_name
+from pneuma.study.identity import describe_user_code
 from pneuma.study.store import Store, read_sound
 
 LONGEST_LISTED = 5
@@ -56,3 +57,16 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
     """Return a finished run's resolved configuration; empty if it is damaged."""
     settings = store.read_document(run_id, "run.json").get("run")
     return settings if isinstance(settings, dict) else {}
+
+
+def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
+    """Return a finished run's configuration, to make its environment or go on with its policy.
+
+    Raises:
+        UserError: without `trust`, for a run that names files, code, or arguments of its environment.
+    """
+    settings = stored_settings(store, run_id)
+    if (uses := describe_user_code(settings)) and not trust:
+        fix = "if you trust its source, give --trust (in Python trust=True)"
+        raise UserError(f"run {run_id} would {' and '.join(uses.values())}: {fix}")
+    return settings

@@ -15,7 +15,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.study.identity import run_id
 from pneuma.study.store import Status, Store, run_document
 
-from .calls import printed, refused
+from .calls import policy_of, printed, refused
 
 
 @pytest.fixture
@@ -93,3 +93,13 @@ def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
     (here / "mine.py").write_text("raise SystemExit('it ran')\n")
     sys.modules.pop("mine", None)
     assert "3 steps" in render("run.gif", "--player", name, "--trust")
+
+
+def test_a_run_of_another_environment_has_no_picture_here(here: Path) -> None:
+    run = make_run({"env": "CartPole-v1"})
+    files = {"run.json": run_document(run, run_id(run)), "policy.safetensors": policy_of().to_bytes()}
+    Store("results").save_run(run_id(run), Status("done", run.steps), files)
+    words = ("--player", run_id(run), "--out", "x.gif", "--results", "results")
+    assert "CartPole-v1 is drawn by Gymnasium: " in refused("env", "render", "CartPole-v1", *words)
+    told = refused("env", "render", "pneuma/Pneuma-v0", *words)
+    assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in told

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
+import torch
 from gymnasium import spaces
+
+CHANCES: dict[str, Callable[[], float]] = {
+    "global": lambda: float(np.random.random()),
+    "python": random.random,
+    "torch": lambda: float(torch.rand(())),
+}
+"""Generators that are not the environment's own, by the kind of corridor that draws from them."""
 
 
 class Corridor(gymnasium.Env[Any, Any]):
@@ -41,8 +51,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         self.taken = 0
 
     def _seen(self) -> Any:
-        chance = np.random if self.kind == "global" else self.np_random
-        seen = np.array([self.cell, chance.random()])
+        chance = CHANCES.get(self.kind, self.np_random.random)
+        seen = np.array([self.cell, chance()])
         if self.kind == "short" and self.taken == 3:
             return seen[:1]
         return {"b": seen, "a": self.cell} if self.kind == "dict" else seen

@@ -64,8 +64,16 @@ CASES: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
             "deviation": np.array([1, 2, 3, 4], np.float32),
         },
     ),
-    "normalised": ({}, 7, {"scaling": Scaling(np.linspace(-1, 1, 11), np.linspace(0.5, 2, 11))}),
+    "normalised": ({}, 7, {"scaling": Scaling(np.linspace(-1, 1, 11), np.arange(10, -1, -1) / 5)}),
 }  # fmt: skip
+
+
+def seen_by(policy: Policy) -> np.ndarray:
+    """Observations; of a policy that normalises, also far ones and a flag that training never saw."""
+    if policy.scaling is None:
+        return SEEN
+    flagged = np.where(np.arange(11) == 10, np.float32(2), SEEN)
+    return np.concatenate([SEEN, 10 * SEEN, 1000 * SEEN, flagged])
 
 
 def policy_of(case: str) -> tuple[Run, Policy]:
@@ -92,13 +100,14 @@ def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
 def test_the_zip_acts_as_the_policy_does(case: str) -> None:
     run, policy = policy_of(case)
     learner: Any = A2C if run.algorithm == "a2c" else PPO
+    seen = seen_by(policy)
     model = learner.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
-    chosen, _ = model.predict(SEEN, deterministic=True)
-    best = policy.best(SEEN)
+    chosen, _ = model.predict(seen, deterministic=True)
+    best = policy.best(seen)
     np.testing.assert_allclose(chosen.reshape(best.shape), best, rtol=1e-5, atol=1e-5)
     assert len(np.unique(chosen, axis=0)) > 1
-    values = model.policy.predict_values(torch.from_numpy(SEEN)).detach().numpy()[:, 0]
-    np.testing.assert_allclose(values, policy.values(SEEN), rtol=1e-5, atol=1e-5)
+    values = model.policy.predict_values(torch.from_numpy(seen)).detach().numpy()[:, 0]
+    np.testing.assert_allclose(values, policy.values(seen), rtol=1e-5, atol=1e-5)
     if policy.deviation is not None:
         deviation = model.policy.log_std.exp().detach().numpy()
         np.testing.assert_allclose(deviation, policy.deviation, rtol=1e-6)
@@ -107,7 +116,8 @@ def test_the_zip_acts_as_the_policy_does(case: str) -> None:
 def test_the_zip_needs_nothing_of_pneuma(monkeypatch: pytest.MonkeyPatch) -> None:
     """Anything of Pneuma's in it would raise, or be left out with a warning, which is an error here."""
     run = make_run({"activation": "leaky-relu"})
-    policy = random_policy(run, FEATURES)
+    scaling = Scaling(np.zeros(FEATURES), np.ones(FEATURES))
+    policy = replace(random_policy(run, FEATURES), scaling=scaling)
     data = to_sb3(policy, run, observation_space(policy, run))
     observations = np.random.default_rng(1).standard_normal((20, FEATURES)).astype(np.float32)
     expected = policy.best(observations).tolist()
@@ -129,7 +139,7 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.syspath_prepend(str(tmp_path))
     run = make_run({"reward": "stranger:reward"})
     policy = random_policy(run, FEATURES)
-    PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run, trust=True))), device="cpu")
+    PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run))), device="cpu")
     assert "stranger" not in sys.modules
     assert not (tmp_path / "ran").exists()
 
@@ -142,7 +152,7 @@ def test_onnx_computes_what_the_policy_computes(case: str) -> None:
     runtime = pytest.importorskip("onnxruntime")
     _, policy = policy_of(case)
     session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
-    seen = np.concatenate([SEEN, 1000 * SEEN]) if policy.scaling else SEEN  # which is clipped
+    seen = seen_by(policy)
     first, *values = session.run(None, {"observation": seen})
     names = {"dqn": ["action_values"], "numbers": ["mean_action", "value"]}.get(case, ["logits", "value"])
     assert [output.name for output in session.get_outputs()] == names

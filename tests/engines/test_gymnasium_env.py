@@ -85,8 +85,16 @@ def test_a_fork_goes_on_with_chances_of_its_own_and_goes_on_itself(name: str) ->
     assert bits(train(fork, own[0])[0]) == bits(forked)
 
 
-def test_an_environment_that_draws_from_elsewhere_is_never_resumed_with_other_bits() -> None:
-    run = corridor(kind="global")
+@pytest.mark.parametrize("engine", ["batched", "sb3"])
+@pytest.mark.parametrize("kind", own_envs.CHANCES)
+def test_an_environment_that_draws_from_elsewhere_gives_a_run_the_same_bits(kind: str, engine: str) -> None:
+    run = replace(corridor(kind=kind), engine=engine)
+    assert bits(train(run)[0]) == bits(train(run)[0])  # whatever the one before drew
+
+
+@pytest.mark.parametrize("kind", own_envs.CHANCES)
+def test_an_environment_that_draws_from_elsewhere_is_never_resumed_with_other_bits(kind: str) -> None:
+    run = corridor(kind=kind)
     _, taken = train(run)
     with pytest.raises(CheckpointError, match="Corridor-v0 does not come to the same state"):
         train(run, taken[1])

@@ -19,6 +19,7 @@ from pneuma.search.trials import Task
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
+from ..cli.calls import refused
 from .conftest import MakeTask
 
 
@@ -57,6 +58,7 @@ def save_record(store: Store, task: Task) -> None:
 
 
 SAFE: dict[str, Any] = {"env": "CartPole-v1"}
+REWARD = '{"sutton_barto_reward": true}'
 GAME = '{"env_path": "game"}'
 
 
@@ -72,6 +74,12 @@ GAME = '{"env_path": "game"}'
         ({"env": "Godot-v0"}, {"env_kwargs": GAME}, "start the game"),
         ({"env_kwargs": GAME, **SAFE}, {"env": "Godot-v0"}, "start the game"),
         ({"env": "Godot-v0", "env_kwargs": '{"env_path": "mine"}'}, {"env_kwargs": GAME}, "start the game"),
+        (
+            {"env_kwargs": REWARD, **SAFE},
+            {"env_kwargs": '{"program": "x"}'},
+            "make CartPole-v1 with .*program",
+        ),
+        ({"env_kwargs": REWARD, **SAFE}, {"env": "Acrobot-v1"}, "make Acrobot-v1 with"),
     ],
 )
 def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_s_file(
@@ -84,6 +92,8 @@ def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_
     save_record(store, replace(task, over=of_record))
     with pytest.raises(UserError, match=f"search formula would {use}.*only its file may say so"):
         read_record(store, task.search.name, world)
+    worlds = ("--world", world) if world else ()
+    assert use.split()[0] in refused("search", "promote", "formula", *worlds, "--results", store.root)
 
 
 def test_untrusted_the_name_of_a_search_is_no_record_s(make_task: MakeTask, store: Store, mark: Path) -> None:

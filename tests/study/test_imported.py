@@ -200,11 +200,9 @@ def test_a_folders_name_tells_condition_and_seed(
         ([[(RETURN, 1)], [(RETURN, 1)]], [1, 0]),
         # another tag in the same file is not touched
         ([[(RETURN, 5), (LOSS, 5), (RETURN, 4)]], [1, 0, 0]),
-        # a restart's file takes the place of what all tags of training had from there on
-        ([[(RETURN, 1), (LOSS, 1), (LOSS, 2)], [(RETURN, 2), (RETURN, 3)]], [0, 0, 1, 0, 0]),
-        ([[(RETURN, 1), (LOSS, 3)], [(RETURN, 4)], [(RETURN, 2)]], [0, 1, 1, 0]),
-        # but not of a tag that counts something else
-        ([[(RETURN, 1), ("own/games", 9)], [(RETURN, 2)]], [0, 0, 0]),
+        # nor is one that a later file does not hold
+        ([[(RETURN, 1), (LOSS, 1), (LOSS, 2)], [(RETURN, 1), (RETURN, 3)]], [1, 0, 0, 0, 0]),
+        ([[(RETURN, 1), (LOSS, 3)], [(RETURN, 4)], [(RETURN, 2)]], [0, 0, 1, 0]),
         # a run that was continued has no step twice
         ([[(RETURN, 1), (LOSS, 1)], [(RETURN, 2), (LOSS, 2)]], [0, 0, 0, 0]),
         ([[], [(RETURN, 1)], []], [0]),
@@ -212,6 +210,28 @@ def test_a_folders_name_tells_condition_and_seed(
     ],
 )
 def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]], gone: list[int]) -> None:
-    rows = [(place, *point) for place, points in enumerate(files) for point in points]
-    found = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step"]))
+    rows = [(place, *point, float(place)) for place, points in enumerate(files) for point in points]
+    found = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step", "second"]))
     assert found.tolist() == [bool(each) for each in gone]
+
+
+def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:
+    """It writes while the first one does: its steps begin before the first's end, and are no restart."""
+    returns = [(RETURN, 100 * k, float(k)) for k in range(1, 21)]  # one a second
+    write_events(tmp_path / "logs" / "a_1" / FILE, returns)
+    write_events(
+        tmp_path / "logs" / "a_1" / f"{FILE}.2", [("time/fps", 100, 7.0), (RETURN, 150, 0.5)], after=3
+    )
+    (run,), notes = _import(tmp_path)
+    assert (run.steps, notes) == (2000, [])
+    assert not run.points["superseded"].any()
+    row = stored_row(Store(tmp_path / "results"), run.run_id)
+    assert row.curve("return")[[9, 14, 19, 199]].tolist() == [1, 0.5, 2, 20]  # at 100, 150, 200, 2,000
+
+
+def test_points_that_a_restart_wrote_anew_are_counted(tmp_path: Path) -> None:
+    returns = [(RETURN, 100 * k, float(k)) for k in range(1, 21)]
+    write_events(tmp_path / "logs" / "a_1" / FILE, returns)
+    write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", returns[17:], after=20)
+    (run,), notes = _import(tmp_path)
+    assert (run.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])

@@ -15,9 +15,10 @@ from pneuma.study.imported import read_event_file
 from pneuma.study.measure import record_frame, stored_row
 from pneuma.study.store import Store
 
-from ..cli.calls import TINY, described, printed
+from ..cli.calls import TINY, described, printed, refused
 from .begun import outcome
 from .storm import children, kill, wait_for_end
+from .tiny import TINY_RUN
 
 TABLES = ("episodes", "metrics")
 
@@ -55,6 +56,17 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         assert (back.seed, back.end) == (5, 256)
         assert again.curve(back, "return")[-1] == pytest.approx(returns[-100:].mean(), rel=0.01)
     assert again.conditions == ["relu", "tanh"]
+
+
+def test_a_log_that_cannot_be_written_is_told_before_training(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    study, at = tmp_path / "mine.toml", ("--results", tmp_path / "results", "--tensorboard")
+    for condition, logs in (("c" * 256, "logs"), ("c", "file")):
+        preset = "[presets.quick]\nseeds = 1\nsteps = 64\n"
+        study.write_text(f"title = 'Mine'\n{TINY_RUN}[conditions.{condition}]\n{preset}")
+        told = refused("study", "run", study, *at, tmp_path / logs)
+        assert told.startswith("--tensorboard: ") and "cannot be written (" in told
+    assert not outcome(tmp_path / "results")  # nothing was trained
 
 
 def _activation(store: Store, name: str) -> object:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run, make_run
+from pneuma.engines.policy import POLICY_FILE
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, ExecutorConfig
 from pneuma.study.executors.local import Interrupts
@@ -70,6 +72,53 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     assert len((tmp_path / "begun").read_text().splitlines()) == 4
     error = Store(tmp_path / "results").read_file(run_id(RUN), "error.txt")
     assert error == b"the worker process ended with code 3\nwhy\n"
+
+
+# --- What workers compute with ------------------------------------------------------------------------
+
+HOSTILE = {
+    "JAX_ENABLE_X64": "1", "JAX_DEFAULT_PRNG_IMPL": "rbg", "JAX_DISABLE_JIT": "1",
+    "XLA_FLAGS": "--xla_nonsense=1", "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "4", "MKL_CBWR": "AVX",
+    "OPENBLAS_CORETYPE": "Haswell", "TORCH_ALLOW_TF32_CUBLAS_OVERRIDE": "1", "PYTHONHASHSEED": "7",
+}  # fmt: skip
+"""What a shell may set, by which the same run would come to other numbers."""
+
+
+def test_a_worker_has_no_variables_that_change_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in HOSTILE.items():
+        monkeypatch.setenv(name, value)
+    no_worker(tmp_path, monkeypatch, f"env > {tmp_path}/has\nexit 1")
+    train({run_id(RUN): RUN}, tmp_path)
+    has = dict(line.partition("=")[::2] for line in (tmp_path / "has").read_text().splitlines())
+    known = {"JAX_DEFAULT_MATMUL_PRECISION": "highest", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    assert {name: value for name, value in has.items() if name in {*HOSTILE, *known}} == {
+        **known, "XLA_FLAGS": local.XLA_FLAGS
+    }  # fmt: skip
+
+
+def test_xla_reads_every_one_of_its_flags(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a word without dashes it reads none, and refuses none."""
+    *flags, last = local.XLA_FLAGS.split()
+    assert all(flag.startswith("--") for flag in flags)
+    monkeypatch.setattr(local, "XLA_FLAGS", " ".join([*flags, "--xla_nonsense=1", last]))
+    command = [sys.executable, "-c", "import jax; jax.numpy.ones(3).sum()"]
+    done = subprocess.run(command, env=local.one_thread_environment(), capture_output=True, text=True)
+    assert done.returncode != 0 and "Unknown flag in XLA_FLAGS: --xla_nonsense=1" in done.stderr
+
+
+@pytest.mark.slow
+def test_variables_of_the_shell_change_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = {"steps": 128, "slots": 2, "horizon": 64, "evaluation_episodes": 1, "actor": [8], "critic": [8]}
+    run = make_run({**small, "env": "CartPole-v1", "engine": "batched"})
+    policies = []
+    for folder in (tmp_path / "usual", tmp_path / "hostile"):
+        train({run_id(run): run}, folder)
+        policies.append(Store(folder / "results").read_file(run_id(run), POLICY_FILE))
+        for name, value in HOSTILE.items():
+            monkeypatch.setenv(name, value)
+    assert policies[0] == policies[1]
 
 
 # --- Signals -----------------------------------------------------------------------------------------

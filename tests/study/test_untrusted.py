@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,10 @@ import pytest
 from safetensors.numpy import save
 
 import pneuma
-from pneuma.config import as_fields, make_run
+from pneuma.config import make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
-from pneuma.files import checksum, dump_checksummed, to_json
+from pneuma.files import checksum, dump_checksummed
 from pneuma.study.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, ExecutorConfig
@@ -169,37 +168,6 @@ def test_what_is_no_checkpoint_of_that_run_and_step_counts_as_damaged(tmp_path: 
 
 
 # --- Code and files that are named -----------------------------------------------------------------
-
-
-@pytest.fixture
-def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A reward that leaves a mark when its module is imported, in the current folder; return the mark."""
-    here = tmp_path / "here"
-    here.mkdir()
-    (here / "evil_reward.py").write_text(
-        f"open({str(here / 'mark')!r}, 'w')\ndef reward(events, players, stats): return events['xp_gained']\n"
-    )
-    monkeypatch.chdir(here)
-    monkeypatch.delitem(sys.modules, "evil_reward", raising=False)
-    return here / "mark"
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"reward": "evil_reward:reward"}, "would run the reward evil_reward:reward; --trust allows it"),
-        ({"level": "/nowhere/level"}, "would read the level /nowhere/level; --trust"),
-        ({"characters": "/nowhere/c.toml"}, "would read the characters /nowhere/c.toml; --trust"),
-    ],
-)
-def test_a_fork_runs_and_reads_nothing_that_a_run_names_without_trust(
-    store: Store, evil: Path, settings: dict[str, object], words: str
-) -> None:
-    document = {"run": as_fields(make_run(settings))}
-    store.save_run(NAME, Status("done", 50_176), {"run.json": to_json(document)})
-    code, _, told = call("run", "fork", NAME, "--at", "512", "--set", "gamma=0.9", "--results", store.root)
-    assert (code, words in told) == (2, True)
-    assert not evil.exists()
 
 
 def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:

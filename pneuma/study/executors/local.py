@@ -44,6 +44,19 @@ BUSY_SECONDS = 1.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
 """Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
+_NUMERIC = (
+    "JAX_", "XLA_", "TF_", "NUMBA_", "NPY_", "TORCH_", "PYTORCH_", "OMP_", "GOMP_", "KMP_", "OPENBLAS_",
+    "MKL_", "CUBLAS_", "CUDNN_", "NVIDIA_TF32_",
+)  # fmt: skip
+"""What variables begin with that may change numbers: a worker has none of the shell's."""
+_HARMLESS = (
+    "JAX_PLATFORMS", "NUMBA_CACHE_DIR", "XLA_PYTHON_CLIENT_MEM_FRACTION", "XLA_PYTHON_CLIENT_ALLOCATOR",
+)  # fmt: skip
+"""Of these, those that choose a device, its memory, or a folder."""
+XLA_FLAGS = (
+    "--xla_cpu_multi_thread_eigen=false --xla_gpu_deterministic_ops=true "
+    "intra_op_parallelism_threads=1"  # the last: it reads no flag after a word without dashes
+)
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -321,19 +334,27 @@ def _of(task: _Task, by_run: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def one_thread_environment() -> dict[str, str]:
-    """Return environment variables for a child process that computes on one thread and imports this code."""
+    """Return environment variables for a child process that computes alike anywhere, on one thread.
+
+    It imports this code. None of the shell's variables that could change numbers reaches it.
+    """
     path = os.pathsep.join(filter(None, [str(SOURCE), os.environ.get("PYTHONPATH", "")]))
     added = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 "
-        "--xla_gpu_deterministic_ops=true",
+        "XLA_FLAGS": XLA_FLAGS,
         "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers share a GPU
         "JAX_COMPILATION_CACHE_DIR": str(_cache() / "jax"),  # compiled once for all workers
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "PYTHONHASHSEED": "0",  # a user's own code may iterate over sets
         "PYTHONPATH": path,
     }
-    return {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), **added}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name in _HARMLESS or not name.startswith(_NUMERIC)
+    }
+    return {**kept, **dict.fromkeys(_ONE_THREAD, "1"), **added}
 
 
 def prepare_node(gpu: bool = False) -> None:

@@ -1,0 +1,81 @@
+"""A stranger's results folder: what a record names is used with `--trust` alone, in every command."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.classic_control import CartPoleEnv
+
+from pneuma.config import make_run
+from pneuma.engines.policy import Policy
+from pneuma.study.store import Status, Store, run_document
+
+from .calls import call, refused
+
+RUN = "0123456789abcdef"
+INSTALLED = "RunsAProgram-v0"
+COMMANDS = {
+    "export as .zip": ("run", "export", "{}", "--out", "x.zip"),
+    "export as .onnx": ("run", "export", "{}", "--out", "x.onnx"),
+    "fork": ("run", "fork", "{}", "--at", "64", "--set", "gamma=0.9"),
+    "render": ("env", "render", "pneuma/Pneuma-v0", "--player", "{}", "--out", "x.gif"),
+}
+RECORDS: dict[str, dict[str, Any]] = {
+    "arguments": {"env": INSTALLED, "env_kwargs": {"program": "mark"}},
+    "game": {"env": "Godot-v0", "env_kwargs": {"env_path": "mark"}},
+    "module": {"env": "CartPole-v1", "env_module": "marking"},
+    "wrapper": {"env": "CartPole-v1", "wrappers": ("marking:Own",)},
+    "reward": {"reward": ("marking:pay",)},
+    "level": {"level": "somebodys/isle"},
+    "characters": {"characters": "somebodys.toml"},
+}
+
+
+@pytest.fixture
+def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """What is left by a program that an installed environment starts, or by a module that is imported."""
+    mark = tmp_path / "mark"
+
+    class Runs(CartPoleEnv):
+        def __init__(self, program: str = "", **kwargs: Any) -> None:
+            Path(program).touch()
+            super().__init__(**kwargs)
+
+    (tmp_path / "marking.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    monkeypatch.chdir(tmp_path)
+    gymnasium.register(INSTALLED, Runs)
+    yield mark
+    del gymnasium.registry[INSTALLED]
+
+
+def save_run(fields: dict[str, Any]) -> None:
+    run = make_run({**fields, "actor": [4], "critic": [4], "steps": 128})
+    hidden, zeros = (np.zeros((4, 4), np.float32), np.zeros(4, np.float32)), np.zeros(4, np.float32)
+    actor, critic = (np.zeros((4, 2), np.float32), zeros[:2]), (np.zeros((4, 1), np.float32), zeros[:1])
+    files = {
+        "run.json": run_document(run, RUN),
+        "policy.safetensors": Policy(run.activation, (hidden, actor), (hidden, critic)).to_bytes(),
+    }
+    Store("results").save_run(RUN, Status("done", run.steps), files)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("record", RECORDS)
+def test_untrusted_what_a_record_names_is_used_with_trust_alone(
+    mark: Path, record: str, command: str
+) -> None:
+    save_run(RECORDS[record])
+    words = [word.format(RUN) for word in COMMANDS[command]]
+    assert "give --trust" in refused(*words, "--results", "results")
+    assert not mark.exists()
+
+
+def test_a_record_that_is_trusted_is_used(mark: Path) -> None:
+    save_run(RECORDS["arguments"])
+    assert call("run", "export", RUN, "--out", "x.zip", "--trust", "--results", "results").code == 0
+    assert mark.exists() and Path("x.zip").exists()
