@@ -90,7 +90,7 @@ class Evaluation:
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
         self._tally = np.zeros(len(self.worlds), TALLY)
-        self._taken = np.zeros((len(self.worlds), int(self.worlds.action_space.n)), np.int64)  # how often each action
+        self._taken = np.zeros((len(self.worlds), int(self.worlds.action_space.n)), np.int64)
         self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
@@ -226,8 +226,8 @@ def _play_on(
     """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
 
     The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
-    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and the
-    rest to `tally`, (N,) `TALLY`.
+    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and
+    the rest to `tally`, (N,) `TALLY`.
     """
     s = open_state(handle)
     worlds, players = s.players.shape
