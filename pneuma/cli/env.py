@@ -129,25 +129,6 @@ def play(
     play_by_keys(env, fps=rate, callback=tell_end, seed=seed, wait_on_player=True)
 
 
-@app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
-def serve(
-    name: str = opt.argument(*ENVIRONMENT),
-    port: int = opt.number("--port", "Where the trainer listens.", 11008, min=1, max=65535),
-    agents: int = opt.number("--agents", "How many copies are played side by side.", 1, min=1, max=1024),
-    seed: int = SEED,
-    set_: opt.SeveralRead = opt.SETTINGS,
-) -> None:
-    """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
-
-    Takes any environment of Gymnasium's with Discrete or Box actions. Start the trainer first, or within a
-    minute. It ends when the trainer says so.
-    """
-    from pneuma.godot.serve import serve as serve_trainer
-
-    steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
-    print(f"played {counted(steps, 'step')}")
-
-
 def _check_drawable(name: str) -> None:
     from pneuma.algorithms import MAILMAN
     from pneuma.env import REGISTERED
