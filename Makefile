@@ -25,12 +25,11 @@ $(INSTALLED): pyproject.toml constraints.txt hashes.txt
 PINS = --constraint constraints.txt
 COMPILE = $(BIN)/uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate --no-header
 
-# uv asks the index for all files of a version. godot-rl is for tests, and pins an old Gymnasium: hence alone.
+# uv asks the index for all files of a version.
 constraints: install  ## Write constraints.txt and hashes.txt anew; PINS= takes the newest versions
 	$(PIP) uv
 	$(COMPILE) --python-version 3.11.5 --extra dev $(PINS) pyproject.toml --output-file build/all.txt
-	echo godot-rl | $(COMPILE) --no-deps $(PINS) - --output-file build/alone.txt
-	.ci/pins build/all.txt build/alone.txt
+	.ci/pins build/all.txt
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
 	$(BIN)/pneuma study run activation

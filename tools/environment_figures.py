@@ -13,7 +13,7 @@ from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
 from pneuma.env.watch import FRAMES_PER_STEP, smooth
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import EnvConfig, make_env_config
+from pneuma.env_fields import EnvConfig
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 from tools import COMMAND
@@ -73,14 +73,10 @@ def draw_level(folder: Path) -> list[Path]:
 
 
 def draw_screens(folder: Path) -> list[Path]:
-    """Draw Figs. 5.1 and 5.2, the view that follows a player in two scenes, and what is measured.
-
-    The last one, for the page of rules, is the same fight of a player who sees by rays.
-    """
+    """Draw Figs. 5.1 and 5.2: the view that follows a player in two scenes."""
     paths = []
-    fight = fight_worlds(make_env_config({"perceive": "rays:32"}))
-    for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds()), ("rules", fight)):
-        frame: np.ndarray = Renderer(worlds, "follow", overlay=worlds is fight).frame(0)
+    for stem, worlds in (("fig-5-1", level_worlds()), ("fig-5-2", fight_worlds())):
+        frame: np.ndarray = Renderer(worlds, "follow").frame(0)
         with house_style():
             figure = Figure(figsize=(frame.shape[1] / 200, frame.shape[0] / 200))
             axes = figure.add_axes((0, 0, 1, 1))
@@ -101,11 +97,11 @@ def level_worlds(start: int = 0, config: EnvConfig | None = None) -> Worlds:
     return worlds
 
 
-def fight_worlds(config: EnvConfig | None = None) -> Worlds:
+def fight_worlds() -> Worlds:
     """Return the shipped level during a fight: a monster just hit, and as many awake as possible."""
-    best, most = level_worlds(config=config), 0
+    best, most = level_worlds(), 0
     for start in range(len(best.level.starts)):
-        worlds = level_worlds(start, config)
+        worlds = level_worlds(start)
         hunter = Hunter(worlds)
         smooth(worlds)
         while worlds.worlds["ending"][0] == 0 and most < 3:

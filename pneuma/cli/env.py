@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -57,15 +58,15 @@ def render(
         "--camera", CAMERAS, "The whole map (as a picture), or a player (as a video)."
     ),
     seed: int = SEED,
-    overlay: bool = opt.flag("--overlay", "Draw what the rules measure: bodies, circles, sword box, rays."),
+    seconds: float = opt.number("--seconds", "Most seconds of an episode in a video.", 20.0, min=1.0),
     set_: opt.SeveralRead = opt.SETTINGS,
     trust: bool = opt.TRUST,
     results: Path = opt.RESULTS,
 ) -> None:
     """Draw the world as a picture, or an episode as a video.
 
-    An episode that goes on after the last monster's death is shown for two more seconds. A run's
-    policy plays in the environment that it was trained in, --set on top.
+    A video shows the first --seconds of an episode, which ends two seconds after the last monster's
+    death. A run's policy plays in the environment that it was trained in, --set on top.
     """
     from pneuma.env.render import FOLLOW_FACTOR, GIF_FACTOR, Renderer
     from pneuma.env.watch import (
@@ -87,10 +88,10 @@ def render(
     worlds = _worlds(name, {**settings, **chosen}, seed)
     gif = out.suffix.lower() == ".gif"  # which grows fast: half as many frames, half as wide
     per_step, zoom = (GIF_FRAMES_PER_STEP, GIF_FACTOR) if gif else (FRAMES_PER_STEP, FOLLOW_FACTOR)
-    renderer = Renderer(worlds, camera or ("follow" if moving else "map"), overlay=overlay, zoom=zoom)
+    renderer = Renderer(worlds, camera or ("follow" if moving else "map"), zoom=zoom)
     acts = make_act(worlds)
-    frames = episode_frames(worlds, acts, renderer, per_step) if moving else iter([renderer.frame(0)])
-    write_video(out, frames, frame_rate(per_step))
+    most = 1 + round(seconds * frame_rate(per_step)) if moving else 1  # the first shows the start
+    write_video(out, islice(episode_frames(worlds, acts, renderer, per_step), most), frame_rate(per_step))
     print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
 
 
@@ -104,36 +105,32 @@ def play(
     """Play with the keyboard. The world waits while you hold no key.
 
     Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
-    with --set dash=true E dashes, escape leaves. Needs pygame-ce and a display.
+    with --set dash=true E dashes, 1 and 2 take up a weapon, escape leaves. Needs pygame-ce and a
+    display.
     """
-    from pneuma.env.watch import play as play_world
+    import gymnasium
 
-    worlds = _worlds(name, dict(set_ or ()), seed)
-    scores = play_world(worlds, name, camera)
-    for kills, steps in scores:
-        print(f"killed {counted(kills, 'monster')} in {counted(steps, 'step')}")
+    from pneuma.env.watch import FRAMES_PER_STEP, agent_steps, frame_rate, open_display, smooth
 
+    _check_drawable(name)
+    open_display()
+    from gymnasium.utils.play import play as play_by_keys
 
-@app.command(short_help="Play an environment's side for a trainer of Godot RL Agents.")
-def serve(
-    name: str = opt.argument(*ENVIRONMENT),
-    port: int = opt.number("--port", "Where the trainer listens.", 11008, min=1, max=65535),
-    agents: int = opt.number("--agents", "How many copies are played side by side.", 1, min=1, max=1024),
-    seed: int = SEED,
-    set_: opt.SeveralRead = opt.SETTINGS,
-) -> None:
-    """Play the game's side of Godot RL Agents' protocol, for whatever trains on Godot games.
+    env = gymnasium.make(name, render_mode="rgb_array", camera=camera, **dict(set_ or ())).unwrapped
+    worlds = env.state  # type: ignore[attr-defined]
+    smooth(worlds)
 
-    Takes any environment of Gymnasium's with Discrete or Box actions. Start the trainer first, or within a
-    minute. It ends when the trainer says so.
-    """
-    from pneuma.godot.serve import serve as serve_trainer
+    def tell_end(*step: Any) -> None:
+        *_, terminated, truncated, info = step
+        if terminated or truncated:
+            killed = counted(info["kills"], "monster")
+            print(f"killed {killed} in {counted(agent_steps(worlds), 'step')}")
 
-    steps = serve_trainer(name, dict(set_ or ()), agents, port, seed)
-    print(f"played {counted(steps, 'step')}")
+    rate = round(frame_rate(FRAMES_PER_STEP))
+    play_by_keys(env, fps=rate, callback=tell_end, seed=seed, wait_on_player=True)
 
 
-def _check_drawn(name: str) -> None:
+def _check_drawable(name: str) -> None:
     from pneuma.algorithms import MAILMAN
     from pneuma.config import is_gymnasium_id
     from pneuma.env import REGISTERED
@@ -150,7 +147,7 @@ def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
     from pneuma.env.worlds import Worlds
     from pneuma.env_fields import make_env_config
 
-    _check_drawn(name)
+    _check_drawable(name)
     worlds = Worlds(1, make_env_config(settings, name.replace("/mo-", "/")))
     worlds.seed([seed])
     worlds.reset()
@@ -161,12 +158,14 @@ def _story(worlds: Any) -> str:
     from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
 
     count = worlds.monsters.shape[1]
-    killed = f"{count - worlds.worlds['monsters_left'][0]} of {count} monsters killed"
-    played = f"{killed}, {counted(agent_steps(worlds), 'step')}"
-    if worlds.ending(0) == "running":
+    killed = count - worlds.worlds["monsters_left"][0]
+    played = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
+    if worlds.ending(0) == "running" and killed == count:
         return (
             f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
         )
+    if worlds.ending(0) == "running":
+        return f"{played}; the episode goes on: --seconds shows more"
     return f"{played}, {worlds.ending(0).replace('-', ' ')}"
 
 

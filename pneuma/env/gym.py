@@ -1,20 +1,18 @@
-"""Gymnasium's face of one world, and its recorder; of N worlds: `gym_vector.py`."""
+"""Gymnasium's face of one world; of N worlds: `gym_vector.py`."""
 
 from __future__ import annotations
 
 import operator
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import wrappers
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 
 from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import chosen_starts, ending_info
-from pneuma.env.watch import Rendering, write_video
+from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
 from pneuma.errors import UserError
@@ -213,6 +211,10 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         truncated = bool(state.truncated[0])
         return observation, self._reward(), not truncated, truncated, info
 
+    def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
+        """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""
+        return keys_to_action(self.state.action_names)
+
     def _reward(self) -> Any:
         return self.state.events["reward"].item()
 
@@ -234,28 +236,3 @@ def without_time_limit(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
     assert isinstance(world, PneumaEnv)
     world.limit_episodes(env._max_episode_steps)
     return env.env
-
-
-# --- Videos ---------------------------------------------------------------------------------------
-
-
-class RecordVideo(wrappers.RecordVideo[Any, Any]):
-    """Gymnasium's wrapper with its arguments, but without moviepy, which needs an older Pillow than Pneuma.
-
-    Videos are written by imageio-ffmpeg (extra `video`).
-
-    Raises:
-        UserError: at the end of a recording, for a missing imageio-ffmpeg or a video that cannot be written.
-    """
-
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        with suppress(DependencyNotInstalled):  # that there is no moviepy, after all else is set up
-            super().__init__(*arguments, **keywords)
-
-    def stop_recording(self) -> None:
-        """Write the recording, if it has frames."""
-        frames: Any = self.recorded_frames
-        self.recorded_frames, self.recording = [], False
-        if frames:
-            path = Path(self.video_folder, f"{self._video_name}.mp4")
-            write_video(path, frames, self.frames_per_sec)

@@ -17,7 +17,6 @@ from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
 from pneuma.env.ground import ground_kinds, hatch, land_and_shore, paint_ground, tile_hash
 from pneuma.env.level import GRASS, SAND, SNOW
-from pneuma.env.overlay import Place, draw_overlay
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -75,18 +74,16 @@ class Renderer:
         worlds: Worlds,
         camera: str = "map",
         panel: bool = True,
-        overlay: bool = False,
         zoom: int = FOLLOW_FACTOR,
     ) -> None:
         """Paint the background.
 
         The camera "map" shows the whole level, "follow" a view centred on a player, with `zoom` pixels for
-        each art pixel. A panel above the picture shows HP, XP, step and monsters left; an overlay draws what
-        the rules measure over it. Raises UserError for a level that is too large.
+        each art pixel. A panel above the picture shows HP, XP, step and monsters left. Raises UserError for a
+        level that is too large.
         """
         self.worlds = worlds
         self.camera = camera
-        self._overlay = overlay
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
         self.shown = land_and_shore(worlds.levels)
@@ -128,8 +125,6 @@ class Renderer:
         canvas = self.background[top : top + height, left : left + width].copy()
         self._draw(canvas, world, left, top)
         frame = sprites.centred(sprites.enlarge(canvas, self._factor), self._size, SEA)
-        if self._overlay:
-            frame = draw_overlay(frame, self.worlds, world, player, self._to_frame(left, top, width, height))
         return np.concatenate([self._strip(world, player), frame]) if self._panel else frame
 
     # --- Cameras ---------------------------------------------------------------------------------
@@ -144,14 +139,6 @@ class Renderer:
         left, width = _clamp(x, VIEW[0], columns)
         top, height = _clamp(y, VIEW[1], rows)
         return left, top, width, height
-
-    def _to_frame(self, left: int, top: int, width: int, height: int) -> Place:
-        """Return the function from a place in the world to one in a frame that shows this window."""
-        level, factor = self.worlds.level, self._factor
-        scale = sprites.TILE * factor / level.tile
-        across = (self._size[0] - width * factor) // 2 - left * factor
-        down = (self._size[1] - height * factor) // 2 - top * factor
-        return lambda x, y: ((x - level.left) * scale + across, (y - level.top) * scale + down)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         level = self.worlds.level

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
-from stable_baselines3.common.vec_env import vec_video_recorder
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
-from pneuma.env.watch import Rendering, write_video
+from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
 from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
@@ -209,17 +206,3 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for each slot, of its world with its player in view."""
         return self._frames()
-
-
-class VecVideoRecorder(vec_video_recorder.VecVideoRecorder):
-    """Stable-Baselines3's wrapper with its arguments; videos are as from `pneuma.env.gym.RecordVideo`."""
-
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        with suppress(DependencyNotInstalled):  # that there is no moviepy, after all else is set up
-            super().__init__(*arguments, **keywords)
-
-    def _stop_recording(self) -> None:
-        frames, self.recorded_frames, self.recording = self.recorded_frames, [], False
-        rate: Any = self.frames_per_sec
-        if frames:
-            write_video(Path(self.video_path), frames, rate)

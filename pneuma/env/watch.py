@@ -1,4 +1,4 @@
-"""Showing a world: a window, rendering, smooth episodes, videos, and play by hand.
+"""Showing a world: a window, rendering, smooth episodes, videos, and the keys to play with.
 
 Environments give one frame per step. Episodes and play show the 8 ticks of a step in four frames, so that
 motion is smooth; a GIF shows two, as it would be twice as large. A window needs pygame-ce.
@@ -10,18 +10,17 @@ import importlib
 import importlib.util
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from PIL import Image
-from PIL.GifImagePlugin import getdata
 
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
 from pneuma.env.render import CAMERAS, Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ACTION_NAMES
 from pneuma.errors import UserError, install_extra, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
@@ -33,11 +32,11 @@ FRAMES_PER_STEP, GIF_FRAMES_PER_STEP = 4, 2
 SECONDS_AFTER_LAST_KILL = 2
 
 KEYS = {
-    "up": ("UP", "w"), "left": ("LEFT", "a"), "down": ("DOWN", "s"), "right": ("RIGHT", "d"),
-    "attack": ("SPACE",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "first_weapon": ("1",),
-    "second_weapon": ("2",), "leave": ("ESCAPE",),
+    "up": ("up", "w"), "left": ("left", "a"), "down": ("down", "s"), "right": ("right", "d"),
+    "attack": ("space",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "first_weapon": ("1",),
+    "second_weapon": ("2",),
 }  # fmt: skip
-"""Commands in a window and their keys, by pygame's names."""
+"""The keys of actions, by pygame's names; of those held together the last counts."""
 
 Act = Callable[[Worlds], np.ndarray]
 """A function that chooses actions (N, P) for all worlds."""
@@ -47,27 +46,15 @@ class Window:
     """A window on the screen; `closed` when somebody has closed it."""
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
-        self._pygame = pygame = _load_pygame()
-        asked = os.environ.get("SDL_VIDEODRIVER") or os.environ.get("SDL_VIDEO_DRIVER")
-        try:
-            pygame.display.init()
-            # Without a display SDL falls back to an invisible one.
-            if pygame.display.get_driver() in ("offscreen", "dummy") and not asked:
-                pygame.display.quit()
-                raise UserError("no window can be opened: there is no display here")
-            self._screen = pygame.display.set_mode(size)
-        except pygame.error as error:
-            raise UserError(f"no window can be opened: {error}") from None
+        self._pygame = pygame = open_display()
+        self._screen = pygame.display.set_mode(size)
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
-        self._names = {getattr(pygame, f"K_{key}"): name for name, keys in KEYS.items() for key in keys}
-        self._tapped: set[int] = set()
         self.closed = False
 
     def show(self, frame: np.ndarray, frames_per_second: float) -> None:
         """Show a frame, (height, width, 3) uint8, then wait as the frame rate requires."""
-        self._tapped.clear()
-        if not self._listen():
+        if self._is_closed():
             return
         height, width = frame.shape[:2]
         image = self._pygame.image.frombuffer(np.ascontiguousarray(frame), (width, height), "RGB")
@@ -75,37 +62,58 @@ class Window:
         self._pygame.display.flip()
         self._clock.tick(frames_per_second)
 
-    def keys(self) -> set[str]:
-        """Return which of `KEYS` are held, or were tapped since the last frame."""
-        if not self._listen():
-            return set()
-        held = self._pygame.key.get_pressed()
-        return {name for code, name in self._names.items() if held[code] or code in self._tapped}
-
     def close(self) -> None:
         if not self.closed:
             self._pygame.display.quit()
         self.closed = True
 
-    def _listen(self) -> bool:
-        """Process the window's events; return whether it is open."""
+    def _is_closed(self) -> bool:
+        """Process the window's events; return whether somebody has closed it."""
         for event in [] if self.closed else self._pygame.event.get():
-            if event.type == self._pygame.KEYDOWN:
-                self._tapped.add(event.key)
-            elif event.type == self._pygame.QUIT:
+            if event.type == self._pygame.QUIT:
                 self.close()
-        return not self.closed
+        return self.closed
 
 
-def _load_pygame() -> Any:
-    """Import pygame-ce without its greeting and without looking for a sound card."""
+def open_display() -> Any:
+    """Return pygame with a display, without its greeting and without looking for a sound card.
+
+    Raises:
+        UserError: if pygame-ce or a display is missing.
+    """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # avoids a warning of Wayland
+    asked = os.environ.get("SDL_VIDEODRIVER") or os.environ.get("SDL_VIDEO_DRIVER")
     try:
-        return importlib.import_module("pygame")
+        pygame = importlib.import_module("pygame")
     except ImportError:
         raise UserError(f"a window needs pygame-ce: {install_extra('play')}") from None
+    try:
+        pygame.display.init()
+    except pygame.error as error:
+        raise UserError(f"no window can be opened: {error}") from None
+    # Without a display SDL falls back to an invisible one.
+    if pygame.display.get_driver() in ("offscreen", "dummy") and not asked:
+        pygame.display.quit()
+        raise UserError("no window can be opened: there is no display here")
+    return pygame
+
+
+def keys_to_action(names: Sequence[str]) -> dict[tuple[int, ...], int]:
+    """Return what keys do that are held alone or in pairs, for `gymnasium.utils.play.play`.
+
+    The actions have these names. Of two keys the one of the later action counts.
+    """
+    pygame = open_display()
+    codes = {
+        pygame.key.key_code(key): names.index(name)
+        for name, keys in KEYS.items()
+        if name in names
+        for key in keys
+    }
+    held = [keys for count in (1, 2) for keys in combinations(sorted(codes), count)]
+    return {keys: max(codes[key] for key in keys) for keys in held}
 
 
 class Rendering:
@@ -209,44 +217,14 @@ def smooth(worlds: Worlds, frames_per_step: int = FRAMES_PER_STEP) -> None:
     worlds.settings["step_limit"] *= frames_per_step
 
 
-def play(worlds: Worlds, title: str, camera: str = "follow") -> list[tuple[int, int]]:
-    """Let the user play player 0 with the keyboard until the window closes.
-
-    Arrows or W, A, S, D walk, space attacks, with magic F is flame and H is heal, E dashes where one can, 1
-    and 2 take up the first and the second weapon, escape leaves. The world waits while no key is held. The
-    other players stand still and attack. Return the kills and steps of every finished episode.
-    """
-    smooth(worlds)
-    renderer = Renderer(worlds, camera)
-    window = Window(renderer.size, title)
-    names = worlds.action_names
-    scores: list[tuple[int, int]] = []
-    while not window.closed:
-        window.show(renderer.frame(0), frame_rate(FRAMES_PER_STEP))
-        pressed = window.keys()
-        if "leave" in pressed:
-            break
-        chosen = [name for name in (*names[4:], *names[:4]) if name in pressed]
-        if not chosen:
-            continue  # the world waits for its player
-        actions = np.full(worlds.players.shape, ACTION_NAMES.index("attack"))
-        actions[0, 0] = names.index(chosen[0])
-        if worlds.step(actions):
-            scores.append((int(worlds.players["kills"][0, 0]), agent_steps(worlds)))
-            worlds.reset()
-    window.close()
-    return scores
-
-
 # --- Videos ---------------------------------------------------------------------------------------
-# Frames are written one by one, so that long videos need no more memory than short ones.
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], frames_per_second: float) -> None:
     """Write frames to a .gif or .mp4, or the first to a .png; the file is written whole or not at all.
 
-    Frames are of one shape, (height, width, 3) uint8, and taken one at a time. Browsers play GIFs with more
-    than 50 a second slowly.
+    Frames are of one shape, (height, width, 3) uint8. An MP4 takes them one at a time, a GIF keeps all in
+    memory. Browsers play GIFs with more than 50 a second slowly.
     """
     suffix = path.suffix.lower()
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
@@ -294,58 +272,9 @@ def _with_even_sides(frame: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
 
 
-class _Palette:
-    """The colours of a whole GIF, in order of appearance; from the 256th on, the nearest known one."""
-
-    def __init__(self) -> None:
-        self.colours = np.zeros((256, 3), np.uint8)
-        self._count = 1  # the first stands for "as before"
-        self._indices = np.zeros(1 << 24, np.uint8)  # by red, green and blue; 0 if not yet seen
-
-    def index(self, frame: np.ndarray) -> np.ndarray:
-        """Return the index of each pixel's colour, (height, width) uint8."""
-        packed = frame.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
-        indices = self._indices[packed]
-        if not indices.all():
-            for colour in np.unique(packed[indices == 0]).tolist():
-                self._indices[colour] = self._add(np.array([colour >> 16, colour >> 8 & 255, colour & 255]))
-            indices = self._indices[packed]
-        return indices
-
-    def _add(self, colour: np.ndarray) -> int:
-        if self._count == len(self.colours):
-            return 1 + int(((self.colours[1:].astype(int) - colour) ** 2).sum(axis=1).argmin())
-        self.colours[self._count] = colour
-        self._count += 1
-        return self._count - 1
-
-
 def _write_gif(path: Path, frames: Iterator[np.ndarray], frames_per_second: float) -> None:
-    """Write a looping GIF with one palette; Pillow's own `save_all` would keep every frame in memory."""
-    before: np.ndarray | None = None
-    palette = _Palette()
-    with open(path, "wb") as file:
-        for number, frame in enumerate(frames):
-            pixels = palette.index(frame)
-            left, top, right, bottom = 0, 0, *pixels.shape[::-1]
-            if before is None:
-                size = b"".join(side.to_bytes(2, "little") for side in (right, bottom))
-                file.write(b"GIF89a" + size + b"\xf7\0\0" + palette.colours.tobytes())
-                file.write(b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")
-                shown = pixels
-            else:  # where it differs; one pixel if nowhere
-                shown = np.where(pixels == before, 0, pixels).astype(np.uint8)
-                left, top, right, bottom = Image.fromarray(shown).getbbox() or (0, 0, 1, 1)
-            start, end = (round(100 * edge / frames_per_second) for edge in (number, number + 1))
-            piece = Image.fromarray(shown[top:bottom, left:right])
-            file.writelines(
-                getdata(piece, (left, top), duration=10 * (end - start), disposal=1, transparency=0)
-            )
-            before = pixels
-        file.write(b";")
-        file.seek(_PALETTE_AT)
-        file.write(palette.colours.tobytes())
-
-
-_PALETTE_AT = 13
-"""Where a GIF's palette begins, which is complete when all frames are written."""
+    """Write a looping GIF; its times are hundredths of a second, which add up to the right length."""
+    first, *others = [Image.fromarray(frame) for frame in frames]
+    ends = [round(100 * number / frames_per_second) for number in range(len(others) + 2)]
+    durations = [10 * (end - start) for start, end in pairwise(ends)]
+    first.save(path, save_all=True, append_images=others, duration=durations, loop=0)

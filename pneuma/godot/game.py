@@ -1,4 +1,4 @@
-"""A game made with Godot as an environment, over Godot RL Agents' protocol; `serve.py` is the other end.
+"""A game made with Godot as an environment, over Godot RL Agents' protocol.
 
 The package's own client is not used here, because it pins Gymnasium 1.0 and never notices a game that ended.
 """

@@ -22,8 +22,6 @@ START_SECONDS = 60
 MOST_BYTES = 64 * 2**20
 """Most bytes of a message."""
 LARGEST = float(np.finfo(np.float32).max)
-MOST_SEED = 2**32 - 1
-"""Largest seed that a message names."""
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError)
 """What reading a message raises if it is not as the protocol says."""
 TRUNCATED = ("truncated", "TimeLimit.truncated")

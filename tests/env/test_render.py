@@ -136,29 +136,6 @@ def test_the_map_shows_the_land_and_two_tiles_of_water() -> None:
     )
 
 
-@pytest.mark.parametrize("camera", ["map", "follow"])
-def test_an_overlay_draws_rays_to_what_they_meet(arena: str, camera: str) -> None:
-    worlds = stage(arena, (200.0, 0.0), settings={"perceive": "rays:4"})
-    plain, over = (Renderer(worlds, camera, panel=False, overlay=each).frame() for each in (False, True))
-    x, y = changed(plain, over)
-    height, width = plain.shape[:2]
-    factor = 0.75 if camera == "map" else 1.0  # pixels of the frame for one of the world
-    on_ray = (abs(y - height / 2) <= 2) & (x > width / 2) & (x < width / 2 + 188 * factor)
-    assert len(set(x[on_ray])) > 180 * factor
-    assert over.shape == plain.shape
-
-
-def test_a_gif_of_many_colours_has_one_palette_and_the_nearest_of_them(tmp_path: Path) -> None:
-    path = tmp_path / "many.gif"
-    ramp = np.zeros((2, 300, 3), np.uint8)
-    ramp[..., 0] = np.arange(300) // 2
-    ramp[..., 1] = np.arange(300) % 2
-    watch.write_video(path, iter([ramp, ramp[:, ::-1]]), 15)
-    frames, _ = gif_frames(path)
-    assert abs(frames[1].astype(int) - ramp[:, ::-1]).max() <= 45
-    np.testing.assert_array_equal(frames[1], frames[0][:, ::-1])
-
-
 # --- Videos ---------------------------------------------------------------------------------------
 
 
@@ -184,12 +161,12 @@ def gif_frames(path: Path) -> tuple[list[np.ndarray], list[int]]:
 
 
 def test_gif_has_every_frame_pixel_by_pixel(tmp_path: Path) -> None:
-    """Frames that repeat are kept; 30 frames a second last 0.03 or 0.04 s, 1 s together."""
+    """Of frames that repeat there is one, which stays longer: 1 s together."""
     path = tmp_path / "squares.gif"
     watch.write_video(path, squares(30), 30)
     frames, milliseconds = gif_frames(path)
-    np.testing.assert_array_equal(frames, list(squares(30)))
-    assert sum(milliseconds) == 1000 and set(milliseconds) == {30, 40}
+    np.testing.assert_array_equal(frames, list(squares(30))[::2])
+    assert sum(milliseconds) == 1000 and set(milliseconds) == {60, 70}
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -1,14 +1,15 @@
-"""What people watch: frames from every face, a window, smooth episodes, and play at the keyboard."""
+"""What people watch: frames from every face, a window, smooth episodes, and keys to play with."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.play import play
 
 from pneuma.env import MO_ENVIRONMENTS, watch
 from pneuma.env.gym import PneumaEnv
@@ -20,26 +21,6 @@ from pneuma.env.watch import Window
 from pneuma.env_fields import ENVIRONMENTS
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
-
-
-class Keyboard:
-    """Stands in for a window: somebody holds keys for so many frames each, then closes it."""
-
-    held: ClassVar[Sequence[tuple[set[str], int]]] = ()
-
-    def __init__(self, size: tuple[int, int], title: str) -> None:
-        self.closed = False
-        self.frames = [keys for keys, count in self.held for _ in range(count)]
-
-    def show(self, frame: np.ndarray, frames_per_second: float) -> None:
-        assert frames_per_second == 30
-
-    def keys(self) -> set[str]:
-        self.closed = len(self.frames) <= 1
-        return self.frames.pop(0) if self.frames else set()
-
-    def close(self) -> None:
-        self.closed = True
 
 
 def expected(level: str, seed: int, *actions: int) -> np.ndarray:
@@ -85,19 +66,14 @@ def test_human_mode_shows_every_step_by_itself(
         env.close()
 
 
-def test_window_tells_keys_and_that_it_was_closed(pygame: ModuleType) -> None:
-    window = Window((64, 64), "keys")
+def test_window_tells_that_it_was_closed(pygame: ModuleType) -> None:
+    window = Window((64, 64), "closed")
     frame = np.zeros((64, 64, 3), np.uint8)
     window.show(frame, 0)
-    assert window.keys() == set()
-    for key in (pygame.K_SPACE, pygame.K_a, pygame.K_x):
-        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
-    assert window.keys() == {"attack", "left"}
-    window.show(frame, 0)
-    assert window.keys() == set()  # tapped, not held
+    assert not window.closed
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     window.show(frame, 0)
-    assert window.closed and window.keys() == set()
+    assert window.closed
 
 
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:
@@ -113,13 +89,26 @@ def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None
     assert watched.ending(0) == played.ending(0) == "time-limit"
 
 
-def test_keys_walk_and_attack_and_the_world_waits_without(
-    monkeypatch: pytest.MonkeyPatch, arena: str
+@pytest.mark.parametrize(
+    ("pressed", "place", "busy"),
+    [
+        (["d"], (30.0, -0.0), 0),  # 10 px a frame of 2 ticks
+        (["up"], (0.0, -30.0), 0),
+        (["a", "space"], (0.0, 0.0), 18),  # of two keys the later action counts
+    ],
+)
+def test_gymnasium_plays_by_keys(
+    pygame: ModuleType, arena: str, pressed: list[str], place: tuple[float, float], busy: int
 ) -> None:
-    held = [({"right"}, 3), (set(), 20), ({"up"}, 2), ({"left", "attack"}, 1), ({"leave"}, 1)]
-    monkeypatch.setattr(Keyboard, "held", held)
-    monkeypatch.setattr(watch, "Window", Keyboard)
-    worlds = begin(1, level=arena)
-    watch.play(worlds, "test")
-    assert player_at(worlds) == (30.0, -20.0)  # 10 px a frame of 2 ticks
-    assert worlds.players["busy"][0, 0] == 22 and worlds.worlds["steps"][0] == 6
+    env = PneumaEnv(render_mode="rgb_array", level=arena)
+    watch.smooth(env.state)
+    watch.open_display()
+    for key in pressed:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.key.key_code(key)))
+
+    def leave(*_: object) -> None:
+        if env.state.worlds["steps"][0] == 3:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+
+    play(env, fps=1000, callback=leave, seed=0, wait_on_player=True)
+    assert player_at(env.state) == place and env.state.players["busy"][0, 0] == busy

@@ -1,10 +1,9 @@
-"""Godot RL Agents' protocol: its own package trains on Pneuma, and a game is the environment it plays."""
+"""Games made with Godot: a game is the environment that it plays, and one that fails is told of."""
 
 from __future__ import annotations
 
 import gc
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -37,8 +36,7 @@ def free_port() -> int:
 def a_game(folder: Path, name: str) -> str:
     """Write a game that plays an environment, and return its path."""
     game = folder / "game.x86_64"
-    serve = f"exec {sys.executable} -m pneuma env serve {name}"
-    game.write_text(f'#!/bin/sh\n{serve} "$1" --seed "${{2#*=}}"\n')
+    game.write_text(f'#!/bin/sh\nexec {sys.executable} -m tests.godot.fake_game {name} "$@"\n')
     game.chmod(0o755)
     return str(game)
 
@@ -74,44 +72,6 @@ def test_a_study_of_a_game_is_that_of_the_environment(tmp_path: Path) -> None:
 def test_a_game_that_untrusted_fields_name_is_not_started_unasked() -> None:
     fields = {"env": "Godot-v0", "env_kwargs": '{"env_path": "game"}'}
     assert describe_user_code(fields) == {"env_kwargs": 'start the game of {"env_path": "game"}'}
-
-
-def serving(name: str, agents: int) -> tuple[int, subprocess.Popen[bytes]]:
-    port = free_port()
-    command = [sys.executable, "-m", "pneuma", "env", "serve", name, f"--port={port}", f"--agents={agents}"]
-    return port, subprocess.Popen(command)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its socket stays open
-def test_the_package_of_godot_rl_trains_on_pneuma() -> None:
-    wrapper = pytest.importorskip("godot_rl.wrappers.stable_baselines_wrapper")
-    from stable_baselines3 import PPO
-
-    port, game = serving(ARENA, agents=2)
-    env = wrapper.StableBaselinesGodotEnv(port=port)
-    assert env.num_envs == 2
-    PPO("MultiInputPolicy", env, n_steps=64, batch_size=64).learn(256)
-    env.close()
-    assert game.wait(timeout=20) == 0
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its socket stays open
-def test_the_package_s_cleanrl_environment_sees_what_gymnasium_s_does() -> None:
-    wrapper = pytest.importorskip("godot_rl.wrappers.clean_rl_wrapper")
-    port, game = serving(ARENA, agents=2)
-    env = wrapper.CleanRLGodotEnv(port=port)
-    copies = [gymnasium.make(ARENA) for _ in range(2)]
-    seen, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(seen, [copy.reset(seed=seed)[0] for seed, copy in enumerate(copies)])
-    for step in range(20):
-        actions = np.array([[step % 5], [(step + 3) % 5]])
-        seen, rewards, *_ = env.step(actions)
-        steps = [copy.step(int(own)) for copy, own in zip(copies, actions[:, 0], strict=True)]
-        np.testing.assert_array_equal(seen, [own[0] for own in steps])
-        assert rewards == [own[1] for own in steps]
-    env.close()
-    assert game.wait(timeout=20) == 0
 
 
 # --- Games that fail -------------------------------------------------------------------------------

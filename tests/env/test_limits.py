@@ -1,17 +1,14 @@
-"""What Gymnasium calls `max_episode_steps` is the world's own limit; its recorders of videos work."""
+"""What Gymnasium calls `max_episode_steps` is the world's own limit."""
 
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-from pneuma.env.gym import RecordVideo
-from pneuma.env.sb3 import PneumaVecEnv, VecVideoRecorder
 from pneuma.errors import UserError
 
 TEXT, GODOT, VECTORS = "pneuma/Pneuma-v0", "pneuma/PneumaGodot-v0", "pneuma/mo-PneumaArena-v0"
@@ -67,34 +64,3 @@ def test_two_limits_are_refused() -> None:
     for make in (gymnasium.make, gymnasium.make_vec):
         with pytest.raises(UserError, match="max_episode_steps = 7 and episode_steps = 8 are one field"):
             make(TEXT, max_episode_steps=7, episode_steps=8)
-
-
-def frames_and_size(path: Path) -> tuple[int, Any]:
-    ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    about = next(ffmpeg.read_frames(str(path)))
-    return ffmpeg.count_frames_and_secs(str(path))[0], about["size"]
-
-
-def test_gymnasiums_recorder_works_without_moviepy(tmp_path: Path, arena: str) -> None:
-    env = gymnasium.make(TEXT, level=arena, render_mode="rgb_array", max_episode_steps=5)
-    recorded: Any = RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda episode: episode == 1)
-    for _ in range(3):
-        ending(recorded)
-    recorded.close()
-    (video,) = (tmp_path / "videos").iterdir()
-    assert video.name == "rl-video-episode-1.mp4"
-    frame: Any = env.render()
-    shape = frame.shape[1], frame.shape[0]
-    assert frames_and_size(video) == (6, tuple(side + side % 2 for side in shape))
-
-
-def test_stable_baselines3s_recorder_works_without_moviepy(tmp_path: Path, arena: str) -> None:
-    slots = PneumaVecEnv(2, level=arena, render_mode="rgb_array")
-    recorded: Any = VecVideoRecorder(slots, str(tmp_path), lambda step: step == 0, video_length=4)
-    recorded.reset()
-    for _ in range(6):
-        recorded.step([4, 4])
-    recorded.close()
-    (video,) = tmp_path.iterdir()
-    assert video.name == "rl-video-step-0-to-step-4.mp4"
-    assert frames_and_size(video)[0] == 5
