@@ -83,7 +83,7 @@ def render(
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
     chosen = dict(set_ or ())
-    _check_drawn(name)
+    _check_drawable(name)
     settings, make_act = _player(player, name, seed, results, trust)
     worlds = _worlds(name, {**settings, **chosen}, seed)
     gif = out.suffix.lower() == ".gif"  # which grows fast: half as many frames, half as wide
