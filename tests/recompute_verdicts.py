@@ -136,7 +136,7 @@ def read_claims() -> dict[str, Claim]:
 def pairs(claim: Claim) -> list[tuple[list[str], list[str]]]:
     if claim["kind"] == "range":
         return [(claim["a"], claim["b"])]
-    if claim.get("paired"):
+    if claim.get("paired") and claim["b"]:
         return [([a], [b]) for a, b in zip(claim["a"], claim["b"], strict=True)]
     return [([a], [b] if b else []) for a in claim["a"] for b in claim["b"] or [""]]
 
