@@ -20,7 +20,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.errors import counted
 from pneuma.figures import grid
 from pneuma.figures.grid import Page, Panel, in_grid
@@ -225,27 +225,41 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     means = objective.over_seeds == "mean"
     sign = -1 if objective.direction == "maximize" else 1
     ranked = dict(sorted(found.items(), key=lambda pair: sign * pair[1].fresh))
-    panel = Panel(
-        partial(_draw_gains, found=[*ranked.values()], means=means, from_zero=measured.unit == "share"),
-        x=words if means else f"{words}, {objective.over_seeds} of seeds",
-        x_ticks=grid.shares if measured.unit == "share" else grid.few,
-        rows=[*ranked],
-    )
+    share = measured.unit == "share"
+    runs = {
+        winner.name: tuple(
+            outcome_values(data, condition, objective.outcome) for condition in (winner.name, winner.tuned)
+        )
+        for winner in winners
+    }
+    panels = [
+        Panel(
+            partial(_draw_gains, found=ranked, runs=runs, from_zero=share),
+            x=words if means else f"{words}, {objective.over_seeds} of seeds",
+            x_ticks=grid.shares if share else grid.few,
+            rows=[*ranked],
+        )
+    ]
+    if shown := means and any(np.isfinite(gain.interval).all() for gain in found.values()):
+        draw = partial(_draw_differences, found=[*ranked.values()])
+        panels.append(Panel(draw, x="Tuned less untuned", x_ticks=grid.points if share else grid.few,
+                            rows=[""] * len(ranked)))  # fmt: skip
     inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
     title = headline_of(data, f"{counted(seeds, 'fresh seed')}, {data.budget:,} steps")
-    shown = means and any(np.isfinite(gain.interval).all() for gain in found.values())
-    line = "Line through a diamond: the untuned value plus the 95 % interval of tuned less untuned."
-    caption = [*notes_of(data), line * shown]
-    return Page(basename, [[panel]], inches, title, samples_of(data), caption=caption)
+    caption = [*notes_of(data), "Dots: runs. Right: the difference of means with its 95 % interval." * shown]
+    widths = [2, 1] if shown else None
+    return Page(basename, [panels], inches, title, samples_of(data), caption=caption, widths=widths)
 
 
-def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool, from_zero: bool) -> None:
-    """Draw a row for each gain; with `means`, whose difference has the interval, that of the gain too."""
-    for place, gain in enumerate(found):
-        low, high = (gain.fresh_baseline + end * (1 if means else math.nan) for end in gain.interval)
-        axes.plot([gain.fresh, gain.seen], [place, place], color=GREY, linewidth=0.8, zorder=1.5)
-        grid.draw_interval(axes, place, {"value": gain.fresh, "low": low, "high": high}, markerfacecolor=BEST)
+def _draw_gains(
+    axes: Axes, found: Mapping[str, Gain], runs: Mapping[str, tuple[np.ndarray, ...]], from_zero: bool
+) -> None:
+    """Draw a row for each gain: the runs of both conditions, and their values over seeds."""
+    for place, (name, gain) in enumerate(found.items()):
+        for values, colour in zip(runs[name], (COMPLETE, BEST), strict=True):
+            axes.plot(values, [place + 0.22] * len(values), "o", color=colour, markersize=2.2, alpha=0.6)
         look: Any = {"markersize": 4.5, "linestyle": "", "color": COMPLETE, "zorder": 2.6}
+        axes.plot([gain.fresh], [place], marker="D", **{**look, "color": INK, "markerfacecolor": BEST})
         axes.plot([gain.seen], [place], marker="o", markerfacecolor="white", **look)
         axes.plot([gain.fresh_baseline], [place], marker="o", **look)
     shown: Any = {"color": COMPLETE, "marker": "o", "linestyle": "", "markersize": 4.5}
@@ -254,6 +268,14 @@ def _draw_gains(axes: Axes, found: Sequence[Gain], means: bool, from_zero: bool)
     axes.plot([], [], label="tuned, as its search saw it", markerfacecolor="white", **shown)
     if from_zero:
         axes.set_xlim(left=0)
+
+
+def _draw_differences(axes: Axes, found: Sequence[Gain]) -> None:
+    axes.axvline(0, color=GREY, linewidth=0.8)
+    for place, gain in enumerate(found):
+        low, high = gain.interval
+        row = {"value": gain.difference, "low": low, "high": high}
+        grid.draw_interval(axes, place, row, markerfacecolor=BEST)
 
 
 GOLDEN = (5**0.5 - 1) / 2

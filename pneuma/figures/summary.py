@@ -5,6 +5,7 @@ They show the share of monsters killed at the end, or the return if there are no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -44,6 +45,8 @@ from pneuma.figures.words import (
 WITHOUT_EVALUATIONS = "final-return"
 DOT_SHARE = 0.012
 """Width of a dot as a share of the axis; runs closer than this lie side by side."""
+FAR_FROM_ZERO = 0.5
+"""Of a single panel in which all runs kill a larger share, the axis begins near them, so that rows differ."""
 ABOVE = 0.2
 """Distance of the mean above, and the interquartile mean below, a condition's row, in rows."""
 
@@ -113,11 +116,17 @@ class OutcomeRows:
         return max((float(runs.max()) for runs in self.values.values() if len(runs)), default=0.0)
 
     def panel(
-        self, colours: Mapping[str, str], short: Mapping[str, str], mark: float, top: float, title: str
+        self,
+        colours: Mapping[str, str],
+        short: Mapping[str, str],
+        mark: float,
+        ends: tuple[float, float],
+        title: str,
     ) -> Panel:
         """Return the panel with a row for each name, in its colour.
 
-        `short` has the names that are shown; `top` is the greatest share killed in any panel.
+        `short` has the names that are shown; `ends` are where axes of shares killed begin, and the greatest
+        share in any panel.
         """
         names = list(colours)
         measured = "Return of an episode" if is_return(self.outcome) else find_outcome(self.outcome).unit
@@ -125,7 +134,7 @@ class OutcomeRows:
             label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
         ]
         return Panel(
-            partial(_draw_runs, found=self, colours=colours, mark=mark, top=top),
+            partial(_draw_runs, found=self, colours=colours, mark=mark, ends=ends),
             title,
             "Share killed" if self.of_killed else measured,
             x_ticks=grid.shares if self.of_killed else grid.few,
@@ -175,8 +184,10 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
     alone = next(iter(drawn.values()))
     top = max((found.highest for found in drawn.values() if found.of_killed), default=0.0)
+    lowest = min((float(runs.min()) for runs in alone.values.values() if len(runs)), default=0.0)
+    begin = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
     panels = [
-        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, top, title)
+        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, (begin, top), title)
         if title in drawn else grid.no_runs(title)
         for title in columns
     ]  # fmt: skip
@@ -203,7 +214,9 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     )
 
 
-def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float, top: float) -> None:
+def _draw_runs(
+    axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float, ends: tuple[float, float]
+) -> None:
     """Draw each run of a condition as a dot, and its means with intervals."""
     reach = float(np.ptp(np.concatenate([*found.values.values(), [0.0]])))
     for condition, runs in found.values.items():
@@ -222,8 +235,9 @@ def _draw_runs(axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark:
                 grid.draw_interval(axes, place + ABOVE, row, **iqm)
     if found.of_killed:
         levels = random_levels(found.data, "share_killed")
+        begin, top = ends
         grid.draw_random_player(axes, levels, top, colours, [*colours])
-        axes.set_xlim(0, max(axes.get_xlim()[1], 1.05 * top, 0.01))
+        axes.set_xlim(begin, max(axes.get_xlim()[1], 1.05 * (top - begin) + begin, begin + 0.01))
 
 
 def _beside(values: np.ndarray, reach: float) -> np.ndarray:
