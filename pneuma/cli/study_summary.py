@@ -17,10 +17,12 @@ from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.errors import UserError, counted, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.spec import list_studies
+from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pneuma.analysis.claims import Claim
     from pneuma.analysis.frames import StudyData
 
 COLUMNS = 3
@@ -216,6 +218,10 @@ def compare(
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
+    claims = _claims_on(data, a, b) if b and not outcome else []
+    if b and claims:
+        usual = compare_conditions(data, a, b)["outcome"]
+        outcome = [*dict.fromkeys([*(name for claim in claims for name in claim.outcome), *usual])]
     tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
     table = pd.concat(tables.values(), ignore_index=True)
     files = []
@@ -250,11 +256,32 @@ def compare(
         {**what_is_shown(data), "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
-        [step_note(data), engines, episodes],
+        [step_note(data), *map(_told_claim, claims), engines, episodes],
         people,
         table,
         form,
     )
+
+
+def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
+    """Return the shipped claims that compare the means of two conditions of a study in its world."""
+    from pneuma.analysis.claims import MINUS, load_claims
+
+    world = data.world or next((name for name, one in WORLDS.items() if one.env in _environments(data)), "")
+    return [
+        claim
+        for claim in load_claims().claims.values()
+        if claim.study == data.study and world in claim.worlds and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
+        and claim.kind == "mean" and not any(MINUS in name for name in claim.outcome)
+    ]  # fmt: skip
+
+
+def _environments(data: StudyData) -> set[object]:
+    return {fields.get("env") for fields in data.fields.values()}
+
+
+def _told_claim(claim: Claim) -> str:
+    return f"The claim {claim.name} compares these conditions; its outcomes stand first (study verify {claim.row})."
 
 
 def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
