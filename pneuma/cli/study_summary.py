@@ -271,9 +271,11 @@ def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     return [
         claim
         for claim in load_claims().claims.values()
-        if claim.study == data.study and world in claim.worlds and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
-        and claim.kind == "mean" and not any(MINUS in name for name in claim.outcome)
-    ]  # fmt: skip
+        if (claim.study, claim.kind) == (data.study, "mean")
+        and world in claim.worlds
+        and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
+        and not any(MINUS in name for name in claim.outcome)
+    ]
 
 
 def _environments(data: StudyData) -> set[object]:
@@ -281,7 +283,7 @@ def _environments(data: StudyData) -> set[object]:
 
 
 def _told_claim(claim: Claim) -> str:
-    return f"The claim {claim.name} compares these conditions; its outcomes stand first (study verify {claim.row})."
+    return f"The claim {claim.name} compares these conditions: its outcomes stand first (study verify)."
 
 
 def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:

@@ -15,7 +15,7 @@ from pneuma.cli.options import Commands, Picked, selecting_words
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
-from .calls import SETTINGS, TINY, Called, call, printed
+from .calls import SETTINGS, TINY, Called, call, described, printed
 
 # docs/studies.md, word for word.
 EPISODES = "condition, seed, run_id, slot, episode, step, return, length, kills, hp, ending"
