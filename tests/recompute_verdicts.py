@@ -428,11 +428,11 @@ def of_shares(
     if second is None:
         found = stats.binomtest(int(first.sum()), len(first)).proportion_ci(1 - alpha, method="exact")
         return first.mean() - constant, (found.low - constant, found.high - constant)
-    wilson = [
-        stats.binomtest(int(own.sum()), len(own)).proportion_ci(1 - alpha, method="wilson")
+    exact = [
+        stats.binomtest(int(own.sum()), len(own)).proportion_ci(1 - alpha, method="exact")
         for own in (first, second)
     ]
-    (p, one), (q, two) = (first.mean(), wilson[0]), (second.mean(), wilson[1])
+    (p, one), (q, two) = (first.mean(), exact[0]), (second.mean(), exact[1])
     low = p - q - ((p - one.low) ** 2 + (two.high - q) ** 2) ** 0.5
     high = p - q + ((one.high - p) ** 2 + (q - two.low) ** 2) ** 0.5
     return p - q, (low, high)
@@ -493,7 +493,7 @@ def half_width(
         arms[name] = some if counts else spread * scores / scores.std(ddof=1)
     constant = 0.0 if claim["kind"] == "range" else number(claim, "value", outcome, world) or 0.0
     _, ends = interval(claim["kind"], a, b, arms, constant, alpha)
-    return (ends[1] - ends[0]) / 2 if ends else 0.0
+    return (ends[1] - ends[0]) / 2 if ends else None
 
 
 if __name__ == "__main__":

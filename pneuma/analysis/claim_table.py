@@ -19,7 +19,6 @@ from scipy import special
 
 from pneuma.analysis.claims import Arms, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
-from pneuma.analysis.intervals import Interval
 
 UNKNOWN_SHARE = 0.5
 """The share of runs with an event if no pilot tells it: where shares vary most."""
@@ -125,11 +124,10 @@ def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
     if spread is None:
         return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
-    if min(row.planned) < 2 and not row.claim.counts:
-        return replace(row, spread=spread, why_undecidable="one run shows no spread")
-    interval = _expected(row, spread)
-    half = (interval.high - interval.low) / 2 if interval.exists else 0.0  # runs that are all alike
-    reason = ""
+    expected = _expected(row, spread)
+    if expected.reason:
+        return replace(row, spread=spread, why_undecidable=expected.reason)
+    half, reason = (expected.simultaneous.high - expected.simultaneous.low) / 2, ""
     if row.margin is None:
         reason = f"no margin of {row.outcome} is stated"
     elif not half <= row.margin:
@@ -138,21 +136,21 @@ def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     return replace(row, spread=spread, half_width=half, why_undecidable=reason)
 
 
-def _expected(row: ClaimContrast, spread: float) -> Interval:
-    """Return the interval of arms that spread as the pilot's, and do not differ."""
+def _expected(row: ClaimContrast, spread: float) -> Contrast:
+    """Return the contrast of arms that spread as the pilot's, and do not differ."""
     sample, level = _share if row.claim.counts else _normal, 1 - row.alpha
     arms = {name: sample(count, spread) for name, count in zip((*row.a, *row.b), row.planned, strict=True)}
     if row.claim.kind == "range":
         a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
-        return compare_ranges([*arms.values()], a, b or 0.0, level).simultaneous
+        return compare_ranges([*arms.values()], a, b or 0.0, level)
     against = arms[row.b[0]] if row.b else row.value
-    return compare(row.claim.kind, arms[row.a[0]], against, level).simultaneous
+    return compare(row.claim.kind, arms[row.a[0]], against, level)
 
 
 def _normal(runs: int, spread: float) -> np.ndarray:
     """Return runs as a normal sample of mean 0 has them, (runs,)."""
     scores = special.ndtri((np.arange(runs) + 0.5) / runs)
-    return spread * scores / scores.std(ddof=1)
+    return spread * scores / scores.std(ddof=1) if runs > 1 else scores
 
 
 def _share(runs: int, share: float) -> np.ndarray:

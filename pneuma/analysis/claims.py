@@ -16,7 +16,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -274,6 +274,10 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     said = read_model(ClaimsFile, file)
     claims = {name: _read_claim(file, name, said) for name in said.claims}
+    for one, other in combinations(claims.values(), 2):
+        if one.row == other.row and (both := {*one.worlds} & {*other.worlds}):
+            told = f"like: {one.name} and {other.name} share a row, and are both about the world {min(both)}"
+            raise file.mistake(("claims", other.name), told, "like")
     return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
 
 

@@ -113,8 +113,13 @@ def _show_claims(
     yield "In brackets: where the difference lies. All of a world's hold together, with"
     yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    if seen := sorted({one.claim.row for one in shown if one.claim.seen}):
-        yield f"By runs that were known before, hence described and not tested: {', '.join(seen)}."
+    seen: dict[str, list[str]] = {}
+    for one in shown:
+        if one.claim.seen:
+            seen.setdefault(one.claim.row, []).append(WORLD_NAMES[one.world])
+    if seen:
+        known_before = ", ".join(f"{name} ({', '.join(worlds)})" for name, worlds in seen.items())
+        yield from _indented(f"By runs known before, so described and not tested: {known_before}.", 0)
     yield f"Stated in {known.path.name}, SHA-256 {known.digest[:16]}…, judged by rules {RULES}."
 
 
@@ -135,7 +140,7 @@ def _details(one: Verdict) -> Iterator[str]:
 
 def _indented(text: str, spaces: int) -> list[str]:
     indent = " " * spaces
-    return wrap(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent)
+    return wrap(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
 # --- The table of contrasts ------------------------------------------------------------------------
@@ -209,7 +214,7 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
             "admitted": not row.refused,
         }
         for row in every
-        if (not claims or row.claim.name in claims) and world in (None, row.world)
+        if (not claims or {row.claim.name, row.claim.like} & {*claims}) and world in (None, row.world)
     ]
     rows = []
     for plan in plans:

@@ -81,3 +81,14 @@ def test_a_claim_that_cannot_be_decided_is_not_admitted(store: Store, tmp_path: 
     assert one.reason.endswith("; no pilot has a spread of final-return")
     enough = text.replace("[pilot.spreads.text]", "[pilot.spreads.text]\nfinal-return = 0.01")
     assert not any(row.refused for row in plan_contrasts(load_claims(write_files(tmp_path, enough))))
+
+
+def test_arms_that_show_no_spread_decide_nothing(tmp_path: Path) -> None:
+    """Two runs are always equally far from their median, and one run is alone."""
+    spread = ('"mean"', '"spread"')
+    assert "equally far" in plan_of(tmp_path, spread, seeds=2).why_undecidable
+    assert "at least 2 runs" in plan_of(tmp_path, seeds=1).why_undecidable
+    needed = ('"final-share-killed"', '["final-share-killed", "final-return"]')
+    text = changed(needed, ('"greater"', '"greater"\nneed = "all"'), ("margin = 0.04", "margin = 0.2"))
+    refused = {row.refused for row in plan_contrasts(load_claims(write_files(tmp_path, text + PILOT)))}
+    assert refused == {"no pilot has a spread of final-return"}  # one that can be decided is not enough

@@ -69,10 +69,24 @@ def test_intervals_of_shares_are_those_of_scipy(count: int, runs: int) -> None:
     assert ends(own) == pytest.approx((exact.low, exact.high), abs=1e-9)
 
 
-def test_newcombes_own_example() -> None:
-    """Newcombe (1998), Table II: 56/70 − 48/80 by method 10 is 0.0524 to 0.3339."""
-    own = intervals.incidence_difference_interval(56, 70, 48, 80)
-    assert ends(own) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+def test_a_difference_of_shares_is_wider_than_newcombes_and_as_seldom_wrong_as_it_may_be() -> None:
+    """Newcombe (1998), Table II: 56/70 − 48/80 is 0.0524 to 0.3339 by method 10, from Wilson's ends.
+
+    At the level of a list of 31 contrasts those miss a difference of 0 in 0.19 % of pairs of 30 runs, and one
+    of 0.4 on its near side in 0.25 %, where 0.16 % are allowed.
+    """
+    low, high = ends(intervals.incidence_difference_interval(56, 70, 48, 80))
+    assert 0.03 < low < 0.0524 < 0.3339 < high < 0.35
+    counts, alpha = np.arange(31), 0.05 / 31
+    made = [
+        [ends(intervals.incidence_difference_interval(a, 30, b, 30, 1 - alpha)) for b in counts]
+        for a in counts
+    ]
+    low, high = np.moveaxis(np.array(made), -1, 0)
+    for apart in (0.0, 0.4):
+        for share in np.linspace(0, 1 - apart, 21):
+            chance = np.outer(stats.binom.pmf(counts, 30, share + apart), stats.binom.pmf(counts, 30, share))
+            assert chance[(low > apart) | (high < apart)].sum() <= alpha
 
 
 def test_bca_is_close_to_scipys_with_resamples_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

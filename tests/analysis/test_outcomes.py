@@ -18,7 +18,7 @@ from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
 from .. import hand_made
-from ..hand_made import study_of, write_events
+from ..hand_made import healthy, learning, one_action, save_collapse, study_of, write_events
 
 BUDGET = 1000
 SHARES = (0.2, 0.6, 0.4, 0.5)
@@ -40,6 +40,7 @@ def update(k: int) -> dict[str, Any]:
 def evaluation(k: int, share: float) -> dict[str, Any]:
     """Evaluation k of four."""
     own = {"share_killed": share, "argmax_share_killed": share / 2, "score": share * 2, "died": 0.3}
+    own["commonest_action"] = 0.2 * k
     return {**own, "step": 250 * k, "return": 10 * share}
 
 
@@ -107,6 +108,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
         ("late-greedy-share-killed", 0.2125),
         ("late-slope", 3 * 0.07),  # (-0.3 - 0.3 + 0.2 + 0.75) / 5 from one evaluation to the next
         ("log-max-grad-norm", np.log(50)),
+        ("log-max-kl", np.log(0.1)),  # of the last update
+        ("final-commonest-action", 0.8),
         ("grad-norm-growth", (17 * np.log(9) + np.log(10)) / 18),  # of 181 points, from 1 in the first tenth
         ("stuck-share", 0.0),
         ("steps-to:0.5", 500),
@@ -176,6 +179,22 @@ def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
     assert outcome(data, data.runs[0], "q-overestimation") == 7.5
 
 
+def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) -> None:
+    """Of 100 updates none; 21 to 30 and 61 to 100; these, diverged at the 70th; 40 of the 50 after a fork."""
+    store, gaps = Store(tmp_path / "results"), one_action(21, 30)
+    gaps[60:] = one_action(61)[60:]
+    ids = {("a", seed): f"a{seed}" * 8 for seed in range(4)}
+    save_collapse(store, ids["a", 0], healthy(), learning())
+    save_collapse(store, ids["a", 1], gaps, learning())
+    save_collapse(store, ids["a", 2], gaps, learning(), 7_000)
+    save_collapse(store, ids["a", 3], one_action(61), learning(), fork_step=5_000)
+    data = study_of(store, ids)
+    found = [outcome(data, run, "low-entropy-share") for run in data.runs]
+    assert found == pytest.approx([0, 0.5, 20 / 70, 40 / 50])
+    assert outcome(data, data.runs[1], "low-entropy-share", at_step=5_000) == pytest.approx(0.2)
+    assert outcome(data, data.runs[1], "low-entropy-share", at_step=2_500) == pytest.approx(0.2)
+
+
 @pytest.mark.parametrize(
     ("name", "column"),
     [("time-to-clear", "steps_to_clear"), ("hp-lost", "hp_lost"), ("kill-evenness", "kill_evenness")],
@@ -215,6 +234,7 @@ def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has = {"collapse-step", "relearned"}  # of healthy runs
     none_has |= {"q-overestimation", "final-success"}  # of runs that estimate no values, in Pneuma's worlds
     none_has |= {"time-to-clear", "hp-lost", "kill-evenness"}  # of older runs
+    none_has |= {"low-entropy-share"}  # of runs that do not tell how many steps an update has
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(data, run, name) for run in data.runs]

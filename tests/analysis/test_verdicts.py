@@ -1,131 +1,170 @@
-"""Corrections and verdicts, worked out by hand."""
+"""Verdicts from an interval by hand, how they are combined, and how often they are false."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.contrasts import Contrast, compare
-from pneuma.analysis.intervals import no_interval
-from pneuma.analysis.judgement import combine_contrasts, decide, significant_direction, smallest_p
-from pneuma.analysis.pvalues import PValues, holm
+from pneuma.analysis.contrasts import compare
+from pneuma.analysis.intervals import Interval, no_interval
+from pneuma.analysis.judgement import combine_outcomes, decide
+
+DIRECTIONS = ("greater", "less", "different", "equal", "no-less")
+S, R, I = "supported", "refuted", "inconclusive"  # noqa: E741
 
 
-def contrast(
-    greater: float,
-    less: float,
-    equivalent: float,
-    far_greater: float = 1.0,
-    far_less: float = 1.0,
-    no_less: float = 1.0,
-) -> Contrast:
-    p = PValues(greater, less, equivalent, far_greater, far_less, no_less)
-    return Contrast(0.0, no_interval(), p, (10, 10))
-
-
-def judged(*claims: tuple[Contrast, str], alpha: float = 0.05) -> list[str]:
-    return [decide(own, direction, len(claims), alpha)[0] for own, direction in claims]
-
-
-def test_holm_by_hand() -> None:
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert holm([0.9, 0.6]) == pytest.approx([1.0, 1.0])
-    assert holm([]).tolist() == []
+def verdicts(low: float, high: float, margin: float | None = 1.0, alike_counts: bool = True) -> list[str]:
+    return [decide(Interval(low, high, "hand"), way, margin, alike_counts) for way in DIRECTIONS]
 
 
 @pytest.mark.parametrize(
-    ("p", "greater", "less", "different", "equal"),
+    ("ends", "expected"),
     [
-        ((0.002, 0.998, 0.9, 0.02), "supported", "refuted", "supported", "refuted"),
-        ((0.998, 0.002, 0.9, 1.0, 0.02), "refuted", "supported", "supported", "refuted"),
-        ((0.002, 0.998, 0.9, 0.03), "supported", "refuted", "supported", "inconclusive"),  # margin: 0.06
-        ((0.4, 0.6, 0.04), "refuted", "refuted", "refuted", "supported"),
-        ((0.03, 0.97, 0.9), *["inconclusive"] * 4),  # two-sided: 0.06
-        ((0.001, 0.999, 0.01), "supported", "refuted", "supported", "supported"),
-        ((0.01, 0.99, 0.001), "refuted", "refuted", "refuted", "supported"),
+        # greater, less, different, equal, no-less, with a margin of 1
+        ((2.0, 3.0), [S, R, S, R, S]),
+        ((0.5, 3.0), [S, R, S, I, S]),
+        ((-0.5, 3.0), [I, I, I, I, S]),
+        ((-2.0, 3.0), [I, I, I, I, I]),
+        ((-0.5, 0.9), [R, R, R, S, S]),
+        ((0.1, 0.9), [R, R, R, S, S]),  # a difference beyond doubt that is too small to count
+        ((-0.9, -0.1), [R, R, R, S, S]),
+        ((-3.0, 0.5), [I, I, I, I, I]),
+        ((-3.0, -0.5), [R, S, S, I, I]),
+        ((-3.0, -1.5), [R, S, S, R, R]),
+        ((0.0, 3.0), [I, I, I, I, S]),  # an end at 0, or at the margin, shows nothing
+        ((-1.0, 1.0), [I, I, I, I, I]),
     ],
 )
-def test_one_claim(p: tuple[float, ...], greater: str, less: str, different: str, equal: str) -> None:
-    for direction, verdict in zip(
-        ("greater", "less", "different", "equal"), (greater, less, different, equal), strict=True
-    ):
-        assert judged((contrast(*p), direction)) == [verdict]
+def test_the_ends_of_the_interval_decide(ends: tuple[float, float], expected: list[str]) -> None:
+    assert verdicts(*ends) == expected
 
 
-def test_a_difference_inside_the_margin_does_not_refute_that_there_is_none() -> None:
-    """Twenty runs an arm, a margin of 1, differences of 0.7 and of 1.6 beyond doubt."""
-    spread = np.linspace(-0.2, 0.2, 20)
-    inside, beyond = (compare("mean", spread + difference, spread[::-1], 1.0) for difference in (0.7, 1.6))
-    assert inside.p_different < 0.001 and inside.p.far_greater > 0.9
-    assert judged((inside, "equal")) == ["supported"]
-    assert judged((beyond, "equal")) == ["refuted"]
-    less = compare("mean", spread - 0.7, spread, 1.0)
-    assert judged((less, "equal")) == ["supported"]
-    assert judged((replace(less, p=less.p._replace(equivalent=1.0)), "equal")) == ["inconclusive"]
+def test_without_an_interval_nothing_is_decided() -> None:
+    assert [decide(no_interval(), way, 1.0) for way in DIRECTIONS] == [I] * 5
 
 
-def test_the_smallest_p_is_of_the_claimed_direction() -> None:
-    few = replace(contrast(1, 1, 1), seeds=(4, 4), smallest=(0.01, 0.3))
-    told = {way: smallest_p(few, way) for way in ("greater", "less", "different", "equal", "no-less")}
-    assert told == {"greater": 0.02, "less": 0.6, "different": 0.02, "equal": 0.01, "no-less": 0.01}
+def test_without_a_margin_no_difference_is_too_small() -> None:
+    assert verdicts(0.001, 0.002, None) == [S, R, S, I, I]
+    assert verdicts(-0.001, 0.001, None) == [I] * 5
 
 
-def test_no_loss_is_shown_by_its_own_side_alone() -> None:
-    """Twenty runs an arm, a margin of 1: a gain of any size is no loss, one of 0.7 neither, one of 1.6 is."""
-    spread = np.linspace(-0.2, 0.2, 20)
-    told = {
-        difference: judged((compare("mean", spread + difference, spread, 1.0), "no-less"))
-        for difference in (5.0, 0.0, -0.7, -1.6)
-    }
-    assert told == {5.0: ["supported"], 0.0: ["supported"], -0.7: ["supported"], -1.6: ["refuted"]}
-    wide = compare("mean", 5 * spread - 1, 5 * spread, 1.0)
-    assert judged((wide, "no-less")) == ["inconclusive"]
+def test_at_the_floor_of_play_only_a_shown_difference_counts() -> None:
+    """What nobody learned may well be alike, and no loss."""
+    assert verdicts(-0.1, 0.1, alike_counts=False) == [I] * 5
+    assert verdicts(0.5, 3.0, alike_counts=False) == [S, R, S, I, I]
+    assert verdicts(-3.0, -2.0, alike_counts=False) == [R, S, S, R, R]
+
+
+# --- Several outcomes --------------------------------------------------------------------------------
+
+U = "untestable"
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "one", "every"),
+    [
+        ((S,), S, S),
+        ((S, S), S, S),
+        ((S, I), S, I),
+        ((R, I), R, R),
+        ((S, R), "mixed", R),
+        ((I, I), I, I),
+        ((S, U), S, U),  # what cannot be tested decides nothing and voids nothing …
+        ((R, U), R, R),
+        ((I, U), I, U),
+        ((U, U), U, U),
+        ((S, S, R), "mixed", R),
+        ((S, U, R), "mixed", R),
+    ],
+)
+def test_outcomes_together(verdicts: tuple[str, ...], one: str, every: str) -> None:
+    assert (combine_outcomes(verdicts), combine_outcomes(verdicts, "all")) == (one, every)
+    assert combine_outcomes(verdicts[::-1]) == one
 
 
 @pytest.mark.parametrize("truth", [*product((True, False), repeat=3)])
-def test_a_claims_verdict_is_false_only_where_a_contrasts_is(truth: tuple[bool, ...]) -> None:
-    """Every combination of three contrasts' truths and verdicts."""
-    for verdicts in product(("supported", "refuted", "inconclusive", "untestable"), repeat=3):
-        verdict = combine_contrasts(verdicts)
-        false = verdict == ("refuted" if all(truth) else "supported")
-        false_ones = ["refuted" if so else "supported" for so in truth]
-        assert not false or any(own == wrong for own, wrong in zip(verdicts, false_ones, strict=True))
+@pytest.mark.parametrize("need", ["one", "all"])
+def test_a_claims_verdict_is_false_only_where_an_outcomes_is(truth: tuple[bool, ...], need: str) -> None:
+    """Every combination of three outcomes' truths and verdicts."""
+    holds = all(truth) if need == "all" else any(truth)
+    false_ones = [R if so else S for so in truth]
+    for told in product((S, R, I, U), repeat=3):
+        verdict = combine_outcomes(told, need)
+        false = (verdict == R and all(truth)) or (verdict == S and not holds)
+        assert not false or any(own == wrong for own, wrong in zip(told, false_ones, strict=True))
 
 
-def test_the_list_is_corrected_as_one() -> None:
-    weak, strong = contrast(0.02, 0.98, 1.0), contrast(0.001, 0.999, 1.0)
-    assert judged((weak, "greater")) == ["supported"]
-    assert judged((weak, "greater"), (weak, "greater")) == ["inconclusive"] * 2
-    assert judged((strong, "greater"), (weak, "greater")) == ["supported", "inconclusive"]
-    assert judged((weak, "greater"), alpha=0.01) == ["inconclusive"]
-    assert decide(strong, "greater", 2)[1] == 0.004
+# --- How often they are false --------------------------------------------------------------------------
+
+LISTS, ALPHA = 300, 0.05
+MOST = ALPHA + 3 * np.sqrt(ALPHA * (1 - ALPHA) / LISTS)
+DRAWS: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
+    "normal": lambda generator, runs: generator.normal(size=runs),
+    "with ties": lambda generator, runs: np.round(generator.normal(size=runs)),
+    "0 or 20, half each": lambda generator, runs: 20.0 * (generator.random(runs) < 0.5),
+    "0 or 20, a fifth": lambda generator, runs: 20.0 * (generator.random(runs) < 0.2),
+}
 
 
-def test_what_is_found_makes_it_no_easier_for_the_rest() -> None:
-    """60 arms alike, a margin of 4.5 standard errors: in steps, two lists of three would be wrong."""
-    generator, wrong, wrong_in_steps = np.random.default_rng(6), 0, 0
-    for z in generator.normal(size=(400, 60)):
-        p_greater = stats.norm.sf(z)
-        p_equivalent = np.maximum(stats.norm.cdf(z - 4.5), stats.norm.sf(z + 4.5))
-        claims = [
-            (contrast(*map(float, p)), "greater")
-            for p in zip(p_greater, 1 - p_greater, p_equivalent, strict=True)
+@pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
+@pytest.mark.parametrize("draw", DRAWS)
+def test_arms_alike_are_seldom_found_different(draw: str, runs: int) -> None:
+    generator = np.random.default_rng(runs)
+    for kind in ("mean", "spread"):
+        arms = [(DRAWS[draw](generator, runs), DRAWS[draw](generator, runs)) for _ in range(LISTS)]
+        told = [decide(compare(kind, *pair).interval, "different", None) for pair in arms]
+        assert told.count(S) / LISTS <= MOST, kind
+
+
+@pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
+def test_arms_a_margin_apart_are_seldom_found_alike(runs: int) -> None:
+    """With margins of one to four standard errors; a difference the other way is never found."""
+    generator, told = np.random.default_rng(runs), []
+    for place in range(LISTS):
+        margin = (1 + place % 4) * np.sqrt(2 / runs)
+        a, b = generator.normal(size=(2, runs))
+        told.append(decide(compare("mean", a + margin, b).interval, "greater", margin))
+    assert told.count(R) / LISTS <= MOST / 2
+
+
+@pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
+@pytest.mark.parametrize("apart", [0.0, 0.2, 0.4])
+def test_shares_are_told_falsely_as_seldom_as_they_may(runs: int, apart: float) -> None:
+    """Summed over all tables: that shares alike differ, or that those a margin apart do not."""
+    counts = range(runs + 1)
+    arms = [np.arange(runs) < count for count in counts]
+    false = np.array(
+        [
+            [
+                decide(
+                    compare("incidence", a, b).interval, "greater" if apart else "different", apart or None
+                )
+                == (R if apart else S)
+                for b in arms
+            ]
+            for a in arms
         ]
-        verdicts = judged(*claims)
-        assert verdicts.count("refuted") > 30
-        told = {
-            significant_direction(c)
-            for v, (c, _) in zip(verdicts, claims, strict=True)
-            if v != "inconclusive"
-        }
-        wrong += told > {"equal"}
-        in_steps = holm([min(own.p_different, own.p.equivalent) for own, _ in claims]) <= 0.05
-        wrong_in_steps += any(
-            significant_direction(own) != "equal" for (own, _), so in zip(claims, in_steps, strict=True) if so
-        )
-    assert wrong_in_steps / 400 > 0.6
-    assert wrong / 400 < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
+    )
+    for share in np.linspace(0, 1 - apart, 21):
+        chance = np.outer(stats.binom.pmf(counts, runs, share + apart), stats.binom.pmf(counts, runs, share))
+        assert chance[false].sum() <= ALPHA
+
+
+def test_one_arm_is_told_falsely_as_seldom_as_it_may() -> None:
+    generator = np.random.default_rng(1)
+    for runs in (3, 10, 30):
+        told = [decide(compare("mean", own, 0.0).interval, "different", None)
+                for own in generator.normal(size=(LISTS, runs))]  # fmt: skip
+        assert told.count(S) / LISTS <= MOST
+
+
+def test_two_runs_that_are_ten_times_as_far_apart_are_never_found_closer_together() -> None:
+    """Of two runs an arm both are equally far from their median: a zero error once decided the opposite."""
+    generator = np.random.default_rng(4)
+    for a, b in zip(10 * generator.normal(size=(1000, 2)), generator.normal(size=(1000, 2)), strict=True):
+        own = compare("spread", a, b)
+        assert decide(own.simultaneous, "less", None) == I and "equally far" in own.reason

@@ -9,7 +9,6 @@ from pneuma.analysis.claims import Claim
 from pneuma.analysis.contrasts import Contrast
 from pneuma.analysis.intervals import Interval, no_interval
 from pneuma.analysis.judgement import Verdict
-from pneuma.analysis.pvalues import PValues
 
 
 def claim(name: str = "tanh-better", **fields: Any) -> Claim:
@@ -26,7 +25,6 @@ def comparison(
     verdict: str,
     effect: float,
     ends: tuple[float, float] | None = None,
-    p: float = 1.0,
     seeds: tuple[int, int] = (10, 10),
     of: Claim | None = None,
     means: tuple[float, float] | None = None,
@@ -36,9 +34,9 @@ def comparison(
     own = of or claim()
     interval = Interval(*ends, "written") if ends else no_interval()
     levels = means or (0.5 + effect, 0.5)
-    contrast = Contrast(effect, interval, PValues(*[1.0] * 6), seeds, simultaneous=interval, means=levels)
+    contrast = Contrast(effect, interval, interval, seeds, levels)
     where: dict[str, Any] = {"world": "text", "outcome": own.outcome[0], "a": own.a, "b": own.b, **more}
-    return ClaimContrast(own, **where, contrast=contrast, verdict=verdict, p=p)
+    return ClaimContrast(own, **where, contrast=contrast, verdict=verdict)
 
 
 def judged(own: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:
