@@ -66,8 +66,6 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.analysis", "pneuma.search", "pneuma.env", "pneuma.study.store", "pneuma.study.provenance",
         "pneuma.study.plan", "pneuma.study.series", "pneuma.study.quantities",
     ),
-    "pneuma.bench": ("pneuma.env",),
-    "pneuma.doctor": ("pneuma.study",),
     "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
     "pneuma.cli": ("pneuma",),
 }  # fmt: skip

@@ -23,7 +23,7 @@ from pneuma.cli.options import Commands
 from pneuma.cli.study_run import STOPPED
 from pneuma.errors import UserError, plain
 
-COMMANDS = ("study", "run", "search", "env", "report", "figure", "import", "bench", "doctor")
+COMMANDS = ("study", "run", "search", "env", "report", "figure", "import")
 """In the order of the help; Typer's own puts groups last."""
 
 
@@ -43,10 +43,8 @@ app.add_typer(study.app, name="study")
 app.add_typer(runs.app, name="run")
 app.add_typer(search.app, name="search")
 app.add_typer(env.app, name="env")
-app.add_typer(misc.bench, name="bench")
 app.command("report", short_help="Write all evidence as one HTML page.")(misc.report)
 app.command("figure", short_help="Say which command and runs a figure comes from.")(misc.figure)
-app.command("doctor", short_help="Say what is installed here, and whether it works.")(misc.doctor)
 app.add_typer(misc.logs, name="import")
 
 

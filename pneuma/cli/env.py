@@ -8,7 +8,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result
 from pneuma.errors import UserError, counted, unknown_name
@@ -27,7 +26,7 @@ ABOUT = {
 
 CAMERAS = ("map", "follow")
 
-ENVIRONMENT = "ID", "An environment's id, as in `pneuma env list`.", complete.environments
+ENVIRONMENT = "ID", "An environment's id, as in `pneuma env list`."
 SEED = opt.number("--seed", "Seed of the world.", 0, min=0)
 
 
@@ -97,7 +96,7 @@ def render(
 
 @app.command()
 def play(
-    name: str = opt.argument(*ENVIRONMENT, "pneuma/Pneuma-v0"),
+    name: str = opt.argument(*ENVIRONMENT, default="pneuma/Pneuma-v0"),
     camera: str = opt.choice("--camera", CAMERAS, "What to see.", default="follow"),
     seed: int = SEED,
     set_: opt.SeveralRead = opt.SETTINGS,

@@ -1,4 +1,4 @@
-"""The commands `pneuma report`, `figure` and `doctor`, and the groups `import` and `bench`."""
+"""The commands `pneuma report` and `figure`, and the group `import`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ from functools import partial
 from pathlib import Path
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, command, rows_result, say, write_file
+from pneuma.cli.output import Result, Table, check_file, command, say, write_file
 from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import counted
 from pneuma.study.store import Store
 
 logs = opt.Commands("Make a study of old logs.")
 logs.callback()(lambda: None)  # keeps the name of a group's only command
-bench = opt.Commands("Measure speed on this machine.")
-bench.callback()(lambda: None)
 
 
 def report(
@@ -54,19 +52,6 @@ def figure(file: Path = opt.argument("FILE", "A PNG, SVG or PDF that Pneuma drew
     return Result({"file": file, **origin.model_dump()}, shown)
 
 
-def doctor(results: Path = opt.RESULTS) -> Result:
-    """Say what is installed here and whether it works, with the fix for what does not."""
-    from pneuma.doctor import BROKEN, examine
-
-    findings = [*examine(results)]
-    sound = all(finding.state != BROKEN for finding in findings)
-    rows = [(each.check, each.state, each.found, each.fix and f"-> {each.fix}") for each in findings]
-    begin = "All that Pneuma needs is here. Begin with: pneuma study run activation"
-    end = begin if sound else "Something that Pneuma needs is broken: fix it, then ask again."
-    document = {"ok": sound, "checks": findings}
-    return Result(document, [Table([""] * 4, rows), "", end], code=0 if sound else 1)
-
-
 @logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
     folders: list[Path] = opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one."),
@@ -92,11 +77,3 @@ def tensorboard(
         f"Draw it with: {command('study', 'plot', study, '--results', results)}",
     ]
     return Result({"study": study, "runs": rows, "notes": notes}, shown)
-
-
-@bench.command(short_help="Measure the environment in agent steps a second.")
-def env() -> Result:
-    """Measure the environment's faces in agent steps a second, on one core."""
-    from pneuma.bench.env import bench_env
-
-    return rows_result("cases", bench_env())

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
-from pneuma.cli import complete
 from pneuma.cli.output import OUTPUT_FORMATS, Result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
@@ -47,20 +46,18 @@ def option(
     metavar: str,
     help_text: str,
     read: Callable[[str], Any] | None = None,
-    offer: complete.Complete | None = None,
     default: Any = None,
 ) -> Any:
-    """Return an option; `read` converts its text, and `offer` completes it."""
-    return typer.Option(default, name, metavar=metavar, help=help_text, parser=read, autocompletion=offer)
+    """Return an option; `read` converts its text."""
+    return typer.Option(default, name, metavar=metavar, help=help_text, parser=read)
 
 
 REQUIRED = ...
 """The default of an option that may not be left out."""
 
 
-def argument(metavar: str, help_text: str, offer: complete.Complete | None = None, default: Any = ...) -> Any:
-    """Return an argument; `offer` completes it."""
-    return typer.Argument(default, metavar=metavar, help=help_text, autocompletion=offer, show_default=False)
+def argument(metavar: str, help_text: str, default: Any = ...) -> Any:
+    return typer.Argument(default, metavar=metavar, help=help_text, show_default=False)
 
 
 def flag(name: str, help_text: str) -> Any:
@@ -81,8 +78,10 @@ def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "",
             raise UserError(f"{name} {text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
         return text
 
-    offer = complete.offering(lambda typed: names)
-    return option(name, metavar or "|".join(names), help_text, read, offer, default)
+    return typer.Option(
+        default, name, metavar=metavar or "|".join(names), help=help_text, parser=read,
+        autocompletion=lambda: [*names],
+    )  # fmt: skip
 
 
 def count(name: str, help_text: str, default: Any = None) -> Any:
@@ -157,8 +156,8 @@ Several = list[str] | None
 SeveralRead = list[Any] | None
 """One whose texts are converted."""
 
-STUDY = argument("NAME", "A study's name, or the path of a study file (….toml).", complete.studies)
-RUN = argument("RUN_ID", "A stored run's id, or its first digits.", complete.runs)
+STUDY = argument("NAME", "A study's name, or the path of a study file (….toml).")
+RUN = argument("RUN_ID", "A stored run's id, or its first digits.")
 RESULTS = typer.Option(
     Path("results"), "--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept."
 )
@@ -177,7 +176,6 @@ SETTINGS = option(
     "KEY=VALUE",
     "Set a field of the run, or of the world (may be repeated).",
     _read_setting,
-    complete.fields,
 )
 """Pairs of a field and its value; use `dict(set_ or ())`."""
 CONTRAST = option(
@@ -211,9 +209,7 @@ class Picked:
 
     seeds: Any = seeds_of_runs()
     steps: Any = count("--steps", "Runs of so many steps (default: those last trained here).")
-    condition: Several = option(
-        "--condition", "NAME", "Only this condition (may be repeated).", offer=complete.conditions
-    )
+    condition: Several = option("--condition", "NAME", "Only this condition (may be repeated).")
     set_: SeveralRead = SETTINGS
     world: Text = WORLD
     results: Path = RESULTS
@@ -255,7 +251,6 @@ class Chosen(Picked):
         "--preset",
         "|".join((*PRESETS, CLAIMS)),
         "How much to run (default: quick, or the first).",
-        offer=complete.presets,
     )
 
     @property

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     Result,
@@ -41,7 +40,7 @@ app = opt.Commands(
     short_help="Find hyperparameters, and confirm them on fresh seeds.",
 )
 
-SEARCH = opt.argument("NAME", "A search's name, or the path of a search file (….toml).", complete.searches)
+SEARCH = opt.argument("NAME", "A search's name, or the path of a search file (….toml).")
 
 
 # --- What there is --------------------------------------------------------------------------------
@@ -302,9 +301,7 @@ def _value(trial: EndedTrial) -> str:
 
 @app.command(short_help="Train winners of searches on fresh seeds.")
 def promote(
-    names: list[str] = opt.argument(
-        "NAME", "Searches, or their files; several must be tuned alike.", complete.searches
-    ),
+    names: list[str] = opt.argument("NAME", "Searches, or their files; several must be tuned alike."),
     seeds: Any = opt.seeds_of_runs("10"),
     steps: Any = opt.STEPS,
     trial: int | None = opt.number("--trial", "Which trial (default: the best)."),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.cli import complete, delete, study_files, study_results, study_run, study_summary, study_verify
+from pneuma.cli import delete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_file
 from pneuma.errors import UserError, counted, unknown_name
@@ -138,9 +138,7 @@ def _who_has(values: Mapping[str, Any]) -> str:
 @app.command(short_help="Say how far the runs of a study are.")
 def status(
     picked: opt.Picked,
-    name: opt.Text = opt.argument(
-        "NAME", "A study; left out: all that were run.", complete.studies, default=None
-    ),
+    name: opt.Text = opt.argument("NAME", "A study; left out: all that were run.", default=None),
     format: str = opt.OUTPUT_FORMAT,
 ) -> Result:
     """Say how far the runs of a study are."""

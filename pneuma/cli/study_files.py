@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
-from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, draw_files, read_formats, say, write_file, wrote
 from pneuma.cli.study_notes import nothing_yet
@@ -41,9 +40,7 @@ PUBLISHED_CURVES = (
 
 def plot(
     picked: opt.Picked,
-    names: opt.Several = opt.argument(
-        "NAME", "Studies; left out: all that were run.", complete.studies, default=None
-    ),
+    names: opt.Several = opt.argument("NAME", "Studies; left out: all that were run.", default=None),
     figure: opt.Text = opt.choice(
         "--figure", FIGURE_KINDS, "Curves over steps (default for seven conditions or less), or a summary."
     ),

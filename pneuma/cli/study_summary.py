@@ -10,7 +10,6 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pneuma.cli import complete
 from pneuma.cli import options as opt
 from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
 from pneuma.cli.study_notes import what_is_shown, with_unit
@@ -173,10 +172,8 @@ def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -
 def compare(
     picked: opt.Picked,
     name: str = opt.STUDY,
-    a: str = opt.argument("A", "A condition; or, alone, another study or a variant.", complete.conditions),
-    b: opt.Text = opt.argument(
-        "B", "The condition that A is compared with.", complete.conditions, default=None
-    ),
+    a: str = opt.argument("A", "A condition; or, alone, another study or a variant."),
+    b: opt.Text = opt.argument("B", "The condition that A is compared with.", default=None),
     outcome: opt.Several = opt.OUTCOMES,
     plot: bool = opt.flag("--plot", "Draw the differences too."),
     out: Path | None = opt.PLOT_FOLDER,

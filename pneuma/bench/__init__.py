@@ -1,1 +1,0 @@
-"""Benchmarks: medians of ratios that are measured in alternation, as machines are noisy."""
