@@ -91,7 +91,8 @@ class _Row:
     def __init__(self, row: Sequence[str], column: float) -> None:
         self.section, text, *cells = row
         self._column = column
-        self._sentence = wrap(text, characters(TYPE, WORLDS_INCHES - TEXT_INCHES + MARK_INCHES))
+        width = characters(TYPE, WORLDS_INCHES - TEXT_INCHES + MARK_INCHES)
+        self._sentence = [line for part in text.split("\n") for line in wrap(part, width)]
         self._cells = [_cell_lines(cell, column) for cell in cells]
         self.lines = max(map(len, (self._sentence, *self._cells))) + GAP_LINES
 
@@ -116,10 +117,10 @@ class _Row:
 
 
 def _cell_lines(cell: str, column: float) -> list[str]:
-    """Return a verdict's word, and below it the effect; the difference begins a line."""
-    word, _, effect = cell.partition("\n")
-    together = effect.replace(" to ", "\xa0to\xa0").replace(" %", "\xa0%")
-    lines = [line for part in re.split("(?<=;) ", together) for line in wrap(part, characters(SMALL, column))]
+    """Return a verdict's word, and below it each effect, whose difference begins a line."""
+    word, *effects = cell.replace(" to ", "\xa0to\xa0").replace(" %", "\xa0%").split("\n")
+    parts = [part for effect in effects for part in re.split("(?<=:) ", effect)]
+    lines = [line for part in parts for line in wrap(part, characters(SMALL, column))]
     return [word, *(line.replace("\xa0", " ") for line in lines)]
 
 

@@ -176,4 +176,4 @@ def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
     texts = drawn[0].axes[0].texts
     assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
     assert [text.get_text() for text in texts].count("holds") == 2
-    assert "kills: tanh 85 %, relu 83 %;\n+2 points (−1 to 5)" in [text.get_text() for text in texts]
+    assert "kills 85 against 83 %:\n+2 points (−1 to 5)" in [text.get_text() for text in texts]
