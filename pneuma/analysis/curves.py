@@ -20,7 +20,7 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.errors import unknown_name
-from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES
+from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.study.rows import Row
 
 Edges = tuple[np.ndarray, np.ndarray]
@@ -92,16 +92,39 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
     ]
 
 
-def evaluation_curves(data: StudyData, column: str = "share_killed") -> list[Curve]:
-    """Return each condition's curve of an evaluation column, at the steps of the evaluations."""
-    table = data.evaluations.drop_duplicates(["condition", "run_id", "step"], keep="last")
-    curves = []
+def evaluation_curves(data: StudyData, quantity: str = "share_killed") -> list[Curve]:
+    """Return each condition's curve of a quantity of evaluations.
+
+    It is at the steps of the evaluations. Where runs were evaluated at unlike steps, as imported ones may be, it
+    is at those of the run with the fewest, between which the others are interpolated.
+    """
+    column, curves = evaluation_column(quantity), []
     for runs in _groups(data):
-        rows = table[table["condition"] == runs[0].condition]
-        values = rows.pivot(index="run_id", columns="step", values=column)
-        values = values.reindex([run.run_id for run in runs])
-        curves.append(_curve(runs, values.columns.to_numpy(float), values.to_numpy(float)))
+        series = [_evaluated(run, column) for run in runs]
+        longest = max((step for step, _ in series), key=len)
+        if all(np.array_equal(step, longest[: len(step)]) for step, _ in series):
+            grid = longest
+            values = [np.pad(of, (0, len(grid) - len(of)), constant_values=np.nan) for _, of in series]
+        else:
+            grid = min((step for step, _ in series if len(step)), key=len)
+            values = [_between(grid, *each) for each in series]
+        curves.append(_curve(runs, grid, np.array(values)))
     return curves
+
+
+def _between(grid: np.ndarray, step: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values at the steps of a grid, by straight lines; NaN outside the steps that are known."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(grid), np.nan)
+    return np.interp(grid, step[known], values[known], left=np.nan, right=np.nan)
+
+
+def _evaluated(run: Row, column: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps of a run's evaluations, and a column; of several at one step the last."""
+    steps, values = run.evaluations("step"), run.evaluations(column)
+    kept = np.append(steps[1:] != steps[:-1], True)[: len(steps)]
+    return steps[kept], values[kept] if len(values) else np.full(kept.sum(), np.nan)
 
 
 def _shows_nothing(data: StudyData, name: str) -> bool:
@@ -122,7 +145,8 @@ def curve_names(data: StudyData) -> list[str]:
     if not data.evaluated:
         return trained
     table = data.evaluations
-    evaluated = [name for name in EVALUATION_QUANTITIES if name in table and table[name].notna().any()]
+    columns = {name: evaluation_column(name) for name in EVALUATION_QUANTITIES}
+    evaluated = [name for name, of in columns.items() if of in table and table[of].notna().any()]
     return [*evaluated, *trained]
 
 
@@ -177,9 +201,10 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     """
     if quantity == "score":
         return dict.fromkeys(data.conditions, 0.0)
-    if quantity not in EVALUATION_QUANTITIES or "random_share_killed" not in data.evaluations:
+    column = "random_return" if quantity == "evaluated_return" else "random_share_killed"
+    if quantity not in EVALUATION_QUANTITIES or column not in data.evaluations:
         return {}  # an imported log may have evaluations without a random player
-    rows = data.evaluations.groupby("condition", sort=False)["random_share_killed"]
+    rows = data.evaluations.groupby("condition", sort=False)[column]
     every = {str(name): float(np.ascontiguousarray(shares, float).mean()) for name, shares in rows}
     levels = {name: level for name, level in every.items() if np.isfinite(level)}
     if levels and np.ptp([*levels.values()]) <= NEAR:

@@ -59,6 +59,7 @@ QUANTITIES = {
     "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", percent=True),
     "score": Quantity("Normalised score in evaluation", "0 random player, 1 all killed"),
     "success": Quantity("Successes in evaluation", "Share of episodes", percent=True),
+    "evaluated_return": Quantity("Return in evaluation", "Return of an episode"),
     "return": Quantity("Return in training", "Return of an episode"),
     "length": Quantity("Length of episodes in training", "Steps of an episode"),
     "kills": Quantity("Monsters killed in training", "Kills of an episode"),

@@ -22,8 +22,13 @@ UPDATE_QUANTITIES = (
 
 TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 
-EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success")
-"""Quantities of a curve over evaluations: columns of the evaluations table."""
+EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success", "evaluated_return")
+"""Quantities of a curve over evaluations: columns of the evaluations table, where the last is called return."""
+
+
+def evaluation_column(quantity: str) -> str:
+    return "return" if quantity == "evaluated_return" else quantity
+
 
 TAGS = {
     "return": ("rollout/ep_rew_mean", "charts/episodic_return"),

@@ -146,6 +146,14 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> N
     np.testing.assert_array_equal(second.runs, [[0, 1]])
 
 
+def test_runs_that_were_evaluated_at_unlike_steps_share_those_of_the_fewest(store: Store) -> None:
+    """Between its evaluations the other is on a straight line, and before and after them it has no value."""
+    shares = {("a", 0): [(20, 0.2), (120, 0.6)], ("a", 1): [(50, 0.0), (100, 0.5), (150, 1.0)]}
+    (curve,) = evaluation_curves(_study(store, dict.fromkeys(shares, {}), shares))
+    assert curve.step.tolist() == [20, 120]
+    np.testing.assert_allclose(curve.runs, [[0.2, 0.6], [NAN, 0.7]], atol=1e-12)
+
+
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:
     table = curves_table({"return": [CURVE], "kills": [CURVE]}, "minmax")
     assert list(table.columns) == ["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]
