@@ -55,6 +55,8 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     assert " ".join(one) == "study publish architecture --world arena --results mine"
     (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
     assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
+    budgets = [each[-1] for each in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
+    assert budgets == ["300000", "1000000"]  # claims on it fix both
     assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
