@@ -22,8 +22,8 @@ from pneuma.study.spec import load_study
 
 PARTS = {
     "small-networks": (
-        "activation", "optimizer", "actor-size", "early", "hyperparameters", "clip-range", "gradient-limits",
-        "sigmoid", "magic", "classes",
+        "own-game", "activation", "optimizer", "actor-size", "early", "hyperparameters", "clip-range",
+        "gradient-limits", "sigmoid", "magic", "classes",
     ),
     "other-networks": ("architecture",),
     "other-chapters": (
@@ -58,13 +58,16 @@ def commands(
     for name in studies or PARTS[part]:
         study = load_study(name)
         for world in (world for world in worlds if world in study.worlds):
-            if preset == "claims" and not fixed_amounts(study.in_world(world)):
+            fixed = fixed_amounts(study.in_world(world)) if preset == "claims" else {}
+            if preset == "claims" and not fixed:
                 continue  # no claim is about the study there
             words = ["study", command, name, "--world", world]
             words += ["--preset", preset] if command in ("run", "plan") else []
-            words += ["--steps", str(steps)] if steps else []
-            words += ["--curves", CURVES[name]] if command == "publish" and name in CURVES else []
-            yield [*words, *options]
+            several = len(fixed) > 1 and not steps and command in ("run", "plan")
+            for budget in sorted(fixed) if several else [steps]:
+                said = ["--steps", str(budget)] if budget else []
+                said += ["--curves", CURVES[name]] if command == "publish" and name in CURVES else []
+                yield [*words, *said, *options]
 
 
 def main() -> None:

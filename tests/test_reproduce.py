@@ -55,6 +55,8 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     assert " ".join(one) == "study publish architecture --world arena --results mine"
     (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
     assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
+    budgets = [each[-1] for each in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
+    assert budgets == ["300000", "1000000"]  # claims on it fix both
     assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
@@ -103,13 +105,16 @@ PILOT = runpy.run_path(str(ROOT / "studies/pilot.py"))
 
 
 def test_a_pilot_tells_the_deviation_between_the_runs_of_a_condition(tmp_path: Path) -> None:
+    """Steps to what is never reached are the budget; the third run kills 47 % at step 8,000."""
     store, cells = Store(tmp_path), {("one", seed): make_id("one", seed) for seed in (1, 2, 3)}
-    for run_id, value in zip(cells.values(), (1.0, 2.0, 6.0), strict=True):
-        save_collapse(store, run_id, healthy(), learning(), returns=[value] * 100)
+    for run_id, value, best in zip(cells.values(), (1.0, 2.0, 6.0), (0.1, 0.2, 0.6), strict=True):
+        save_collapse(store, run_id, healthy(), learning(best), returns=[value] * 100)
     spread = {row[2]: row for row in PILOT["spreads"](study_of(store, cells))}
+    assert spread["steps-to:0.47"] == ("mine", "one", "steps-to:0.47", 3, "1.15e+03")  # 2,000 / √3
     assert spread["final-return"] == ("mine", "one", "final-return", 3, "2.65")  # √((4 + 1 + 9) / 2)
 
 
 def test_a_pilot_reads_the_studies_that_have_runs(tmp_path: Path) -> None:
     first = next(PILOT["studies_of"](str(tmp_path), {}))  # of the tables that come with Pneuma
-    assert first.study == "activation" and first.runs
+    assert first.study == "magic" and first.runs
+    assert {run.fields["slots"] for run in first.runs} == {4}
