@@ -13,13 +13,21 @@ from PIL import Image
 from pneuma.analysis import verdict_words
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL
-from pneuma.analysis.verdict_words import cell, effect, sentence, short_sentence, verdict_table, why
+from pneuma.analysis.verdict_words import (
+    arms_in_words,
+    cell,
+    effect,
+    sentence,
+    short_sentence,
+    verdict_table,
+    why,
+)
 from tools.verdicts import SMALL, draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
 
 Numbers = tuple[tuple[float, float], tuple[float, float]]
-KILLS = "kills: tanh 85 %, relu 83 %; +2 points (−1 to 5)"
+KILLS = "kills 85 against 83 %: +2 points (−1 to 5)"
 MEANS = (0.85, 0.83), (-0.012, 0.052)
 
 
@@ -30,37 +38,37 @@ MEANS = (0.85, 0.83), (-0.012, 0.052)
         (
             {"outcome": "final-return"},
             ((8.6, 7.5), (0.3, 2.0)),
-            "return: tanh 8.6, relu 7.5; +1.1 (0.3 to 2.0)",
+            "return 8.6 against 7.5: +1.1 (0.3 to 2.0)",
         ),
         (
             {"outcome": "final-return", "direction": "less"},
             ((3401, 3902), (-900, -101)),
-            "return: tanh 3,400, relu 3,900; −500 (−900 to −100)",
+            "return 3,400 against 3,900: −500 (−900 to −100)",
         ),
         (
             {"kind": "spread"},
             ((0.025, 0.04), (-0.037, 0.007)),
-            "spread of kills: tanh 2 %, relu 4 %; −2 points (−4 to 1)",
+            "spread of kills 2 against 4 %: −2 points (−4 to 1)",
         ),
         (
             {"kind": "range", "a": ("x", "y"), "b": ("y", "z")},
             ((0.4, 0.1), (0.1, 0.5)),
-            "range of kills: x and y 40 %, y and z 10 %; +30 points (10 to 50)",
+            "range of kills 40 against 10 %: +30 points (10 to 50)",
         ),
         (
             {"kind": "incidence", "b": (), "value": 0.2, "outcome": "one-action", "above": 0.9},
             ((1, 0.2), (0.7, 0.8)),
-            "runs with one action: tanh 100 %, threshold 20 %; +80 points (70 to 80)",
+            "runs with one action 100 %, threshold 20 %: +80 points (70 to 80)",
         ),
         (
             {"outcome": "log-max-grad-norm"},
             ((4.605, 3.912), (0.0, 1.386)),  # 100, 50; 1 to 4
-            "greatest gradient norm: tanh 100, relu 50; 2.0 times as much (1.0 to 4.0)",
+            "greatest gradient norm 100 against 50: 2.0 times as much (1.0 to 4.0)",
         ),
         (
             {"outcome": "late-slope", "b": (), "value": 0},
             ((-0.01, 0), (-0.05, 0.03)),
-            "late rise of kills: tanh −1 % (−5 to 3)",
+            "late rise of kills −1 % (−5 to 3)",
         ),
     ],
 )
@@ -98,16 +106,20 @@ def test_every_outcome_is_told_and_that_nobody_learned() -> None:
     )
     assert cell(judged(own, text=("supported", "", rows))["text"]).split("\n") == [
         "holds",
-        KILLS.replace("relu", "ReLU"),
-        "return: tanh 8.6, ReLU 7.5; +1.1 (0.3 to 2.0)",
+        KILLS,
+        "return 8.6 against 7.5: +1.1 (0.3 to 2.0)",
         "none plays better than at random",
     ]
 
 
-def test_arms_are_called_by_name_with_their_conditions_where_there_are_several() -> None:
-    own = claim(a=("tanh", "wide"), b=("relu",), called=("new", "old"))
-    row = comparison("supported", 0.02, MEANS[1], of=own, means=MEANS[0], a=("wide",))
-    assert effect(row) == "kills: new (wide) 85 %, old 83 %; +2 points (−1 to 5)"
+def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
+    own = claim(
+        a=("tanh", "wide"), b=("relu", "other"), paired=True, called=("new", "old", "narrow", "at 0.2")
+    )
+    row = comparison("supported", 0.02, MEANS[1], of=own, means=MEANS[0], a=("wide",), b=("other",))
+    assert effect(row) == "at 0.2, kills 85 against 83 %: +2 points (−1 to 5)"
+    assert arms_in_words(own) == "new against old"
+    assert arms_in_words(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
 
 
 def test_a_row_has_the_worlds_of_claims_that_are_like_it() -> None:
@@ -152,7 +164,7 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
     ordered = verdict_words.verdicts_by_claim(one for worlds in claims.values() for one in worlds.values())
     assert [*ordered] == ["second", "first", "third"]
     assert verdict_table(ordered)["The thesis's sentence"].tolist() == [
-        "“improves performance”", "first", "third",
+        "“improves performance”\ntanh against relu", "first\ntanh against relu", "third\ntanh against relu",
     ]  # fmt: skip
 
 
