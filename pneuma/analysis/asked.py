@@ -267,7 +267,8 @@ def _nothing(index: RunIndex, asked: Asked) -> str:
     others = [*_elsewhere(index, asked.study), *_changed(index, asked)]
     stored = f" Stored are: {'; '.join(others)}." if others else ""
     train = f"run `{run_command(asked.study)}` first, or give --results"
-    return f"study {asked.where} has no runs in {index.store.root}: {train}.{stored}"
+    damaged = "".join(f" {problem}." for problem in index.problems)
+    return f"study {asked.where} has no runs in {index.store.root}: {train}.{stored}{damaged}"
 
 
 def _changed(index: RunIndex, asked: Asked) -> list[str]:

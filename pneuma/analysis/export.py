@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Iterator
 
 import numpy as np
@@ -95,19 +96,24 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         packages = "booktabs and longtable" if long else "booktabs"
         return f"% needs the package{'s' * long} {packages}\n{text}".encode()
     rows = [
-        [str(name).translate(_MARKDOWN) for name in shown.columns],
+        [_markdown(name) for name in shown.columns],
         ["---:" if right else "---" for right in numeric],
     ]
-    rows += [[str(cell).translate(_MARKDOWN) for cell in row] for row in shown.to_numpy()]
+    rows += [[_markdown(cell) for cell in row] for row in shown.to_numpy()]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows).encode()
+
+
+def _markdown(cell: object) -> str:
+    """Return a cell without marks of its own; what looks like a link or an image stays text."""
+    return str(cell).translate(_MARKDOWN).replace("](", r"]\(")
 
 
 def _as_text(cell: object) -> object:
     """Return a cell without invisible characters, and with a ' before what a spreadsheet would run."""
     if not isinstance(cell, str):
         return cell
-    cell = plain(cell)
-    if not cell.startswith(("=", "+", "-", "@")):
+    cell = _AFTER_SEPARATOR.sub(r"\1'", plain(cell))  # where cells end at semicolons
+    if not unicodedata.normalize("NFKC", cell).lstrip().startswith(("=", "+", "-", "@")):
         return cell
     return cell if re.fullmatch(r"[+-][\d.]+(e[+-]?\d+)?", cell) else "'" + cell
 
@@ -141,6 +147,7 @@ LONGEST_IN_A_LINE = 40
 PARAGRAPH = r"p{0.2\linewidth}"
 """A LaTeX column whose cells may have several lines."""
 _NEW_LINE = "\x00"
+_AFTER_SEPARATOR = re.compile("(;\\s*)(?=[=+\\-@＝＋－＠])")
 _LATEX = str.maketrans({
     "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "≤": r"$\leq$", "∞": r"$\infty$", "∇": r"$\nabla$",
     "‖": r"$\|$", "α": r"$\alpha$", "β": r"$\beta$", "γ": r"$\gamma$", "λ": r"$\lambda$",

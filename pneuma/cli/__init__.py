@@ -68,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if not re.fullmatch(r"[1-9]\d{0,8}", threads := os.environ.get("NUMBA_NUM_THREADS", "1")):
             raise UserError(f"the variable NUMBA_NUM_THREADS = {threads} is not allowed: a number from 1 on")
+        os.environ["MPLBACKEND"] = "agg"  # figures are files; another value, or a wrong one, is for scripts
+        os.environ.pop("SOURCE_DATE_EPOCH", None)  # no figure has a date
         words = None if arguments is None else list(arguments)
         code = app(args=words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:

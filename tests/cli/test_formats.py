@@ -114,3 +114,19 @@ def test_latex_of_verdicts_has_only_what_pdflatex_knows() -> None:
     """Dashes and quotation marks are in its usual encodings; minus signs and Greek letters are not."""
     text = printed("study", "verify", "betas-solve", "clip-alike", "--format", "latex")
     assert {character for character in text if not character.isascii()} <= set("“”’–…")
+
+
+def test_what_a_spreadsheet_or_a_page_would_run_is_text() -> None:
+    """Full-width signs count, cells may end at semicolons, and a name is no link of a page."""
+    frame = pd.DataFrame({"condition": ["＝1+1", "a;=1", " =1", "-0.5", "![x](y)"]})
+    cells = [row["condition"] for row in csv.DictReader(io.StringIO(encode_frame(frame, "csv").decode()))]
+    assert cells == ["'＝1+1", "a;'=1", "' =1", "-0.5", "![x](y)"]
+    assert r"![x]\(y)" in encode_frame(frame, "markdown").decode()
+
+
+def test_variables_for_other_programs_do_not_stop_a_figure(
+    mine: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
+    printed("study", "plot", *mine, "--format", "pdf", "--out", tmp_path / "drawn")
