@@ -308,6 +308,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f"learners = independent is not allowed: {run.engine} trains one policy for all players"
         )
+    if run.optimizer == "upgd" and run.engine != ENGINES[0]:
+        other = f"the engine {run.engine} has no UPGD; choose another, or engine = {ENGINES[0]} with ppo"
+        raise UserError(f"optimizer = upgd is not allowed: {other}")
     samples = run.steps_per_update // run.policies
     if run.algorithm in ("ppo", "trpo") and run.minibatch > samples:
         most = f"at most horizon x slots{' x players' if run.policies == 1 else ''} = {samples}"
