@@ -308,6 +308,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f"learners = independent is not allowed: {run.engine} trains one policy for all players"
         )
+    if run.optimizer == "upgd" and run.engine != ENGINES[0]:
+        other = f"the engine {run.engine} has no UPGD; choose another, or engine = {ENGINES[0]} with ppo"
+        raise UserError(f"optimizer = upgd is not allowed: {other}")
     if run.train_every and run.horizon % run.train_every:
         whole = f"horizon = {run.horizon} is no multiple of it"
         raise UserError(f"train_every = {run.train_every} is not allowed: {whole}")

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from annotated_types import Interval, MinLen
@@ -152,7 +152,10 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
 
 
 def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
-    """Return an environment's fields with given ones over them; a level of one's own comes alone."""
+    """Return an environment's fields with given ones over them.
+
+    Setting `level` drops the preset's `random_levels`, `monsters` and `slow`.
+    """
     fields = ENVIRONMENT_FIELDS.get(env, {})
     left = ("random_levels", "monsters", "slow") if "level" in given else ()
     return {**{key: value for key, value in fields.items() if key not in left}, **given}
@@ -162,25 +165,6 @@ def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with those that their observation layout implies, where they leave them open."""
     layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
     return {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
-
-
-def usual_episode_steps(env: str) -> int:
-    steps: int = ENVIRONMENT_FIELDS[env].get("episode_steps", EnvConfig.episode_steps)
-    return steps
-
-
-def limited(config: EnvConfig, env: str, limit: int | None) -> EnvConfig:
-    """Return a configuration with the time limit that Gymnasium calls `max_episode_steps`.
-
-    The environment's usual one, which Gymnasium gives by itself, leaves that of the configuration. Beside
-    another `episode_steps` a limit is refused.
-    """
-    usual, own = usual_episode_steps(env), config.episode_steps
-    if limit in (None, usual, own):
-        return config
-    if own != usual:
-        raise UserError(f"max_episode_steps = {limit} and episode_steps = {own} are one field: give one")
-    return replace(config, episode_steps=read_field(EnvConfig, "episode_steps", limit))
 
 
 OF_PLAYERS = ("classes", "weapons", "reward")

@@ -47,7 +47,7 @@ class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
     `act` chooses as in training, and `choose` the best actions from the observations alone. Without it these
-    are not evaluated; their worlds are played anyway, as the random player draws for all of them.
+    are not evaluated; their worlds are still stepped, so that random draws do not shift.
     """
 
     act: Act
@@ -208,9 +208,10 @@ class Evaluation:
 
 
 def evenness(kills: np.ndarray) -> float:
-    """Return how evenly players share an episode's kills, a mean over those with any: 0 one has all, 1 alike.
+    """Return how evenly players share an episode's kills, a mean over those with any.
 
-    It is the entropy of their shares over its greatest value (Pielou 1966), of (episodes, players >= 2).
+    0: one player has every kill; 1: equal shares. It is the entropy of their shares over its greatest value
+    (Pielou 1966), of (episodes, players >= 2).
     """
     kills = kills[kills.any(axis=1)]
     if not len(kills):

@@ -36,7 +36,7 @@ TRAINERS = {
 
 EVALUATIONS = 20
 """Evaluations per run."""
-UNFIT = (KeyError, ValueError, TypeError, RuntimeError)
+RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
 """What restoring a checkpoint raises that another engine, run or version wrote."""
 
 
@@ -83,7 +83,7 @@ class Trainer(ABC):
     def restore(self, checkpoint: Checkpoint) -> None:
         """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
 
-        Any of `UNFIT` says that it does not fit.
+        Any of `RESTORE_ERRORS` says that it does not fit.
         """
 
     @abstractmethod
@@ -109,7 +109,7 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         step = checkpoint.step
         try:
             trainer.restore(checkpoint)
-        except UNFIT as error:
+        except RESTORE_ERRORS as error:
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         if not begins_fork(run, checkpoint):
             records = checkpoint.records.copy()

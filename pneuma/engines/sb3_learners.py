@@ -26,7 +26,6 @@ from torch import nn
 from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_FIELDS
 from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.records import Checkpoint, Records
-from pneuma.engines.upgd import UPGD
 from pneuma.sb3_names import NAMES
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
@@ -35,7 +34,6 @@ OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,
     "rmsprop": torch.optim.RMSprop,
-    "upgd": UPGD,
 }
 _TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
@@ -110,8 +108,7 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
     """
     names = OPTIMIZER_FIELDS[run.optimizer]
     arguments = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
-    stream = {"stream": run.stream} if run.optimizer == "upgd" else {}
-    return {**arguments, **stream, "weight_decay": run.weight_decay}
+    return {**arguments, "weight_decay": run.weight_decay}
 
 
 class DoubleDQN(DQN):

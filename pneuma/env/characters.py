@@ -24,7 +24,7 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
-DASH_PACE, DASH_TICKS, DASH_REST = 3.0, 8, 60
+DASH_PACE, DASH_TICKS, DASH_COOLDOWN = 3.0, 8, 60
 """A dash: its speed in walking speeds, its length in ticks, and the ticks until the next one."""
 
 DATA = Path(__file__).parent / "data"

@@ -7,14 +7,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import wrappers
 from gymnasium.error import ResetNeeded
 
 from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 announce_compiling()
@@ -143,7 +142,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |
     | `xp_scope` | episode, forever, episode | `forever`: XP is kept until `reset(seed=...)` |
     | `ending_cost` | 0, 1, 0 | XP lost by death from bites, clearing the level and the time limit |
-    | `episode_steps` | 1000, 7500, 1000 | the time limit, which Gymnasium calls `max_episode_steps` |
+    | `episode_steps` | 1000, 7500, 1000 | the world's time limit |
     | `time_limit` | truncate, terminate, truncate | whether it truncates or terminates |
     | `end_on_clear` | false, true, false | whether the last kill ends the episode |
     | `render_mode` | none | `rgb_array`, or `human` for a window |
@@ -168,7 +167,6 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         if config.players != 1:
             others = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
             raise UserError(f"players = {config.players}: this face has one player; {others}")
-        self._env_id = env_id
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
@@ -217,22 +215,3 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     def _reward(self) -> Any:
         return self.state.events["reward"].item()
-
-    def limit_episodes(self, max_episode_steps: int) -> None:
-        """Set the world's time limit as `pneuma.env_fields.limited` has it, and tell it in the spec."""
-        self.state.config = limited(self.state.config, self._env_id, max_episode_steps)
-        steps = self.state.config.episode_steps
-        self.state.settings["step_limit"] = steps
-        if self.spec is not None:
-            self.spec.max_episode_steps = steps
-            self.spec.kwargs = {**self.spec.kwargs, "episode_steps": steps}
-
-
-def without_time_limit(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    """Take off the TimeLimit that `gymnasium.make` puts around a world, which limits its episodes itself."""
-    if not isinstance(env, wrappers.TimeLimit):
-        return env
-    world = env.unwrapped
-    assert isinstance(world, PneumaEnv)
-    world.limit_episodes(env._max_episode_steps)
-    return env.env

@@ -19,7 +19,7 @@ from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, limited, make_env_config
+from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 announce_compiling()
@@ -38,7 +38,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
             holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
             `reset(options={"reset_mask": booleans})`, one a slot.
-        max_episode_steps: Gymnasium's name of `episode_steps`.
         settings: the fields of `pneuma.config.EnvConfig`.
     """
 
@@ -49,10 +48,9 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         camera: str = "map",
-        max_episode_steps: int | None = None,
         **settings: object,
     ) -> None:
-        config = limited(make_env_config(settings, env_id), env_id, max_episode_steps)
+        config = make_env_config(settings, env_id)
         if num_envs < 1 or num_envs % config.players:
             allowed = f"a multiple of the {config.players} players in a world"
             raise UserError(f"num_envs = {num_envs} is not allowed: {allowed}")

@@ -247,7 +247,8 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     s.masks[w, p, rules.ATTACK] = 1
     dash = s.settings[0].dash
     if dash >= 0:
-        s.masks[w, p, dash] = ahead and player.rest < s.settings[0].ticks  # up to the step's last tick
+        # a dash may begin up to the step's last tick
+        s.masks[w, p, dash] = ahead and player.dash_cooldown < s.settings[0].ticks
     actions = s.masks.shape[2]
     for a in range(actions - s.settings[0].tokens, actions):
         s.masks[w, p, a] = 1

@@ -178,7 +178,7 @@ class Renderer:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
             flash = sprites.RED if bitten[index] else ""
-            does = player["armed"] if player["busy"] > 0 else 0
+            does = player["action_kind"] if player["busy"] > 0 else 0
             if does == rules.DASHING:
                 yield from self._ghosts(index, player, stats)
             yield from self._standing(_player_picture(index, player, flash), player, stats)

@@ -86,11 +86,11 @@ def _place_player(player: Array, stats: Array, settings: Array) -> None:
         player.xp = 0.0
     player.facing = DOWN
     player.busy = 0
-    player.armed = 0
+    player.action_kind = 0
     player.attack = 0
     player.safe = 0
     player.kills = 0
-    player.rest = 0
+    player.dash_cooldown = 0
     player.second = 0
     player.token = 0
 
@@ -131,7 +131,7 @@ def step_world(s: State, w: int, actions: Array) -> bool:
         for i in range(count):
             m = np.int64(s.scratch[i].order)
             if s.monsters[w, m].hp > 0.0:
-                _live(s, w, m)
+                _tick_monster(s, w, m)
         for p in range(s.players.shape[1]):
             if s.tick[p].there:
                 _end_tick(s, w, p)
@@ -238,12 +238,12 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         _act(s, w, p, player, stats, action)
     if player.busy > 0:
         player.busy -= 1
-        if player.armed == BLADE:
+        if player.action_kind == BLADE:
             _raise_sword(player, stats, tick)
-        elif player.armed == DASHING:
+        elif player.action_kind == DASHING:
             _walk(s, w, p, stats.dash_speed)
-    if player.rest > 0:
-        player.rest -= 1
+    if player.dash_cooldown > 0:
+        player.dash_cooldown -= 1
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
     if settings.deadly_coast and _tile_at(s, s.worlds[w].level, player.x, player.y) == COAST:
         tick.there = 0
@@ -267,25 +267,25 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
         player.second = action - hold
         return
     if action == s.settings[0].dash:
-        if player.rest == 0:
+        if player.dash_cooldown == 0:
             player.busy = s.settings[0].dash_ticks
-            player.rest = s.settings[0].dash_ticks + s.settings[0].dash_rest
-            player.armed = DASHING
+            player.dash_cooldown = s.settings[0].dash_ticks + s.settings[0].dash_cooldown
+            player.action_kind = DASHING
     elif action == ATTACK:
         player.busy = stats.swing
-        player.armed = BLADE
+        player.action_kind = BLADE
         player.attack += 1
     elif action == FLAME:  # with a dash or another weapon in place of spells these are the same numbers
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
-            player.armed = BURNING
+            player.action_kind = BURNING
             _burn(player, stats, s.tick[p])
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
             player.busy = stats.heal_ticks
-            player.armed = HEALING
+            player.action_kind = HEALING
             for other in range(s.players.shape[1]):
                 if other == p or _within_heal(s.players[w, other], player, stats.heal_reach):
                     _heal(s.players[w, other], s.player_stats[other], s.events[w, other], stats.heal)
@@ -359,7 +359,7 @@ def _burn(player: Array, stats: Array, tick: Array) -> None:
 def _die(player: Array, event: Array) -> None:
     player.hp = 0.0
     player.busy = 0
-    player.armed = 0
+    player.action_kind = 0
     event.died = 1
 
 
@@ -367,7 +367,7 @@ def _die(player: Array, event: Array) -> None:
 
 
 @inlined
-def _live(s: State, w: int, m: int) -> None:
+def _tick_monster(s: State, w: int, m: int) -> None:
     """Run one living monster's tick."""
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
@@ -378,15 +378,15 @@ def _live(s: State, w: int, m: int) -> None:
     for p in range(s.players.shape[1]):
         bit = np.uint8(1 << p)
         struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s.tick[p], monster, kind)
-        entry = s.settings[0].blow_on_entry and s.players[w, p].armed == BLADE
+        entry = s.settings[0].blow_on_entry and s.players[w, p].action_kind == BLADE
         if not s.tick[p].there:
             monster.noticed &= ~bit
             monster.bite[p] = 0
         elif struck and not entry:
-            _suffer(s, w, m, p)
+            _apply_hit(s, w, m, p)
         elif struck and not monster.inside & bit:
             monster.struck_by[p] = 0  # one that comes back is hit again by the same attack
-            _suffer(s, w, m, p)
+            _apply_hit(s, w, m, p)
         if s.settings[0].blow_on_entry:
             monster.inside = monster.inside | bit if struck and entry else monster.inside & ~bit
     if monster.hp <= 0.0:
@@ -419,7 +419,7 @@ def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
 
 
 @inlined
-def _suffer(s: State, w: int, m: int, p: int) -> None:
+def _apply_hit(s: State, w: int, m: int, p: int) -> None:
     """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
     monster = s.monsters[w, m]
     if monster.struck_by[p] == s.players[w, p].attack or monster.safe > 0 or monster.hp <= 0.0:
@@ -433,7 +433,7 @@ def _suffer(s: State, w: int, m: int, p: int) -> None:
     monster.hp = max(monster.hp - tick.damage, 0.0)
     s.events[w, p].hits += 1
     if monster.hp <= 0.0:
-        _pay(s, w, m, p)
+        _credit_kill(s, w, m, p)
     elif tick.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, kind, tick)
 
@@ -462,7 +462,7 @@ def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
 
 
 @inlined
-def _pay(s: State, w: int, m: int, striker: int) -> None:
+def _credit_kill(s: State, w: int, m: int, striker: int) -> None:
     """Credit a kill to the player who struck, or to all players within the attack circle."""
     kind = s.monster_stats[s.worlds[w].level, m]
     s.worlds[w].monsters_left -= 1

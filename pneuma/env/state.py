@@ -56,11 +56,11 @@ PLAYER = _record(
     ("energy", "f8"),
     ("facing", "i4"),
     ("busy", "i4"),  # ticks that the current attack, dash or spell still lasts
-    ("armed", "i4"),  # what that is: BLADE, DASHING, BURNING or HEALING; 0: there was none yet
+    ("action_kind", "i4"),  # what that is: BLADE, DASHING, BURNING or HEALING; 0: there was none yet
     ("attack", "i4"),  # number of the latest attack of this episode
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),
-    ("rest", "i4"),  # ticks until the player can dash again
+    ("dash_cooldown", "i4"),  # ticks until the player can dash again
     ("second", "i2"),  # whether it holds its second weapon
     ("token", "i2"),  # said in this step, from 1; 0: none
 )
@@ -165,7 +165,7 @@ SETTINGS = _record(
     ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
     ("dash", "i4"),  # number of this action; -1: there is none
     ("dash_ticks", "i4"),  # that it lasts
-    ("dash_rest", "i4"),  # ticks from its end until the next one may begin
+    ("dash_cooldown", "i4"),  # ticks from its end until the next one may begin
     ("magic", "i4"),  # whether there are spells
     ("hold", "i4"),  # number of the action that takes up the first weapon, before the second; -1: none
     ("tokens", "i4"),  # that players can say, by the last actions
@@ -267,7 +267,7 @@ DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 1)
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
 HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
-"""A row for each array of a `State`; nobody reads the last field, see "Compiling"."""
+"""A row for each array of a `State`; the last one's name is the sources' digest: an edit recompiles."""
 
 
 def make_handle(state: State) -> np.ndarray:
@@ -283,18 +283,6 @@ def make_handle(state: State) -> np.ndarray:
         row["address"] = array.ctypes.data
         row["shape"][:dimensions] = array.shape
     return handle
-
-
-def share(state: State, worlds: slice) -> State:
-    """Return some of the worlds as a state with room of its own, so that a thread can advance them."""
-    parts = state._asdict()
-    for name in ("worlds", "players", "monsters", "events", "observations", "masks", "begins"):
-        parts[name] = parts[name][worlds]
-    for name in ("tick", "scratch"):  # padded: threads that write to one line of cache wait for each other
-        parts[name] = np.zeros(len(parts[name]) + 64, parts[name].dtype)[: len(parts[name])]
-    bodies = len(parts["near"])
-    parts["near"] = np.zeros((bodies + 64, bodies), np.int32)[:bodies]
-    return State(**parts)
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

@@ -6,13 +6,9 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
-from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,8 +22,6 @@ from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_
 from pneuma.env_fields import DASH, WEAPON_NAMES, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
-LEAST_WORLDS = 128
-"""Worlds from which a thread of their own saves time."""
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
 
@@ -121,11 +115,6 @@ class Worlds:
 
     def _take_addresses(self) -> None:
         self.handle = state.make_handle(self._arrays)
-        count = max(1, min(thread_count(), len(self) // LEAST_WORLDS))
-        edges = [len(self) * part // count for part in range(count + 1)]
-        parts = [slice(*ends) for ends in pairwise(edges)]
-        self._shares = [state.share(self._arrays, worlds) for worlds in parts]
-        self._parts = [*zip(map(state.make_handle, self._shares), parts, strict=True)]
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
     @property
@@ -171,7 +160,7 @@ class Worlds:
         slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
         row["slow_factor"] = config.slow_factor if slow else 1.0
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
-        row["dash_ticks"], row["dash_rest"] = characters.DASH_TICKS, characters.DASH_REST
+        row["dash_ticks"], row["dash_cooldown"] = characters.DASH_TICKS, characters.DASH_COOLDOWN
         row["magic"] = config.magic
         row["hold"] = self.action_names.index(WEAPON_NAMES[0]) if config.second_weapon else -1
         row["tokens"] = config.tokens
@@ -255,7 +244,7 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = self._run(actions, True)
+        ended = int(kernel.run_worlds(self.handle, actions, True))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
@@ -267,15 +256,7 @@ class Worlds:
     def _begin(self, places: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
         self._arrays.begins[:] = places
-        self._run(np.zeros(self.players.shape, np.int64), False)
-
-    def _run(self, actions: np.ndarray, steps: bool) -> int:
-        """Call the compiled rules, with each part of the worlds on a thread of its own."""
-        if len(self._parts) == 1:
-            return int(kernel.run_worlds(self.handle, actions, steps))
-        (handle, worlds), *others = self._parts
-        calls = [threads().submit(kernel.run_worlds, one, actions[where], steps) for one, where in others]
-        return int(kernel.run_worlds(handle, actions[worlds], steps)) + sum(call.result() for call in calls)
+        kernel.run_worlds(self.handle, np.zeros(self.players.shape, np.int64), False)
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events."""
@@ -333,22 +314,6 @@ class Worlds:
             raise ValueError("players: facing is none of 0 to 3")
 
 
-def thread_count() -> int:
-    """Return on how many threads many worlds are advanced: the variable PNEUMA_THREADS, or 1."""
-    asked, cores = os.environ.get("PNEUMA_THREADS", "1"), len(os.sched_getaffinity(0))
-    if not asked.isdecimal() or not 1 <= int(asked) <= cores:
-        raise UserError(f"the variable PNEUMA_THREADS = {asked} is not allowed: a number from 1 to {cores}")
-    return int(asked)
-
-
-@cache
-def threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_count())
-
-
-os.register_at_fork(after_in_child=threads.cache_clear)  # threads do not come along
-
-
 def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:
     """Return actions or masks in the compiled rules' type, after checking their shape and type."""
     array = np.asarray(given)
@@ -376,5 +341,5 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("handle", "_parts", "_shares", "_shown")
+_ADDRESSES = ("handle", "_shown")
 """Attributes of `Worlds` that are valid in one process only."""

@@ -18,10 +18,8 @@ from stable_baselines3 import PPO
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.learner import Learner, initial_networks
-from pneuma.engines.batched.optimizers import upgd_noise
 from pneuma.engines.batched.rollout import Collector, Rollout, advantages
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.batched.update import joined, run_numbers
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
@@ -41,8 +39,6 @@ CASES: dict[str, dict[str, object]] = {
     "L2 with plain descent": {"optimizer": "sgd", "learning_rate": 1e-2, "weight_decay": 0.01},
     "L2 with momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2, "weight_decay": 0.01},
     "L2 with RMSProp": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
-    "UPGD without noise": {"optimizer": "upgd", "noise": 0, "utility_decay": 0.9},
-    "UPGD": {"optimizer": "upgd", "noise": 0.1, "weight_decay": 0.5},
     "ReLU": {"activation": "relu"},
     "LeakyReLU": {"activation": "leaky-relu"},
     "no limit": {"gradient_limit": None, "learning_rate": 1e-4},
@@ -99,16 +95,6 @@ def linear_layers(model: PPO, networks: Any) -> Iterator[tuple[Any, Any]]:
         yield from zip(linear, layers, strict=True)
 
 
-def our_noise(model: PPO, learner: Learner, step: int) -> list[torch.Tensor]:
-    """Return the compiled engine's noise of a step in the order of Stable-Baselines3's parameters."""
-    own: dict[torch.Tensor, torch.Tensor] = {}
-    drawn = upgd_noise(joined(learner.networks), step, run_numbers(learner.run))
-    for module, layer in linear_layers(model, drawn):
-        *weight, bias = torch.tensor(np.array(layer))  # (inputs + 1, outputs), as small layers are
-        own |= {module.weight: torch.stack(weight).T, module.bias: bias}
-    return [own[parameter] for parameter in model.policy.parameters()]
-
-
 def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
     """Give Stable-Baselines3 a rollout of ours, as its own would have left it."""
     buffer, policy = model.rollout_buffer, model.policy
@@ -151,8 +137,6 @@ def collector_and_learner(run: Run) -> tuple[Collector, Learner]:
 def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     collector, learner = collector_and_learner(run)
     model = torch_model(run, learner)
-    if run.optimizer == "upgd":
-        monkeypatch.setattr(model.policy.optimizer, "draw", lambda step, _: our_noise(model, learner, step))
     for update in range(UPDATES):
         before = learner.policy()
         rollout = collector.collect(learner.networks["actor"])

@@ -98,8 +98,8 @@ class Oracle:
             if not book.settings.keep_xp:
                 player.xp = 0.0
             player.facing = DOWN
-            player.busy = player.armed = player.attack = player.safe = player.kills = player.rest = 0
-            player.second = player.token = 0
+            player.busy = player.action_kind = player.attack = player.safe = player.kills = 0
+            player.dash_cooldown = player.second = player.token = 0
         for monster, kind in zip(self.monsters, book.kinds[self.level], strict=True):
             monster.kind = kind
             monster.x, monster.y, monster.hp = kind.home_x, kind.home_y, kind.hp
@@ -212,19 +212,19 @@ class Oracle:
             elif self._token(action):
                 pass  # stands still
             elif action == settings.dash:
-                if player.rest == 0:  # 8 ticks of dashing, then 60 before the next
-                    player.busy, player.rest, player.armed = 8, 68, 2
+                if player.dash_cooldown == 0:  # 8 ticks of dashing, then 60 before the next
+                    player.busy, player.dash_cooldown, player.action_kind = 8, 68, 2
             elif action == ATTACK:
-                player.busy, player.armed = stats.swing, 1
+                player.busy, player.action_kind = stats.swing, 1
                 player.attack += 1
             elif action == FLAME and player.energy >= stats.flame_cost:
                 player.energy -= stats.flame_cost
-                player.busy, player.armed = stats.flame_ticks, 3
+                player.busy, player.action_kind = stats.flame_ticks, 3
                 player.attack += 1
                 blow = flame_blow(player)
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
-                player.busy, player.armed = stats.heal_ticks, 4
+                player.busy, player.action_kind = stats.heal_ticks, 4
                 for other in self.players:
                     apart = (other.x - player.x) * (other.x - player.x) + (other.y - player.y) * (
                         other.y - player.y
@@ -236,11 +236,11 @@ class Oracle:
                 self._walk(player, action)
         if player.busy > 0:
             player.busy -= 1
-            if player.armed == 1:
+            if player.action_kind == 1:
                 blow = sword_blow(player)
-            if player.armed == 2:
+            if player.action_kind == 2:
                 player.x, player.y = self.walked(player, player.facing, self._others(player), pace=3)
-        player.rest = max(player.rest - 1, 0)
+        player.dash_cooldown = max(player.dash_cooldown - 1, 0)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
         if self.book.settings.deadly_coast and self.ground.is_sea(player.x, player.y):
             player.events.hp_lost += player.hp
@@ -280,16 +280,16 @@ class Oracle:
         met = {p for p in blows if monster.box.meets(blows[p].box)}
         for p in sorted(met):
             number = blows[p].number
-            if self.book.settings.blow_on_entry and self.players[p].armed == 1:  # a sword
+            if self.book.settings.blow_on_entry and self.players[p].action_kind == 1:  # a sword
                 hit = p not in monster.inside
             else:
                 hit = monster.struck_by[p] != number
             if hit and monster.hp > 0.0 and monster.safe == 0:
                 self._strike(monster, p, blows[p], there, gains)
-            elif hit and self.book.settings.blow_on_entry and self.players[p].armed == 1:
+            elif hit and self.book.settings.blow_on_entry and self.players[p].action_kind == 1:
                 monster.struck_by[p] = 0
         if self.book.settings.blow_on_entry:
-            monster.inside = {p for p in met if self.players[p].armed == 1}
+            monster.inside = {p for p in met if self.players[p].action_kind == 1}
         if monster.hp <= 0.0:
             return
         target = self._sense(monster, there, gains)

@@ -78,11 +78,11 @@ class Player:
     energy: float = 0.0
     facing: int = DOWN
     busy: int = 0
-    armed: int = 0
+    action_kind: int = 0
     attack: int = 0
     safe: int = 0
     kills: int = 0
-    rest: int = 0
+    dash_cooldown: int = 0
     second: int = 0
     token: int = 0
     events: Events = field(default_factory=Events)
@@ -158,7 +158,7 @@ class Gain:
 
 def die(player: Player) -> None:
     player.hp = 0.0
-    player.busy = player.armed = 0
+    player.busy = player.action_kind = 0
     player.events.died = 1
 
 

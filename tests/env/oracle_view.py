@@ -70,7 +70,7 @@ def mask(world: Oracle, player: Player) -> list[int]:
             gets_on = world.walked(player, way, []) != (player.x, player.y)
             allowed[way] = int(player.facing != way or gets_on)
             if settings.dash >= 0 and player.facing == way:
-                allowed[settings.dash] = int(gets_on and player.rest < settings.ticks)
+                allowed[settings.dash] = int(gets_on and player.dash_cooldown < settings.ticks)
         if settings.magic:
             energy = _energy_at_last(player, settings.ticks)
             allowed[FLAME] = int(energy >= stats.flame_cost)

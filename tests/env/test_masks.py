@@ -40,7 +40,7 @@ def test_a_masked_action_leaves_the_player_where_it_is(env_id: str) -> None:
         allowed = np.take_along_axis(worlds.masks, stride[..., None], -1)[..., 0]
         before = worlds.players.copy()
         worlds.step(stride)
-        dashing = (before["armed"] == DASHING) & (before["busy"] > 0)  # begun before, it goes on
+        dashing = (before["action_kind"] == DASHING) & (before["busy"] > 0)  # begun before, it goes on
         masked = (allowed == 0) & worlds.present & (worlds.players["hp"] > 0) & ~dashing
         for name in ("x", "y", "facing"):
             assert (worlds.players[name] == before[name])[masked].all()

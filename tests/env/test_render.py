@@ -101,9 +101,9 @@ def test_a_spell_shows_while_it_is_cast_in_a_picture_of_its_state_alone(arena: s
     for _ in range(3):
         play(worlds, spell)
         shown = bare(worlds)
-        what, worlds.players["armed"] = worlds.players["armed"].copy(), 0
+        what, worlds.players["action_kind"] = worlds.players["action_kind"].copy(), 0
         x, _ = changed(bare(worlds), shown)
-        worlds.players["armed"] = what
+        worlds.players["action_kind"] = what
         reach.append(0 if not x.size else int(x.max()) - MIDDLE)
     assert reach[2] == 0
     assert all(70 < far < 86 if spell == FLAME else 0 < far <= BODY for far in reach[:2])
@@ -115,7 +115,7 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     worlds = stage(arena, facing=facing)
     worlds.players["busy"] = 12
     before = bare(worlds)
-    worlds.players["armed"] = rules.BLADE
+    worlds.players["action_kind"] = rules.BLADE
     x, y = changed(before, bare(worlds))
     stats = worlds.player_stats[0]
     across = abs(x + 0.5 - MIDDLE - stats["sword_x"][facing] / 4) <= stats["sword_half_width"][facing] / 4 + 1

@@ -81,7 +81,7 @@ def test_a_dash_goes_120_px_ahead_and_the_next_one_waits_for_60_ticks(arena: str
     assert player_at(worlds) == (120.0, -200.0)
     assert worlds.masks[0, 0].tolist() == [1] * 5 + [0]
     play(worlds, *[DASH] * 6)
-    assert (player_at(worlds), worlds.players["rest"][0, 0]) == ((120.0, -200.0), 12)
+    assert (player_at(worlds), worlds.players["dash_cooldown"][0, 0]) == ((120.0, -200.0), 12)
     play(worlds, DASH)
     assert worlds.masks[0, 0, DASH] == 1  # 4 ticks from now
     play(worlds, DASH)
@@ -94,7 +94,7 @@ def test_a_dash_stops_at_a_wall_and_at_a_monster_and_nobody_turns_in_it(arena: s
     worlds = stage(arena, players=((150.0, 30.0),), settings={"dash": True})
     play(worlds, DASH)
     assert player_at(worlds) == (234.0, 30.0)
-    worlds.players["rest"] = 0
+    worlds.players["dash_cooldown"] = 0
     worlds.observe()
     assert worlds.masks[0, 0].tolist() == [1, 1, 1, 0, 1, 0]
     worlds = stage(

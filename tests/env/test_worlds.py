@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pneuma.env.worlds import LEAST_WORLDS, Worlds
-from pneuma.errors import UserError
+from pneuma.env.worlds import Worlds
 
 from .arena import RIGHT, STATE_ARRAYS, Fighter, begin, bits, play, state_bits
 
@@ -26,28 +25,6 @@ def test_every_world_is_alone_as_in_company() -> None:
             assert state_bits(world) == state_bits(company, slice(i, i + 1))
             world.reset(over[i : i + 1])
         company.reset(over)
-
-
-def test_threads_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda process: range(3))
-    worlds = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("PNEUMA_THREADS", threads)
-        worlds.append(begin(3 * LEAST_WORLDS + 1, seed=7))
-    one, several = worlds
-    actions = np.random.default_rng(0).integers(0, 5, (60, *one.players.shape))
-    for chosen in actions:
-        assert one.step(chosen) == several.step(chosen)
-        one.reset(one.worlds["ending"] != 0)
-        several.reset(several.worlds["ending"] != 0)
-    assert state_bits(one) == state_bits(several)
-
-
-@pytest.mark.parametrize("asked", ["0", "1000000", "two", ""])
-def test_a_number_of_threads_that_cannot_be_is_refused(asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PNEUMA_THREADS", asked)
-    with pytest.raises(UserError, match="PNEUMA_THREADS"):
-        begin(1)
 
 
 def test_what_a_mask_leaves_out_is_not_reset() -> None:

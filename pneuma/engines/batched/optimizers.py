@@ -74,7 +74,22 @@ def rmsprop(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -
 
 
 def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
-    """Adaptive UPGD; `pneuma.engines.upgd` says what it is and where it is from."""
+    """Adaptive UPGD, which protects useful weights and perturbs the others.
+
+    Elsayed and Mahmood, "Addressing Loss of Plasticity and Catastrophic Forgetting in Continual Learning",
+    ICLR 2024: reference [23] of the thesis, whose section 6.1 names it as a remedy for policy collapse. This
+    is the form with which its authors train PPO. For a weight w with gradient g, its moments m and v as
+    Adam's, corrected, and noise ξ ~ N(0, 1):
+
+        u ← β u - (1 - β) g w                    the first-order utility: what the loss would gain without w
+        s = sigmoid(u / (1 - βᵗ) / max u)        the greatest utility of all weights scales it
+        w ← (1 - α λ) w - 2 α (1 - s) (m / (√v + ε) + σ ξ)
+
+    As in the authors' published PPO, the greatest utility is not corrected, so that at first s is nearly 0
+    or 1; the factor 2 makes up for s = 1/2 where u = 0; and weight decay λ shrinks w by itself instead of
+    being added to the gradient. Here α is the learning rate, β `utility_decay` and σ `noise`. The noise is
+    keyed by the run and the number of the step.
+    """
     b1, b2, kept = numbers["beta_1"], numbers["beta_2"], numbers["utility_decay"]
     steps = state["steps"] + 1
     mean = jax.tree.map(lambda m, g: b1 * m + (1 - b1) * g, state["mean"], gradients)

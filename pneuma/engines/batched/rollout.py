@@ -174,7 +174,7 @@ class Collector:
         for step, draw in enumerate(draws):
             _choose(handle, weights, widths, activation, draw, episodes, rollout, step, chosen, scratch)
             self.worlds.advance(chosen)
-            count = _note(handle, usual_starts, episodes, rollout, step, count, chosen)
+            count = _record_step(handle, usual_starts, episodes, rollout, step, count, chosen)
         return count
 
 
@@ -199,7 +199,7 @@ def _play(
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], episodes, rollout, step, chosen, scratch)
         run_worlds(handle, chosen, True)
-        count = _note(handle, usual_starts, episodes, rollout, step, count, chosen)
+        count = _record_step(handle, usual_starts, episodes, rollout, step, count, chosen)
     return count
 
 
@@ -227,7 +227,7 @@ def _choose(
 
 
 @kernel
-def _note(
+def _record_step(
     handle: Any, usual_starts: Any, episodes: Any, rollout: Any, step: int, count: int, chosen: Any
 ) -> int:
     """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
