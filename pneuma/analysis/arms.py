@@ -67,6 +67,12 @@ class ClaimRuns:
     fix: str
     damaged: Sequence[str]
 
+    @property
+    def commits(self) -> tuple[str, ...]:
+        """The commits of the code that trained them."""
+        origins = [run.provenance for name in self.claim.compared for run in self.found(name)]
+        return tuple(sorted({str(origin.get("commit")).removesuffix("-dirty") for origin in origins}))
+
     def budget(self, condition: str) -> int:
         return round_up(self.asked.runs[condition], self.claim.steps[condition])
 

@@ -41,6 +41,7 @@ class Verdict:
         verdict: supported, refuted, mixed, inconclusive or untestable.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table, untestable all if it is not admitted.
+        commits: of the code that trained its runs.
     """
 
     claim: Claim
@@ -48,6 +49,7 @@ class Verdict:
     verdict: str
     reason: str
     contrasts: tuple[ClaimContrast, ...] = ()
+    commits: tuple[str, ...] = ()
 
     @property
     def told(self) -> tuple[ClaimContrast, ...]:
@@ -96,7 +98,7 @@ def judge(
             verdicts.append(Verdict(runs.claim, runs.world, UNTESTABLE, reason, table))
         else:
             table = tuple(_judge_contrast(row, runs, arm) for row in rows)
-            verdicts.append(_combine(runs.claim, runs.world, table))
+            verdicts.append(replace(_combine(runs.claim, runs.world, table), commits=runs.commits))
         on_progress(len(verdicts), wanted)
     return verdicts
 

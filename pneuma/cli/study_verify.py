@@ -77,6 +77,7 @@ def _show_claims(
     known: ClaimList, shown: Sequence[Verdict], in_detail: bool, lacking: str
 ) -> Iterator[str | Table]:
     """Yield each sentence, and below it for each world the word, and the effect or why there is none."""
+    from pneuma.analysis.claim_history import changed_since
     from pneuma.analysis.claims import RULES
     from pneuma.analysis.verdict_words import (
         WORLD_NAMES,
@@ -120,6 +121,10 @@ def _show_claims(
     if seen:
         known_before = ", ".join(f"{name} ({', '.join(worlds)})" for name, worlds in seen.items())
         yield from _indented(f"By runs known before, so described and not tested: {known_before}.", 0)
+    for one in shown:
+        if not one.claim.seen and (keys := changed_since(known, one.claim.name, one.commits)):
+            changed = f"{one.claim.name} ({WORLD_NAMES[one.world]}): {', '.join(keys)}"
+            yield from _indented(f"Not as it was at the commit that trained its runs: {changed}.", 0)
     yield f"Stated in {known.path.name}, SHA-256 {known.digest[:16]}…, judged by rules {RULES}."
 
 

@@ -144,6 +144,16 @@ def uncommitted(source: Path = SOURCE) -> list[str]:
     return [line[3:] for line in _git(source, "status", "--porcelain", "--", "pneuma", "studies")]
 
 
+def file_at(path: Path, commit: str) -> str | None:
+    """Return a file's text as it was at a commit; None without a checkout that has both."""
+    if not re.fullmatch("[0-9a-f]{40}", commit):
+        return None
+    command = ["git", "-C", str(path.parent), "show", f"{commit}:./{path.name}"]
+    with suppress(OSError, subprocess.CalledProcessError):
+        return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
+    return None
+
+
 def _git(source: Path, *words: str) -> list[str]:
     """Return the lines that git prints about a source tree; none without a repository, or without git."""
     command = ["git", "-C", str(source), *words]
