@@ -36,12 +36,12 @@ from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.maps import robustness_page, study_maps
 from pneuma.figures.origin import read_origin
-from pneuma.figures.search import search_page, winners_page
+from pneuma.figures.search import draw_search, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
+from pneuma.search.journal import read_record
 from pneuma.search.promote import find_winners
 from pneuma.search.spec import load_search
-from pneuma.search.storage import read_record
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores
 from pneuma.study.series import SLACK
@@ -88,8 +88,8 @@ WINNERS = {
     "tuned-optimizers": ("tune-adam", "tune-l2", "tune-upgd", "tune-sgd", "tune-momentum", "tune-rmsprop")
 }
 """A study of winners on fresh seeds, and the searches that found them."""
-SEARCHES = (("ppo", "arena"), ("ppo", "text"), ("godot", None))
-"""The published searches that a page shows, each with its world if it has several."""
+SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
+"""The published searches that a page shows, each with its world if it has several; () is all its pictures."""
 WHOLE = ("architecture", "activation", "actor-size")
 """Studies of which the thesis's figure shows every condition."""
 EARLIER = {"slots": 1}
@@ -160,12 +160,12 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:
     """Draw the searches that pages show, if they are published in this folder."""
-    searched = [
-        read_record(Store(results), name, world, stored=False)
-        for name, world in SEARCHES
-        if (results / PUBLISHED / f"search-{load_search(name, world).label}.log").exists()
-    ]
-    return _save(folder, filter(None, map(search_page, searched)))
+    drawn: list[Path] = []
+    for (name, world), pictures in SEARCHES.items():
+        if (results / PUBLISHED / f"search-{load_search(name, world).label}.log").exists():
+            searched = read_record(Store(results), name, world, stored=False)
+            drawn += draw_search(searched, folder, ("png",), COMMAND, pictures)
+    return drawn
 
 
 def _draw_environment(folder: Path) -> list[Path]:

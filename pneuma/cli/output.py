@@ -230,9 +230,17 @@ def draw_files(
     """
     from pneuma.figures.grid import save_page
 
+    def draw(folder: Path) -> list[Path]:
+        return [path for page, again in pages for path in save_page(page, folder, formats, again)]
+
+    return keep_files(store, out, draw)
+
+
+def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[Path]]) -> list[Path]:
+    """Write the files that a function draws into a folder, as `draw_files` does; return them."""
     target, write = (store.root / "figures", store.write) if out is None else (out, write_file)
     with TemporaryDirectory() as folder:
-        drawn = [path for page, again in pages for path in save_page(page, Path(folder), formats, again)]
+        drawn = draw(Path(folder))
         files = {path.name: path.read_bytes() for path in drawn}
     for name, content in files.items():
         write(target / name, content)

@@ -15,6 +15,7 @@ from pneuma.cli.output import (
     check_file,
     command,
     draw_files,
+    keep_files,
     listed_result,
     read_formats,
     say,
@@ -30,10 +31,12 @@ from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
+    from optuna.trial import FrozenTrial
+
+    from pneuma.search.journal import RecordedSearch
     from pneuma.search.promote import Gain, Winner
     from pneuma.search.spec import Search
-    from pneuma.search.storage import RecordedSearch
-    from pneuma.search.trials import EndedTrial, Task
+    from pneuma.search.task import Task
 
 app = opt.Commands(
     "Find hyperparameters over several seeds, and confirm them on fresh ones.",
@@ -105,7 +108,7 @@ def _pairs(values: Mapping[str, Any]) -> str:
 @app.command()
 def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
     """Show how far a search is, and its best trials."""
-    from pneuma.search.storage import published_log, read_record
+    from pneuma.search.journal import published_log, read_record
 
     searched = read_record(store := Store(results), name, world)
     label = searched.task.search.label
@@ -129,6 +132,8 @@ def _asked_words(name: str, world: str | None, results: Path) -> list[object]:
 
 
 def _status(searched: RecordedSearch, asked: Sequence[object]) -> Iterator[str | Table]:
+    from pneuma.search.journal import STATES
+
     budget, best = searched.task.budget, searched.best
     yield f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each"
     for objective in searched.task.search.objectives:
@@ -140,7 +145,8 @@ def _status(searched: RecordedSearch, asked: Sequence[object]) -> Iterator[str |
             for key, value in searched.task.search.space.named(trial.params).items()
         )
         mark = "*" if trial.number in among else ""
-        rows.append((f"{mark:>3}", trial.number, trial.state, _value(trial), params, trial.note))
+        note = str(trial.user_attrs.get("note", ""))
+        rows.append((f"{mark:>3}", trial.number, STATES[trial.state], _value(trial), params, note))
     yield Table(("", "trial", "", "value", "", ""), rows)
     if best is None:
         yield "No trial is complete yet."
@@ -161,14 +167,14 @@ def plot(
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     formats, store = read_formats(format, out), Store(results)
-    from pneuma.figures.search import search_page
-    from pneuma.search.storage import read_record
+    from pneuma.figures.search import draw_search
+    from pneuma.search.journal import read_record
 
-    page = search_page(read_record(store, name, world))
+    searched = read_record(store, name, world)
     formats_asked = (word for each in formats for word in ("--format", each))
     again = command("search", "plot", *_asked_words(name, world, results), *formats_asked)
-    files = draw_files(store, out, formats, [(page, again)] if page else [])
-    if page is None:
+    files = keep_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
+    if not files:
         say("Note: nothing is drawn before a trial is complete.", aside=True)
     return Result({"figures": files}, wrote(files))
 
@@ -193,21 +199,22 @@ def run(
     quiet: bool = opt.QUIET,
 ) -> Result:
     """Search for hyperparameters, going on where the search was stopped."""
-    from pneuma.search import storage
-    from pneuma.search.trials import Unfinished, best_number
+    from pneuma.search.journal import STATES, best_number
+    from pneuma.search.trials import Unfinished, run_search
 
     store = Store(results)
     task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = place.config()
-    ended_trials: list[EndedTrial] = []
+    ended_trials: list[FrozenTrial] = []
     tell = partial(say, aside=True, quiet=quiet)
     train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
     code = 0
     try:
-        for ended in storage.run_search(task, store, train_trials, tell):
+        for ended in run_search(task, store, train_trials, tell):
             for trial in ended[len(ended_trials) :]:
-                note = f" ({trial.note})" if trial.note else ""
-                say(f"trial {trial.number}: {trial.state}, {_value(trial)}{note}", aside=True, quiet=quiet)
+                note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
+                state = STATES[trial.state]
+                say(f"trial {trial.number}: {state}, {_value(trial)}{note}", aside=True, quiet=quiet)
             ended_trials = [*ended]
             best = best_number(ended_trials, task.search)
             found = f"front: {best}" if best else "none complete yet"
@@ -236,7 +243,7 @@ def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **
     from pneuma.sb3_names import own_fields
     from pneuma.search.space import FIXABLE
     from pneuma.search.spec import load_search
-    from pneuma.search.trials import Task
+    from pneuma.search.task import Task
 
     for key in (over := own_fields(over)):
         if key not in FIXABLE.names:
@@ -281,9 +288,8 @@ def train(
             raise Unfinished(f"{what}{why}{again}")
 
 
-def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:
-    from pneuma.search.storage import trial_document
-    from pneuma.search.trials import best_number
+def _document(task: Task, trials: Sequence[FrozenTrial]) -> dict[str, Any]:
+    from pneuma.search.journal import best_number, trial_document
 
     return {
         "search": task.search.name,
@@ -292,8 +298,8 @@ def _document(task: Task, trials: Sequence[EndedTrial]) -> dict[str, Any]:
     }
 
 
-def _value(trial: EndedTrial) -> str:
-    return "no value" if trial.state == "failed" else ", ".join(f"{value:.4g}" for value in trial.values)
+def _value(trial: FrozenTrial) -> str:
+    return ", ".join(f"{value:.4g}" for value in trial.values or ()) or "no value"
 
 
 # --- promote --------------------------------------------------------------------------------------
@@ -312,71 +318,58 @@ def promote(
     quiet: bool = opt.QUIET,
 ) -> Result:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
-    from pneuma.search.promote import find_winners, gains, winners_study
-    from pneuma.search.storage import read_record
+    from pneuma.search import promote as promotion
 
-    if trial is not None and len(names) > 1:
-        raise UserError(f"--trial {trial}: is of one search; name one")
     store = Store(results)
-    searches = [read_record(store, name, world) for name in names]
-    winners = find_winners(searches, trial, seeds)
-    steps = steps or searches[0].task.budget.steps
-    text = winners_study(winners, seeds, steps).encode()
-    searched_names = [searched.task.search.name for searched in searches]
+    promoted = promotion.promote(store, names, seeds, steps, trial, world)
     chosen: list[dict[str, Any]] = [
         {
-            "search": name,
+            "search": winner.searched.task.search.name,
             "trial": winner.trial.number,
             "params": winner.trial.params,
             "is_base": winner.is_base,
         }
-        for name, winner in zip(searched_names, winners, strict=True)
+        for winner in promoted.winners
     ]
-    if trial is None and out is None and all(winner.is_base for winner in winners):
+    if trial is None and out is None and all(each["is_base"] for each in chosen):
         said = "the search found nothing better than its base"
-        return Result({"winners": chosen}, [f"{name}: {said}" for name in searched_names])
+        return Result({"winners": chosen}, [f"{each['search']}: {said}" for each in chosen])
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():
             raise UserError(f"--out {out}: is there already; name another, or remove it first")
-        write_file(out, text)
+        write_file(out, promoted.text.encode())
         train_with = f"Train it with: {command('study', 'run', out, '--results', results)}"
         return Result({"study": out, "winners": chosen}, notes=[f"wrote {out}", train_with])
-    study = "-".join(["promoted", *(searched.task.search.label for searched in searches)])
-    path = store.root / "searches" / f"{study}.toml"
-    store.check_writable()
-    store.write(path, text)
+    planned, path = promoted.plan(store), promoted.path(store)
     say(f"wrote {path}", aside=True, quiet=quiet)
-    planned = plan.make_plan(spec.load_study(str(path)), plan.Selection(seeds=seeds, steps=steps))
     how = ExecutorConfig(workers=opt.most_workers(workers))
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
     diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
     document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged, "winners": chosen}
-    shown: list[str | Table] = []
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
-    else:
-        from pneuma.analysis.asked import open_study
-        from pneuma.analysis.run_index import RunIndex
-        from pneuma.figures.search import winners_page
+        return Result(document, notes=trained.notes, code=trained.code)
 
-        data = open_study(RunIndex(store), str(path), plan.Selection(seeds=seeds, steps=steps))
-        for winner, row in zip(winners, chosen, strict=True):
-            row["objectives"] = gains(winner, data)
-            shown += _show_gains(winner, row["objectives"], len(seeds))
-        given = ["--seeds", ",".join(map(str, seeds)), "--steps", steps, "--results", results]
-        given += ["--trial", trial] * (trial is not None) + ["--world", world] * (world is not None)
-        again = command("search", "promote", *names, *given)
-        page = winners_page(study, winners, data)
-        document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
-        shown += wrote(document["figures"])
-        shown += [
-            f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
-            for arm, count in diverged.items()
-            if count
-        ]
-    return Result(document, shown, notes=trained.notes, code=trained.code)
+    from pneuma.figures.search import winners_page
+
+    data, shown = promoted.data(store), list[str | Table]()
+    for winner, row in zip(promoted.winners, chosen, strict=True):
+        row["objectives"] = promotion.gains(winner, data)
+        shown += _show_gains(winner, row["objectives"], len(seeds))
+    given = ["--seeds", ",".join(map(str, seeds)), "--steps", promoted.steps, "--results", results]
+    given += ["--trial", trial] * (trial is not None) + ["--world", world] * (world is not None)
+    page = winners_page(promoted.name, promoted.winners, data)
+    again = command("search", "promote", *names, *given)
+    document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
+    shown += wrote(document["figures"])
+    shown += [
+        f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
+        for arm, count in diverged.items()
+        if count
+    ]
+    return Result(document, shown, notes=trained.notes)
 
 
 def _show_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> Iterator[str | Table]:

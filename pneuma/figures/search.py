@@ -1,213 +1,178 @@
-"""The figures of a search: its trials, and how its winner does on fresh seeds.
+"""The figures of a search: Optuna's pictures of its trials, and how its winner does on fresh seeds.
 
-RecordedSearch → panels → Page (`grid.py`)
+RecordedSearch → Optuna's axes in our style, the thesis's values marked → files
+winners, their runs → Page (`grid.py`)
 """
 
 from __future__ import annotations
 
 import math
-import re
+import textwrap
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import matplotlib.style
 import numpy as np
+from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-from optuna.exceptions import ExperimentalWarning
-from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+from matplotlib.ticker import LogLocator, NullLocator
+from optuna.importance import PedAnovaImportanceEvaluator
+from optuna.trial import FrozenTrial, TrialState
+from optuna.visualization import matplotlib as pictures
 
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome_values
-from pneuma.errors import counted
-from pneuma.figures import grid
-from pneuma.figures.grid import Page, Panel, in_grid
-from pneuma.figures.origin import sample, samples_of
-from pneuma.figures.style import COLOURS, GREY, INK, MARKERS, TYPE_POINTS
+from pneuma.errors import counted, plain
+from pneuma.figures import grid, style
+from pneuma.figures.grid import Page, Panel
+from pneuma.figures.origin import Origin, sample, samples_of
+from pneuma.figures.style import COLOURS, GREY, INK, WIDTH
 from pneuma.figures.words import capital, headline_of, notes_of
-from pneuma.search.optuna_study import ended_study
+from pneuma.search.journal import RecordedSearch
 from pneuma.search.promote import Gain, Winner, gains
-from pneuma.search.space import Parameter
-from pneuma.search.storage import RecordedSearch
-from pneuma.search.trials import EndedTrial
 
-COLUMNS = 4
+TABLES = {"table-6-1": ":", "table-6-2": "--"}
+"""Bases whose values are marked: the thesis's, and the lines that mark them."""
+COLUMNS, ROW_INCHES = 4, 1.75
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
-COMPLETE, BEST = COLOURS[0], COLOURS[1]
-ROW_INCHES = 1.75
 
 
-def search_page(searched: RecordedSearch) -> Page | None:
-    """Return the figure of a search; None before a trial is complete."""
-    drawn = _Drawn(searched)
-    if not drawn.complete:
-        return None
+def draw_search(
+    searched: RecordedSearch,
+    folder: Path,
+    formats: Sequence[str],
+    command: str = "",
+    only: Collection[str] = (),
+) -> list[Path]:
+    """Draw the pictures of a search, or `only` some, and write each; none before a trial is complete.
+
+    Their origin tells the `command` that draws them again.
+    """
     search, budget = searched.task.search, searched.task.budget
-    importances = drawn.importances()
-    wide = Panel(drawn.history, "History", "Trial", drawn.label, x_ticks=_whole, y_ticks=drawn.ticks)
-    top: list[Panel | None] = [wide] * COLUMNS
-    if importances:
-        bars = Panel(partial(_draw_bars, shares=importances), "Importance", "Share")
-        top = [*[wide] * (COLUMNS // 2), *[bars] * (COLUMNS // 2)]
-    slices = [drawn.slice(each, i % COLUMNS == 0) for i, each in enumerate(search.space.parameters)]
-    rows = [top, *in_grid(slices, COLUMNS)]
-    if len(search.objectives) == 2:
-        rows.append([Panel(drawn.front, "Both objectives", drawn.label, drawn.second)] * COLUMNS)
-    elif len(search.space.parameters) > 1:
-        rows.append([Panel(drawn.parallel, "Best trials")] * COLUMNS)
-    ids = (run_id for trial in searched.trials for run_id in trial.run_ids)
-    runs, caption = [sample(search.name, "", ids, budget.seeds)], drawn.caption(bool(importances))
-    inches = ROW_INCHES * len(rows)
-    return Page(f"search-{search.label}", rows, inches, search.title, runs, caption=caption)
+    complete = [trial for trial in searched.trials if trial.state == TrialState.COLOURS[0]]
+    if not complete:
+        return []
+    runs = sample(
+        search.name,
+        "",
+        (each for trial in searched.trials for each in trial.user_attrs["run_ids"]),
+        budget.seeds,
+    )
+    origin, files = Origin(command=plain(command), runs=(runs,)), list[Path]()
+    with style.house_style(), _optuna_in_our_style():
+        for name, (title, draw) in _pictures(searched, complete).items():
+            if only and name not in only:
+                continue
+            axes = np.ravel(np.array(draw()))
+            figure = axes[0].figure
+            try:
+                figure.set_layout_engine("constrained")
+                headline = f"{search.title}: {title}. {_amount(searched)}"
+                figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
+                for each in axes:
+                    each.set_title("")
+                files += style.save_figure(figure, folder, f"search-{search.label}-{name}", formats, origin)
+            finally:
+                plt.close(figure)
+    return files
 
 
-class _Drawn:
-    """A search as it is drawn: the first of its objectives, unless said otherwise."""
+@contextmanager
+def _optuna_in_our_style() -> Iterator[None]:
+    """Let Optuna, which asks for the style `ggplot`, change nothing of the present one."""
+    library: Any = matplotlib.style.library
+    before = library["ggplot"]
+    plt.rcParams |= {"figure.constrained_layout.use": True, "figure.figsize": (WIDTH, WIDTH / 2)}
+    library["ggplot"] = {}
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of what is experimental, and of low targets
+            yield
+    finally:
+        library["ggplot"] = before
 
-    def __init__(self, searched: RecordedSearch) -> None:
-        self.search, self.task, self.trials = searched.task.search, searched.task, searched.trials
-        self.complete = [trial for trial in self.trials if trial.state == "complete"]
-        self.pruned = [trial for trial in self.trials if trial.state == "pruned"]
-        best = searched.best
-        front = best if isinstance(best, list) else [] if best is None else [best]
-        self.best = [trial for trial in self.complete if trial.number in front]
-        self.label, *more = [
-            f"{capital(find_outcome(each.outcome).words.partition(',')[0])}, {each.over_seeds} of seeds"
-            for each in self.search.objectives
-        ]
-        self.second = more[0] if more else ""
-        shared = find_outcome(self.search.objectives[0].outcome).unit == "share"
-        self.ticks = grid.shares if shared else grid.few
 
-    @property
-    def sign(self) -> int:
-        return 1 if self.search.objectives[0].direction == "maximize" else -1
+Picture = tuple[str, Callable[[], Any]]
+"""Its title, and what draws it."""
 
-    def history(self, axes: Axes) -> None:
-        """Draw every trial's value, and the best so far as steps."""
-        self._points(axes, self.pruned, [trial.number for trial in self.pruned], pruned=True)
-        self._points(axes, self.complete, [trial.number for trial in self.complete])
-        values = [self.sign * trial.values[0] for trial in self.complete]
-        best = self.sign * np.maximum.accumulate(values)
-        last = self.trials[-1].number
-        numbers = [*(trial.number for trial in self.complete), last]
-        axes.step(numbers, [*best, best[-1]], where="post", color=BEST, linewidth=1.4, label="best so far")
-        for base, number in self._starts().items():
-            trial = self.trials[number]
-            if trial.values:
-                marker = MARKERS[1 + TABLES.index(base)]
-                look: Any = {"marker": marker, "color": INK, "markersize": 5, "linestyle": ""}
-                axes.plot([number], trial.values[:1], label=base, zorder=4, **look)
-        axes.set_xlim(-0.5, last + 0.5)
 
-    def _starts(self) -> dict[str, int]:
-        """Return the numbers of the trials of the bases that the search starts with."""
-        return {
-            base: number
-            for number, base in enumerate(self.search.spec.start)
-            if number < len(self.trials) and base in TABLES
-        }
+def _pictures(searched: RecordedSearch, complete: Sequence[FrozenTrial]) -> dict[str, Picture]:
+    """Return each picture by name, in the first of the objectives, unless it shows both."""
+    study, (first, *others) = searched.study, searched.task.search.objectives
+    words = [
+        f"{capital(find_outcome(each.outcome).words.partition(',')[0])}, {each.over_seeds} of seeds"
+        for each in (first, *others)
+    ]
+    of_first: dict[str, Any] = {"target_name": words[0]}
+    if others:
+        of_first["target"] = lambda trial: trial.values[0]
+    drawn: dict[str, Picture] = {
+        "history": ("history", lambda: _history(searched, of_first)),
+        "values": ("values of parameters", lambda: _slices(searched, of_first)),
+    }
+    several = len({name for trial in complete for name in trial.params}) > 1
+    if several and len(complete) >= LEAST_TRIALS:
+        share = max(BEST_SHARE, BEST_TRIALS / len(complete))
+        evaluator = PedAnovaImportanceEvaluator(target_quantile=share)  # Watanabe et al. 2023
+        sign = -1 if first.direction == "maximize" else 1  # it asks what makes a target low
+        low: dict[str, Any] = {"target": lambda trial: sign * trial.values[0], "target_name": words[0]}
+        title = "which parameters tell the best trials from the others (PED-ANOVA)"
+        drawn["importances"] = title, lambda: pictures.plot_param_importances(study, evaluator, **low)
+    if len(others) == 1:
+        drawn["front"] = "both objectives", lambda: pictures.plot_pareto_front(study, target_names=words)
+    return drawn
 
-    def _points(
-        self, axes: Axes, trials: Sequence[EndedTrial], places: Sequence[float], pruned: bool = False
-    ) -> None:
-        look: Any = {"marker": "x", "color": GREY} if pruned else {"marker": "o", "color": COMPLETE}
-        if not trials:  # nor is it in the legend
-            return
-        label = "stopped early, at its last value" if pruned else "complete trial"
-        axes.plot(
-            places, [trial.values[0] for trial in trials], linestyle="", markersize=3, alpha=0.65,
-            markeredgewidth=0.8 if pruned else 0, label=label, **look,
-        )  # fmt: skip
 
-    def slice(self, parameter: Parameter, first: bool) -> Panel:
-        """Return the panel of one parameter: values of trials over its values; the first has numbers."""
-        draw = partial(self._slice, parameter=parameter)
-        x_ticks = partial(_choices, parameter=parameter) if parameter.choices else grid.few
-        if parameter.log:
-            x_ticks = _logarithmic
+def _amount(searched: RecordedSearch) -> str:
+    budget, states = searched.task.budget, [trial.state for trial in searched.trials]
+    whole, pruned, failed = map(states.count, (TrialState.COLOURS[0], TrialState.PRUNED, TrialState.FAIL))
+    words = [f"{pruned} stopped early"] * (pruned > 0) + [f"{failed} failed"] * (failed > 0)
+    trials = ", ".join([counted(whole, "whole trial"), *words])
+    return f"{trials}; {counted(len(budget.seeds), 'seed')}, {budget.steps:,} steps each"
 
-        def y_ticks(axis: Axis) -> None:
-            self.ticks(axis)
-            axis.set_tick_params(labelleft=first)
 
-        return Panel(draw, parameter.name.replace("_", " "), x_ticks=x_ticks, y_ticks=y_ticks)
+def _history(searched: RecordedSearch, of_first: dict[str, Any]) -> Axes:
+    """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
+    axes: Axes = pictures.plot_optimization_history(searched.study, **of_first)
+    trials = {trial.number: trial for trial in searched.trials if trial.values}
+    for number, base in enumerate(searched.task.search.spec.start):
+        if base in TABLES and number in trials:
+            marker = "sD"[[*TABLES].index(base)]
+            axes.plot(number, trials[number].values[0], marker, color=INK, zorder=4, label=base)
+    axes.legend()
+    return axes
 
-    def _slice(self, axes: Axes, parameter: Parameter) -> None:
-        for trials, pruned in ((self.pruned, True), (self.complete, False)):
-            having = [trial for trial in trials if parameter.name in trial.params]
-            self._points(axes, having, [_place(parameter, trial) for trial in having], pruned)
-        for trial in self.best[:1]:
-            if parameter.name in trial.params:
-                look: Any = {"marker": "D", "color": BEST, "markersize": 5, "linestyle": ""}
-                axes.plot([_place(parameter, trial)], trial.values[:1], label="best", zorder=4, **look)
-        for base in self._starts():
-            params = self.search.space.params_of(base)
-            if parameter.name in params:
-                value = params[parameter.name]
-                at = [*parameter.choices].index(value) if parameter.choices else value
-                line: Any = {"color": INK, "linewidth": 0.8, "linestyle": (":", "--")[TABLES.index(base)]}
-                axes.axvline(at, zorder=1.2, label=f"value of {base}", **line)
 
-    def front(self, axes: Axes) -> None:
-        """Draw both objectives of every trial, those of the Pareto front joined."""
-        places = np.array([trial.values for trial in self.complete])
-        axes.plot(places[:, 0], places[:, 1], linestyle="", marker="o", markersize=3, color=COMPLETE)
-        best = np.array(sorted(trial.values for trial in self.best))
-        axes.plot(best[:, 0], best[:, 1], marker="D", markersize=4, color=BEST, label="Pareto front")
-
-    def parallel(self, axes: Axes) -> None:
-        """Draw each complete trial as a line through its values, each from 0 to 1; the best in front."""
-        ranked = sorted(self.complete, key=lambda trial: self.sign * trial.values[0])
-        best = min(max(BEST_TRIALS, math.ceil(BEST_SHARE * len(ranked))), len(ranked))
-        for rank, trial in enumerate(ranked):
-            heights = [_height(each, trial.params) for each in self.search.space.parameters]
-            good = rank >= len(ranked) - best
-            look: Any = {"color": BEST, "alpha": 0.8} if good else {"color": COMPLETE, "alpha": 0.15}
-            label = f"best {counted(best, 'trial')}" if rank == len(ranked) - 1 else None
-            axes.plot(range(len(heights)), heights, linewidth=1.0 if good else 0.6, label=label, **look)
-        names = [each.name.replace("_", "\n") for each in self.search.space.parameters]
-        axes.set_xticks(range(len(names)), names, fontsize=0.8 * TYPE_POINTS)
-        axes.set_yticks([0, 1], ["least", "greatest"])
-        axes.set_ylim(-0.08, 1.08)
-
-    def importances(self) -> dict[str, float]:
-        """Return each parameter's share of the importance, by PED-ANOVA; none of one, or from too few trials.
-
-        It asks what tells the best tenth of the trials from the others (Watanabe et al. 2023).
-        """
-        values = sorted((self.sign * trial.values[0] for trial in self.complete), reverse=True)
-        share = max(BEST_SHARE, BEST_TRIALS / max(len(values), 1))
-        if (
-            len(self.search.space.parameters) < 2
-            or len(values) < LEAST_TRIALS
-            or values[math.ceil(share * len(values)) - 1] == values[-1]
-        ):
-            return {}
-        study = ended_study(self.trials, self.search, objectives=1)
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-            evaluator = PedAnovaImportanceEvaluator(target_quantile=share)
-            found = get_param_importances(study, evaluator=evaluator)  # equal ones in any order
-        names = [each.name for each in self.search.space.parameters if each.name in found]
-        return {name: found[name] for name in sorted(names, key=lambda name: -found[name])}
-
-    def caption(self, importances: bool) -> list[str]:
-        states = [trial.state for trial in self.trials]
-        whole, *others = (
-            f"{states.count(state)} {words}"
-            for state, words in (("complete", ""), ("pruned", "more stopped early"), ("failed", "failed"))
-        )
-        others = [words for words in others if not words.startswith("0 ")]
-        seeds, steps = counted(len(self.task.budget.seeds), "seed"), self.task.budget.steps
-        trials = "; ".join([f"{whole}trials of {seeds} and {steps:,} steps each", *others])
-        lines = [f"{trials}. Sampler: {self.search.spec.sampler.name}."]
-        if importances:
-            best = "five trials" if len(self.complete) * BEST_SHARE < BEST_TRIALS else "tenth of the trials"
-            lines.append(f"Importance: which parameters tell the best {best} from the others (PED-ANOVA).")
-        return lines
+def _slices(searched: RecordedSearch, of_first: dict[str, Any]) -> Any:
+    """Draw trials over the values of each parameter, in rows, with the values of the thesis's tables."""
+    search = searched.task.search
+    slices: Any = np.ravel(np.array(pictures.plot_slice(searched.study, **of_first)))
+    figure, rows, marks = slices[0].figure, math.ceil(len(slices) / COLUMNS), dict[str, Any]()
+    figure.set_size_inches(WIDTH, ROW_INCHES * rows + 0.7)
+    places = figure.add_gridspec(rows, min(COLUMNS, len(slices)))
+    for place, axes in enumerate(slices):
+        name, of_choices = axes.get_xlabel(), axes.xaxis.have_units()
+        for base in search.spec.start:
+            if base in TABLES and name in (params := search.space.params_of(base)):
+                at = repr(params[name]) if of_choices else params[name]
+                marks[base] = axes.axvline(at, color=INK, linewidth=0.8, linestyle=TABLES[base], zorder=1.2)
+        axes.set_subplotspec(places[divmod(place, COLUMNS)])
+        axes.tick_params(labelleft=place % COLUMNS == 0)
+        axes.set(xlabel=name.replace("_", " "), ylabel="")
+        if of_choices:
+            choices = [text.get_text().strip("'") for text in axes.get_xticklabels()]
+            axes.set_xticks(range(len(choices)), choices, rotation=30, ha="right", rotation_mode="anchor")
+        elif axes.get_xscale() == "log":
+            axes.xaxis.set(major_locator=LogLocator(numticks=5), minor_locator=NullLocator())
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    figure.supylabel(of_first["target_name"])
+    if marks:
+        figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=len(marks))
+    return slices
 
 
 # --- Winners on fresh seeds -------------------------------------------------------------------------
@@ -256,15 +221,15 @@ def _draw_gains(
 ) -> None:
     """Draw a row for each gain: the runs of both conditions, and their values over seeds."""
     for place, (name, gain) in enumerate(found.items()):
-        for values, colour in zip(runs[name], (COMPLETE, BEST), strict=True):
+        for values, colour in zip(runs[name], COLOURS[:2], strict=True):
             axes.plot(values, [place + 0.22] * len(values), "o", color=colour, markersize=2.2, alpha=0.6)
-        look: Any = {"markersize": 4.5, "linestyle": "", "color": COMPLETE, "zorder": 2.6}
-        axes.plot([gain.fresh], [place], marker="D", **{**look, "color": INK, "markerfacecolor": BEST})
+        look: Any = {"markersize": 4.5, "linestyle": "", "color": COLOURS[0], "zorder": 2.6}
+        axes.plot([gain.fresh], [place], marker="D", **{**look, "color": INK, "markerfacecolor": COLOURS[1]})
         axes.plot([gain.seen], [place], marker="o", markerfacecolor="white", **look)
         axes.plot([gain.fresh_baseline], [place], marker="o", **look)
-    shown: Any = {"color": COMPLETE, "marker": "o", "linestyle": "", "markersize": 4.5}
+    shown: Any = {"color": COLOURS[0], "marker": "o", "linestyle": "", "markersize": 4.5}
     axes.plot([], [], label="untuned", **shown)
-    axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": BEST})
+    axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": COLOURS[1]})
     axes.plot([], [], label="tuned, as its search saw it", markerfacecolor="white", **shown)
     if from_zero:
         axes.set_xlim(left=0)
@@ -275,62 +240,4 @@ def _draw_differences(axes: Axes, found: Sequence[Gain]) -> None:
     for place, gain in enumerate(found):
         low, high = gain.interval
         row = {"value": gain.difference, "low": low, "high": high}
-        grid.draw_interval(axes, place, row, markerfacecolor=BEST)
-
-
-GOLDEN = (5**0.5 - 1) / 2
-"""Its multiples lie evenly between whole numbers."""
-TABLES = ("table-6-1", "table-6-2")
-"""Bases whose values are marked: the thesis's."""
-
-
-def _place(parameter: Parameter, trial: EndedTrial) -> float:
-    """Return where a trial lies on a parameter's axis; those of one choice side by side, in their order."""
-    value: Any = trial.params[parameter.name]
-    if not parameter.choices:
-        return float(value)
-    return [*parameter.choices].index(value) + 0.5 * ((trial.number * GOLDEN) % 1 - 0.5)
-
-
-def _height(parameter: Parameter, params: Mapping[str, Any]) -> float:
-    """Return where a trial's value lies in its range, from 0 to 1; NaN if it lacks it."""
-    if parameter.name not in params:
-        return math.nan
-    value = params[parameter.name]
-    if parameter.choices:
-        return [*parameter.choices].index(value) / (len(parameter.choices) - 1)
-    low, high = parameter.extremes
-    if parameter.log:
-        low, high, value = math.log(low), math.log(high), math.log(value)
-    return float((value - low) / (high - low))
-
-
-def _draw_bars(axes: Axes, shares: Mapping[str, float]) -> None:
-    """Draw importances as bars, the greatest at the top, each with its name at its end."""
-    axes.barh(range(len(shares)), [*shares.values()], height=0.6, color=COMPLETE)
-    for place, (name, share) in enumerate(shares.items()):
-        small: Any = {"fontsize": 0.8 * TYPE_POINTS, "va": "center_baseline"}
-        axes.annotate(name.replace("_", " "), (share, place), (3, 0), textcoords="offset points", **small)
-    axes.set(xlim=(0, 1.6 * max(shares.values())), ylim=(len(shares) - 0.4, -0.6), yticks=())
-    axes.grid(axis="y", visible=False)
-
-
-def _whole(axis: Axis) -> None:
-    axis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
-
-
-def _logarithmic(axis: Axis) -> None:
-    axis.axes.set_xscale("log")
-    axis.set_major_locator(LogLocator(numticks=5))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-
-
-def _choices(axis: Axis, parameter: Parameter) -> None:
-    names = [re.sub(r'[\[\]"]', "", name).replace(", ", ",\n") for name in parameter.names]
-    axis.axes.set_xticks(range(len(names)), names, rotation=40 if len(names) > MOST_UPRIGHT else 0)
-    axis.axes.set_xlim(-0.5, len(names) - 0.5)
-
-
-MOST_UPRIGHT = 4
-"""Most choices whose names stand upright beside each other."""
+        grid.draw_interval(axes, place, row, markerfacecolor=COLOURS[1])

@@ -11,20 +11,25 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os.path import commonprefix
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from optuna.trial import FrozenTrial, TrialState
 
+from pneuma.analysis.asked import open_study
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import difference_interval
+from pneuma.analysis.run_index import RunIndex
 from pneuma.config import OF_WORLDS
 from pneuma.errors import UserError
 from pneuma.schema import shown
+from pneuma.search.journal import RecordedSearch, read_record
 from pneuma.search.space import Space
-from pneuma.search.storage import RecordedSearch
-from pneuma.search.trials import EndedTrial, counted_outcome, objective_value
-from pneuma.study.plan import differing_fields
-from pneuma.study.spec import unread_fields
+from pneuma.search.values import counted_outcome, objective_value
+from pneuma.study.plan import Plan, Selection, differing_fields, make_plan
+from pneuma.study.spec import load_study, unread_fields
+from pneuma.study.store import Store
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Winner:
     """A trial to promote. Its conditions are `name`, the search's base, and `tuned`, the trial."""
 
     searched: RecordedSearch
-    trial: EndedTrial
+    trial: FrozenTrial
     name: str
 
     @property
@@ -55,6 +60,57 @@ class Gain:
     difference: float  # of the means over the fresh seeds; NaN if a run has no finite value
     interval: tuple[float, float]  # its 95 % interval; NaN in the same case, and with too few seeds
     luck: float  # how much better the winner was on the search's seeds; NaN if unknown
+
+
+@dataclass(frozen=True)
+class Promotion:
+    """Winners and their bases, to be trained on fresh seeds; their study's file goes into the results."""
+
+    winners: Sequence[Winner]
+    seeds: tuple[int, ...]
+    steps: int
+
+    @property
+    def name(self) -> str:
+        return "-".join(["promoted", *(winner.searched.task.search.label for winner in self.winners)])
+
+    @property
+    def selection(self) -> Selection:
+        return Selection(seeds=self.seeds, steps=self.steps)
+
+    @property
+    def text(self) -> str:
+        """Return the study's file."""
+        return winners_study(self.winners, self.seeds, self.steps)
+
+    def path(self, store: Store) -> Path:
+        return store.root / "searches" / f"{self.name}.toml"
+
+    def plan(self, store: Store) -> Plan:
+        """Write the study's file into the results folder, and return its runs."""
+        store.check_writable()
+        store.write(self.path(store), self.text.encode())
+        return make_plan(load_study(str(self.path(store))), self.selection)
+
+    def data(self, store: Store) -> StudyData:
+        """Return the study's runs once they are trained."""
+        return open_study(RunIndex(store), str(self.path(store)), self.selection)
+
+
+def promote(
+    store: Store,
+    names: Sequence[str],
+    seeds: Sequence[int],
+    steps: int | None = None,
+    trial: int | None = None,
+    world: str | None = None,
+) -> Promotion:
+    """Promote the best trial of each search, or `trial` of a single one; `steps` are usually the search's."""
+    if trial is not None and len(names) > 1:
+        raise UserError(f"--trial {trial}: is of one search; name one")
+    searches = [read_record(store, name, world) for name in names]
+    winners = find_winners(searches, trial, seeds)
+    return Promotion(winners, tuple(seeds), steps or searches[0].task.budget.steps)
 
 
 def find_winners(
@@ -84,7 +140,7 @@ def find_winners(
     ]
 
 
-def _trial(searched: RecordedSearch, number: int | None) -> EndedTrial:
+def _trial(searched: RecordedSearch, number: int | None) -> FrozenTrial:
     search, best = searched.task.search, searched.best
     if number is None and best and isinstance(best, list):
         front = ", ".join(map(str, best))
@@ -93,7 +149,7 @@ def _trial(searched: RecordedSearch, number: int | None) -> EndedTrial:
         )
     chosen = best if number is None else number
     for trial in searched.trials:
-        if trial.number == chosen and trial.state == "complete":
+        if trial.number == chosen and trial.state == TrialState.COMPLETE:
             return trial
     asked = "" if number is None else f"--trial {number}: "
     raise UserError(f"{asked}no complete trial of search {search.name}; `pneuma search status` lists them")
@@ -158,7 +214,7 @@ def _lineage(winner: Winner) -> str:
     task, trial = winner.searched.task, winner.trial
     origin = (
         f"{winner.tuned}: trial {trial.number} of {len(winner.searched.trials)} of search {task.search.name} "
-        f"({task.digest}); runs {', '.join(trial.run_ids)}"
+        f"({task.digest}); runs {', '.join(trial.user_attrs['run_ids'])}"
     )
     return "# " + " ".join(origin.split())
 

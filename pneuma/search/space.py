@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from annotated_types import MinLen
+from optuna import Trial
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
@@ -98,6 +100,22 @@ class Parameter(Table):
     @property
     def extremes(self) -> list[Any]:
         return [*self.choices] or [self.low, self.high]
+
+    @property
+    def distribution(self) -> BaseDistribution:
+        """Return it as Optuna has it."""
+        if self.choices:
+            return CategoricalDistribution([*self.choices])
+        low, high = self.extremes
+        kind = IntDistribution if self.whole else FloatDistribution
+        return kind(low, high, log=self.log)
+
+    def suggest(self, trial: Trial) -> Any:
+        if self.choices:
+            return trial.suggest_categorical(self.name, [*self.choices])
+        low, high = self.extremes
+        suggest = trial.suggest_int if self.whole else trial.suggest_float
+        return suggest(self.name, low, high, log=self.log)
 
     @property
     def identity(self) -> dict[str, Any]:

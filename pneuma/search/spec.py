@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval, MinLen
+from optuna.study import StudyDirection
 from pydantic import AfterValidator, BeforeValidator
 
 from pneuma.analysis.intervals import interquartile_mean
@@ -26,7 +27,7 @@ from pneuma.env_fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
-from pneuma.search.optuna_study import PRUNERS, SAMPLERS, read_choice
+from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
 from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, files_beside, find_file, read_seeds, studies_folder
 from pneuma.study.study_file import in_own_names
@@ -41,8 +42,8 @@ OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
 }
 """Functions that combine the outcomes of a trial's seeds."""
 DIRECTIONS = ("maximize", "minimize")
-BY_SEED = "wilcoxon"
-"""The pruner that compares trials seed by seed, each trained to its end."""
+MAKES = ("env", "env_module", "env_kwargs", "wrappers")
+"""Fields by which an environment is made."""
 
 
 class Objective(Table):
@@ -52,19 +53,6 @@ class Objective(Table):
     outcome: Annotated[str, passes(find_outcome)]
     over_seeds: Annotated[str, OneOf(tuple(OVER_SEEDS))] = "mean"
     direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
-
-
-class Chosen(Table):
-    """[sampler] or [pruner]: one of Optuna's by its name, with arguments by their names there."""
-
-    name: str
-    arguments: dict[str, Any]
-
-
-Sampler = Annotated[Chosen, BeforeValidator(partial(read_choice, SAMPLERS))]
-Pruner = Annotated[Chosen, BeforeValidator(partial(read_choice, PRUNERS))]
-TPE = Chosen(**read_choice(SAMPLERS, {"name": "tpe"}))
-NO_PRUNER = Chosen(name="", arguments={})
 
 
 def read_search_seeds(value: object) -> tuple[int, ...]:
@@ -129,6 +117,10 @@ class Search:
         return tuple(self.spec.objectives.values())
 
     @property
+    def directions(self) -> list[StudyDirection]:
+        return [StudyDirection[objective.direction.upper()] for objective in self.objectives]
+
+    @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
         return tuple(self.space.params_of(base) for base in self.spec.start)
 
@@ -136,14 +128,21 @@ class Search:
         """Return the search with more fields that all trials share.
 
         They are of `--set` or of a record, which may be untrusted. Those that are searched are refused, those
-        of `unread` that no run reads, and a user's own code or files that the search's file does not use.
+        of `unread` that no run reads, and what makes an environment or is a user's own code or files, if the
+        search's file does not say the same.
         """
-        space = replace(self.space, fixed={**self.space.fixed, **over})
         known = self.space.describe_user_code()
-        if added := [use for use in space.describe_user_code() if use not in known]:
+        space = replace(self.space, fixed={**self.space.fixed, **over})
+        added = [use for use in space.describe_user_code() if use not in known]
+        added += [f"set {key}" for key in MAKES if key in over and over[key] != self.space.fixed.get(key)]
+        if added:
             raise UserError(
                 f"search {self.name} would {added[0]}: only its file may say so, not --set or a record"
             )
+        return self._with_fields(over, unread)
+
+    def _with_fields(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
+        space = replace(self.space, fixed={**self.space.fixed, **over})
         try:
             space.check(unread)
         except UserError as error:
@@ -162,7 +161,7 @@ class Search:
             )
         if world == self.world:
             return self
-        changed = self.with_settings(world_fields(world, self.space.keys | self.space.fixed.keys()))
+        changed = self._with_fields(world_fields(world, self.space.keys | self.space.fixed.keys()))
         return replace(changed, world=world)
 
 
@@ -206,12 +205,4 @@ def read_search(path: Path) -> Search:
             raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
         if sought.over_seeds != "mean" and said.pruner.name == BY_SEED:
             raise file.mistake(("pruner",), f"{BY_SEED} goes with a mean over seeds alone", "name")
-    ranges = [each.name for each in parameters if not each.choices]
-    if said.sampler.name == "grid" and (ranges or any(each.when for each in parameters)):
-        dependent = next((each.name for each in parameters if each.when), "")
-        raise file.mistake(
-            ("sampler",),
-            f"a grid needs choices without `when` for every parameter, not {(*ranges, dependent)[0]}",
-            "name",
-        )
     return Search(path.stem, said, space)

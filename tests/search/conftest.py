@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
-from optuna.storages import InMemoryStorage
+from optuna.trial import FrozenTrial
 
+from pneuma.search.journal import STATES, Journal, RecordedSearch, begin_log
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.storage import JournalLog
-from pneuma.search.trials import EndedTrial, Outcomes, Task, conduct
+from pneuma.search.task import Task
+from pneuma.search.trials import conduct
+from pneuma.search.values import Outcomes
 from pneuma.study.plan import Cell, Plan
 
 SPACE = """
@@ -72,14 +76,42 @@ class Formula(Outcomes):
         return self._diverged
 
 
-def solve(
+@dataclass(frozen=True)
+class Told:
+    """What a search comes to in a trial, without identities and times."""
+
+    number: int
+    params: Mapping[str, Any]
+    state: str
+    values: tuple[float, ...]
+    run_ids: tuple[str, ...]
+    reports: Mapping[int, float]
+    note: str
+
+
+def told_of(trials: Iterable[FrozenTrial]) -> list[Told]:
+    return [
+        Told(
+            number=trial.number,
+            params=trial.params,
+            state=STATES[trial.state],
+            values=tuple(trial.values or ()),
+            run_ids=tuple(trial.user_attrs["run_ids"]),
+            reports=trial.intermediate_values,
+            note=trial.user_attrs.get("note", ""),
+        )
+        for trial in trials
+    ]
+
+
+def record(
     task: Task,
     plans: list[Plan] | None = None,
     outcomes: Formula | None = None,
     asked: list[Mapping[str, int]] | None = None,
     said: list[str] | None = None,
-) -> list[EndedTrial]:
-    """Conduct a task on the formula and return its trials; lists get what is trained, how far, and said."""
+) -> RecordedSearch:
+    """Conduct a task on the formula, whose log is nowhere; lists get what is trained, how far, and said."""
 
     def train(plan: Plan, until: Mapping[str, int]) -> None:
         if plans is not None:
@@ -87,9 +119,15 @@ def solve(
         if asked is not None:
             asked.append(until)
 
-    log = JournalLog(InMemoryStorage(), task)
+    log = begin_log(task, Journal())
     say = (said if said is not None else []).append
-    return [ended for group in conduct(task, train, outcomes or Formula(), log, say) for ended in group]
+    ended = [trial for group in conduct(log, train, outcomes or Formula(), say) for trial in group]
+    return RecordedSearch(task, log.study, tuple(ended))
+
+
+def solve(task: Task, *lists: Any, **more: Any) -> list[Told]:
+    """Return the trials of a task on the formula; see `record`."""
+    return told_of(record(task, *lists, **more).trials)
 
 
 @pytest.fixture

@@ -8,20 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from optuna.trial import FrozenTrial
 
 from pneuma.errors import UserError
 from pneuma.figures.search import winners_page
+from pneuma.search.journal import RecordedSearch
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.storage import RecordedSearch
-from pneuma.search.trials import Task
+from pneuma.search.task import Task
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study, shipped_names, studies_folder
 from pneuma.study.store import Store
 from pneuma.worlds import WORLDS
 
 from ..hand_made import make_id, save_run, study_of
-from .conftest import MakeTask, solve
+from .conftest import MakeTask, record
 
 OPTIMIZERS = """
 [space.optimizer]
@@ -40,10 +41,6 @@ TUNED_ALIKE = {
 }
 
 
-def searched(task: Task) -> RecordedSearch:
-    return RecordedSearch(task, tuple(solve(task)))
-
-
 def plan(winners: list[Winner], folder: Path, seeds: tuple[int, ...] = (1000, 1001)) -> Plan:
     path = folder / "promoted.toml"
     path.write_text(winners_study(winners, seeds, 2048))
@@ -54,24 +51,28 @@ def ids(planned: Plan, condition: str) -> tuple[str, ...]:
     return tuple(cell.run_id for cell in planned.cells if cell.condition == condition)
 
 
+def ids_of(trial: FrozenTrial) -> tuple[str, ...]:
+    return tuple(trial.user_attrs["run_ids"])
+
+
 @pytest.fixture
 def alike(make_task: MakeTask) -> list[RecordedSearch]:
     """Return two searches that were tuned alike: of Adam, and of SGD with another horizon."""
     tasks = {name: make_task(8, more=fixed) for name, fixed in TUNED_ALIKE.items()}
-    return [searched(replace(own, search=replace(own.search, name=name))) for name, own in tasks.items()]
+    return [record(replace(own, search=replace(own.search, name=name))) for name, own in tasks.items()]
 
 
 def test_the_promoted_condition_is_the_trial(make_task: MakeTask, tmp_path: Path) -> None:
     """On the search's own seeds its run ids are the trial's: it is the very same training."""
-    own = searched(make_task(8, OPTIMIZERS))
+    own = record(make_task(8, OPTIMIZERS))
     for trial in own.trials:
         planned = plan([Winner(own, trial, "formula")], tmp_path)
-        assert ids(planned, "formula-tuned") == trial.run_ids
+        assert ids(planned, "formula-tuned") == ids_of(trial)
         assert {c.run.learning_rate for c in planned.cells if c.condition == "formula"} == {3e-4}
 
 
 def test_a_trial_of_the_bases_own_values_is_its_base(make_task: MakeTask) -> None:
-    first, *others = (own := searched(make_task(4, OPTIMIZERS, start='start = ["table-6-2"]'))).trials
+    first, *others = (own := record(make_task(4, OPTIMIZERS, start='start = ["table-6-2"]'))).trials
     assert Winner(own, first, "formula").is_base
     assert not any(Winner(own, trial, "formula").is_base for trial in others)
 
@@ -80,16 +81,16 @@ def test_a_trial_of_the_bases_own_values_is_its_base(make_task: MakeTask) -> Non
 @pytest.mark.parametrize("name", shipped_names(studies_folder() / "search"))
 def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, tmp_path: Path) -> None:
     for world in WORLDS if load_search(name).has_worlds else [None]:
-        own = searched(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
+        own = record(Task(load_search(name, world), Budget(trials=2, seeds=(1000, 1001), steps=2048)))
         for trial in own.trials:
-            assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == trial.run_ids[-2:]
+            assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == ids_of(trial)[-2:]
 
 
 def test_winners_stand_beside_what_each_was_tuned_from(alike: list[RecordedSearch], tmp_path: Path) -> None:
     winners = find_winners(alike, None, (0, 1))
     planned = plan(winners, tmp_path)
     assert list(planned.conditions) == ["adam", "adam-tuned", "sgd", "sgd-tuned"]
-    assert all(ids(planned, own.tuned) == own.trial.run_ids for own in winners)
+    assert all(ids(planned, own.tuned) == ids_of(own.trial) for own in winners)
     runs = {cell.condition: cell.run for cell in planned.cells}
     assert (runs["sgd"].optimizer, runs["sgd"].horizon) == ("sgd", 512)
 

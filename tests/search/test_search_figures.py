@@ -1,42 +1,36 @@
-"""The figure of a search: the same bytes twice, and no warnings."""
+"""The pictures of a search: what each holds, the same bytes twice, and no warnings."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
 
+import matplotlib as mpl
 import pytest
-from matplotlib import figure
 
-from pneuma.figures.grid import save_page
-from pneuma.figures.search import search_page
-from pneuma.search.storage import RecordedSearch
+from pneuma.figures.search import draw_search
 
-from .conftest import MakeTask, solve
+from .conftest import MakeTask, record
 
 MORE = '[space.gamma]\nlow = 0.8\nhigh = 1.0\nwhen = { activation = "relu" }\n'
 SECOND = '[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"\n'
 
 
-@pytest.mark.parametrize(("trials", "best"), [(3, "best 3 trials"), (12, "best 5 trials")])
-def test_a_search_of_few_trials_says_what_is_drawn_alone(
-    make_task: MakeTask, tmp_path: Path, trials: int, best: str
+@pytest.mark.parametrize("trials", [3, 12])
+def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
+    make_task: MakeTask, tmp_path: Path, trials: int
 ) -> None:
-    task = make_task(trials, more=f"{MORE}[sampler]\nname = 'random'")
-    page = search_page(RecordedSearch(task, tuple(solve(task))))
-    assert page
-    (path,) = save_page(page, tmp_path / "page", ("svg",))
-    text = path.read_text()
-    assert best in text and "stopped early" not in text and task.digest not in text
-    assert ("Importance" in text) == (trials > 10)
-    drawn = figure.Figure()
-    history = page.grid[0][0]
-    assert history
-    history.draw(axes := drawn.add_subplot())
-    history.x_ticks(axes.xaxis)
-    low, high = axes.get_xlim()
-    ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
-    assert ticks and all(0 <= tick < trials and tick == int(tick) for tick in ticks)
+    task = make_task(trials, more=f"{MORE}[sampler]\nname = 'random'", start='start = ["table-6-2"]')
+    before = {**mpl.rcParams}
+    texts = {path.stem: path.read_text() for path in draw_search(record(task), tmp_path, ("svg",))}
+    pictures = {"history", "values", "importances"} if trials > 10 else {"history", "values"}
+    assert {*texts} == {f"search-formula-text-{name}" for name in pictures}
+    for name in ("history", "values"):
+        text = texts[f"search-formula-text-{name}"]
+        assert "table-6-2" in text and "table-6-1" not in text
+        assert f"{trials} whole trials; 2 seeds" in text and task.digest not in text
+    assert "learning rate" in texts["search-formula-text-values"]
+    assert {**mpl.rcParams} == before
 
 
 @pytest.mark.slow
@@ -45,12 +39,12 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
     make_task: MakeTask, tmp_path: Path, ending: str
 ) -> None:
     """Of two objectives, a choice, and a parameter that some trials lack."""
-    task = make_task(12, more=MORE, second=SECOND)
-    searched = RecordedSearch(task, tuple(solve(task)))
+    searched = record(make_task(12, more=MORE, second=SECOND))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pages = [search_page(searched) for _ in range(2)]
-        drawn = [save_page(page, tmp_path / str(k), (ending,)) for k, page in enumerate(pages) if page]
-    assert len(drawn[0]) == 1
+        drawn = [draw_search(searched, tmp_path / name, (ending,)) for name in "ab"]
+    assert [path.stem for path in drawn[0]] == [
+        f"search-formula-text-{name}" for name in ("history", "values", "importances", "front")
+    ]
     for one, two in zip(*drawn, strict=True):
         assert one.read_bytes() == two.read_bytes()

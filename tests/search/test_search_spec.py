@@ -108,9 +108,18 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[run]", '[sampler]\nname = "tpee"\n[run]', "unknown name 'tpee' (did you mean tpe?)"),
         ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unknown argument of tpe 'startup'"),
         ("[run]", '[sampler]\nname = "tpe"\ngroup = 1\n[run]', "group = 1 is not allowed: true or false"),
-        ("[run]", '[sampler]\nname = "grid"\n[run]', "a grid needs choices without `when`"),
+        ("[run]", '[sampler]\nname = "gp"\n[run]', "any other is named as module:Class"),
+        ("[run]", '[sampler]\nname = "optuna.samplers:None"\n[run]', "optuna.samplers:None cannot be"),
+        ("[run]", '[sampler]\nname = "optuna:Study"\n[run]', "optuna:Study is not a class of Optuna's"),
+        (
+            "[run]", '[sampler]\nname = "optuna.samplers:GPSampler"\nsigma = 1\n[run]',
+            "unknown argument of optuna.samplers:GPSampler 'sigma'",
+        ),
         ("[run]", '[pruner]\nname = "hyperband"\nmin_resource = 0\n[run]', "0 is not allowed: at least 1"),
-        ("[run]", '[pruner]\nname = "percentile"\npercentile = 101\n[run]', "Percentile must be between"),
+        (
+            "[run]", '[pruner]\nname = "optuna.pruners:PercentilePruner"\npercentile = 101\n[run]',
+            "Percentile must be between",
+        ),
         (
             "[run]",
             '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',

@@ -5,23 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import Run
 from pneuma.engines.loop import evaluation_updates
-from pneuma.search import trials
-from pneuma.search.spec import load_search
-from pneuma.search.trials import EndedTrial, Outcomes, Task, best_number, over_seeds, rounds
+from pneuma.search import values
+from pneuma.search.journal import best_number
+from pneuma.search.task import Task
+from pneuma.search.trials import rounds
+from pneuma.search.values import Outcomes, over_seeds
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store
 
-from .conftest import Formula, MakeTask, height, solve
+from .conftest import Formula, MakeTask, Told, height, record, solve, told_of
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii", "gp", "cmaes"])
+@pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii", "cmaes", "optuna.samplers:GPSampler"])
 @pytest.mark.filterwarnings("error")
 def test_a_search_is_the_same_however_often_it_is_begun_again(make_task: MakeTask, sampler: str) -> None:
     more = f'[space.gamma]\nlow = 0.8\nhigh = 1.0\n[sampler]\nname = "{sampler}"'
@@ -65,23 +67,11 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
     assert [t.values for t in told] == [pytest.approx((0.0, math.sqrt(0.5)))] * 4
 
 
-def test_a_grid_is_walked_through_once(make_task: MakeTask) -> None:
-    made = make_task(6)
-    path = Path("formula.toml")
-    text = path.read_text().replace("low = 1e-5\nhigh = 1e-2\nlog = true", "choices = [1e-4, 1e-3, 1e-2]")
-    path.write_text(text + '[sampler]\nname = "grid"\n')
-    told = solve(replace(made, search=load_search("formula", "text")))
-    rates, activations = (1e-4, 1e-3, 1e-2), ("tanh", "relu")
-    found = {(trial.params["learning_rate"], trial.params["activation"]) for trial in told}
-    assert found == {(rate, name) for rate in rates for name in activations}
-
-
 @pytest.mark.parametrize(
     ("pruner", "pauses"),
     [  # by hand, from Optuna's definitions; a run has 20 evaluations
         ('name = "median"', [5, 10, 15]),
-        ('name = "percentile"\npercentile = 10.0\nn_warmup_steps = 4\ninterval_steps = 8', [4, 12]),
-        ('name = "successive-halving"\nmin_resource = 1\nreduction_factor = 4', [1, 4, 16]),
+        ('name = "optuna.pruners:PercentilePruner"\npercentile = 10.0', [*range(1, 20)]),
         ('name = "hyperband"', [2, 6, 18]),
     ],
 )
@@ -135,11 +125,12 @@ def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
 def test_a_pruned_trial_is_trained_no_further(make_task: MakeTask) -> None:
     asked: list[Mapping[str, int]] = []
     task = make_task(24, '[pruner]\nname = "median"\nn_startup_trials = 1')
-    told = solve(task, asked=asked)
+    found = record(task, asked=asked)
+    told = told_of(found.trials)
     pruned = [trial for trial in told if trial.state == "pruned"]
     ends = {name for until in asked for name, step in until.items() if step == 0}
     assert pruned and ends == {name for trial in told if trial.state == "complete" for name in trial.run_ids}
-    best = best_number(told, task.search)
+    best = found.best
     assert isinstance(best, int) and told[best].values[0] > max(trial.values[0] for trial in pruned)
 
 
@@ -169,24 +160,28 @@ def test_a_search_says_which_trials_it_trains_and_stops(make_task: MakeTask) -> 
     assert said[:2] == ["trials 0 to 3 of 4, seed 1000", "trials 0 to 3 of 4, seed 1001"]
 
 
-def run_of(task: Task, trial: EndedTrial) -> Run:
+def run_of(task: Task, trial: Told) -> Run:
     return task.search.space.make_run(trial.params, steps=task.budget.steps)
+
+
+def ended(number: int, *values: float, state: TrialState = TrialState.COMPLETE) -> FrozenTrial:
+    made = create_trial(state=state, values=[*values])
+    made.number = number
+    return made
 
 
 def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
     search = make_task().search
-    states = [("complete", 0.2), ("pruned", 0.9), ("complete", 0.4), ("complete", 0.4)]
-    told = [EndedTrial(n, {}, state, (own,), (), {}) for n, (state, own) in enumerate(states)]
+    told = [ended(0, 0.2), ended(1, 0.9, state=TrialState.PRUNED), ended(2, 0.4), ended(3, 0.4)]
     assert best_number(told, search) == 2  # the first of equals
     assert best_number([], search) is None
     front = make_task(second='[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"').search
-    values = [(0.5, 0.2), (0.6, 0.3), (0.4, 0.3), (0.6, 0.1), (0.1, 0.05)]
-    told = [EndedTrial(n, {}, "complete", own, (), {}) for n, own in enumerate(values)]
-    assert best_number(told, front) == [3, 4]
+    both = [(0.5, 0.2), (0.6, 0.3), (0.4, 0.3), (0.6, 0.1), (0.1, 0.05)]
+    assert best_number([ended(n, *own) for n, own in enumerate(both)], front) == [3, 4]
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "expected"),
+    ("name", "each", "expected"),
     [
         ("mean", (1, 2, 3, 6), 3.0),
         ("median", (1, 2, 3, 5), 2.5),
@@ -194,8 +189,8 @@ def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
         ("deviation", (1, 2, 4, 5), math.sqrt(10 / 3)),
     ],
 )
-def test_over_seeds_by_hand(name: str, values: tuple[int, ...], expected: float) -> None:
-    assert over_seeds(name, np.array(values, float)) == pytest.approx(expected)
+def test_over_seeds_by_hand(name: str, each: tuple[int, ...], expected: float) -> None:
+    assert over_seeds(name, np.array(each, float)) == pytest.approx(expected)
     assert np.isnan(over_seeds(name, np.array([1.0, np.nan])))
 
 
@@ -216,9 +211,9 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     run = task.search.space.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
     cell = Cell("trial-000", 1000, run, "0" * 16)
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
-    monkeypatch.setattr(trials, "stored_row", lambda *_: _Row("diverged"))
-    monkeypatch.setattr(trials, "row_until", lambda *asked: _Row(end=asked[-1]))
+    monkeypatch.setattr(values, "stored_row", lambda *_: _Row("diverged"))
+    monkeypatch.setattr(values, "row_until", lambda *asked: _Row(end=asked[-1]))
     monkeypatch.setattr(Outcomes, "_data", lambda *_: None)
-    monkeypatch.setattr(trials, "outcome", lambda _, run, name, step: step / run.end)
-    early = Outcomes(task, store).read_early(cell, "final-share-killed", [100, 200, 300])
+    monkeypatch.setattr(values, "outcome", lambda _, run, name, step: step / run.end)
+    early = Outcomes(task.search, store).read_early(cell, "final-share-killed", [100, 200, 300])
     assert early == [0.5, 1.0, 0.0]  # the worst share from where it diverged on

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.search.storage import JournalLog, log_path, read_record
-from pneuma.search.trials import Task
+from pneuma.search.journal import Journal, begin_log, log_path, read_record
+from pneuma.search.task import Task
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
@@ -54,7 +52,7 @@ def save_record(store: Store, task: Task) -> None:
     store.check_writable()
     path.parent.mkdir(exist_ok=True)
     path.unlink(missing_ok=True)
-    JournalLog(JournalStorage(JournalFileBackend(str(path))), task)
+    begin_log(task, Journal(path))
 
 
 SAFE: dict[str, Any] = {"env": "CartPole-v1"}
@@ -74,12 +72,8 @@ GAME = '{"env_path": "game"}'
         ({"env": "Godot-v0"}, {"env_kwargs": GAME}, "start the game"),
         ({"env_kwargs": GAME, **SAFE}, {"env": "Godot-v0"}, "start the game"),
         ({"env": "Godot-v0", "env_kwargs": '{"env_path": "mine"}'}, {"env_kwargs": GAME}, "start the game"),
-        (
-            {"env_kwargs": REWARD, **SAFE},
-            {"env_kwargs": '{"program": "x"}'},
-            "make CartPole-v1 with .*program",
-        ),
-        ({"env_kwargs": REWARD, **SAFE}, {"env": "Acrobot-v1"}, "make Acrobot-v1 with"),
+        (SAFE, {"env_kwargs": '{"render_mode": "human"}'}, "make CartPole-v1 with"),
+        (SAFE, {"env": "Acrobot-v1"}, "set env"),
     ],
 )
 def test_untrusted_a_record_adds_no_code_file_or_program_to_those_of_the_search_s_file(

@@ -14,29 +14,30 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
 from pneuma.errors import UserError
-from pneuma.search import storage
-from pneuma.search.storage import RecordedSearch, log_path, read_record, run_search
-from pneuma.search.trials import EndedTrial, Task
+from pneuma.search import trials
+from pneuma.search.journal import log_path, read_record
+from pneuma.search.task import Task
+from pneuma.search.trials import run_search
 from pneuma.study.plan import Plan
 from pneuma.study.store import PUBLISHED, Store
 
-from .conftest import Formula, MakeTask, solve
+from .conftest import Formula, MakeTask, Told, record, solve, told_of
 
 MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
 
 
 @pytest.fixture(autouse=True)
 def _formula(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(storage, "Outcomes", lambda *_: Formula())
+    monkeypatch.setattr(trials, "Outcomes", lambda *_: Formula())
 
 
 class Killed(Exception):
     """The process ends."""
 
 
-def search(task: Task, store: Store, most: int = 99) -> tuple[list[EndedTrial], list[str]]:
+def search(task: Task, store: Store, most: int = 99) -> tuple[list[Told], list[str]]:
     """Run a search, which is killed when it trains once more than `most`; return its trials and notes."""
-    ended: list[EndedTrial] = []
+    ended: list[Told] = []
     notes: list[str] = []
     trained = 0
 
@@ -48,7 +49,7 @@ def search(task: Task, store: Store, most: int = 99) -> tuple[list[EndedTrial], 
 
     try:
         for group in run_search(task, store, train, notes.append):
-            ended = group
+            ended = told_of(group)
     except Killed:
         pass
     return ended, [note for note in notes if not note.startswith("trial")]
@@ -69,7 +70,7 @@ def test_optuna_opens_the_log(make_task: MakeTask, store: Store) -> None:
         assert trial.intermediate_values == each.reports
         assert tuple(trial.user_attrs["run_ids"]) == each.run_ids
         assert trial.user_attrs["seeds"] == [1000, 1001]
-    assert study.best_trial.number == RecordedSearch(task, tuple(told)).best
+    assert study.best_trial.number == record(task).best
 
 
 def test_choices_are_values_and_lists_their_text(make_task: MakeTask, store: Store) -> None:
@@ -96,7 +97,8 @@ def test_a_search_is_read_as_it_was_searched(make_task: MakeTask, store: Store) 
     over = {"betas": (0.9, 0.95)}
     task = replace(task, search=task.search.with_settings(over), over=over)
     search(task, store)
-    assert read_record(store, task.search.name, "text") == RecordedSearch(task, tuple(solve(task)))
+    found = read_record(store, task.search.name, "text")
+    assert (found.task, told_of(found.trials), found.running) == (task, solve(task), False)
     make_task(8)  # writes its file anew
     with pytest.raises(UserError, match="the search had other .*space.gamma.* than its file has now"):
         read_record(store, "formula", "text")
@@ -114,8 +116,8 @@ def test_a_published_log_is_read_where_no_search_was_run(make_task: MakeTask, st
     shutil.copy(own, published)
     assert read_record(store, "formula", "text").published is None
     own.write_bytes(b"")
-    record = RecordedSearch(task, tuple(told), published=published)
-    assert read_record(store, "formula", "text") == record
+    found = read_record(store, "formula", "text")
+    assert (found.published, told_of(found.trials)) == (published, told)
 
 
 @pytest.mark.parametrize("most", range(0, 12, 2))
@@ -130,7 +132,7 @@ def test_a_search_that_is_killed_ends_with_the_same_trials(
     assert read_record(store, task.search.name, "text").task == task
     told, notes = search(task, store)
     assert told == solve(task) and ["cut off" in note for note in notes] == [True]
-    assert read_record(store, task.search.name, "text") == RecordedSearch(task, tuple(told))
+    assert told_of(read_record(store, task.search.name, "text").trials) == told
 
 
 def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
@@ -173,6 +175,19 @@ def test_a_log_that_makes_no_sense_is_refused_and_kept(
         with pytest.raises(UserError, match=told):
             use()
     assert path.read_bytes() == before
+
+
+def test_a_log_of_another_version_of_optuna_that_cannot_be_read_is_told_so(
+    make_task: MakeTask, store: Store
+) -> None:
+    task = make_task(4)
+    search(task, store)
+    path = log_path(store, task.search.label)
+    line = json.dumps({"op_code": 99, "worker_id": "x"})
+    path.write_text(path.read_text().replace(optuna.__version__, "6.1.0") + f"{line}\n")
+    for use in (lambda: read_record(store, task.search.name, "text"), lambda: search(task, store)):
+        with pytest.raises(UserError, match="Optuna 6.1.0 wrote it, which .* cannot read; install that"):
+            use()
 
 
 def test_trials_that_others_added_are_refused(make_task: MakeTask, store: Store) -> None:
