@@ -54,7 +54,7 @@ def draw_search(
     Their origin tells the `command` that draws them again.
     """
     search, budget = searched.task.search, searched.task.budget
-    complete = [trial for trial in searched.trials if trial.state == TrialState.COLOURS[0]]
+    complete = [trial for trial in searched.trials if trial.state == TrialState.COMPLETE]
     if not complete:
         return []
     runs = sample(
@@ -129,7 +129,7 @@ def _pictures(searched: RecordedSearch, complete: Sequence[FrozenTrial]) -> dict
 
 def _amount(searched: RecordedSearch) -> str:
     budget, states = searched.task.budget, [trial.state for trial in searched.trials]
-    whole, pruned, failed = map(states.count, (TrialState.COLOURS[0], TrialState.PRUNED, TrialState.FAIL))
+    whole, pruned, failed = map(states.count, (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL))
     words = [f"{pruned} stopped early"] * (pruned > 0) + [f"{failed} failed"] * (failed > 0)
     trials = ", ".join([counted(whole, "whole trial"), *words])
     return f"{trials}; {counted(len(budget.seeds), 'seed')}, {budget.steps:,} steps each"
