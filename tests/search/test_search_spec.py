@@ -104,7 +104,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('optimizer = "sgd" }', 'epochs = 99 }', "epochs is searched in a range, which never meets 99"),
         ("[space.epochs]\nlow = 1\n", "[space.epochs]\nchoices = [1, 2]\n", "leave out low, high and log"),
         ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
-        ("gradient_limit = 0.5", "held_out_levels = [0, 5]", "held_out_levels = (0, 5) is not allowed"),
+        ("gradient_limit = 0.5", "held_out_levels = 5", "held_out_levels = 5 is not allowed"),
         ("[run]", '[sampler]\nname = "tpee"\n[run]', "unknown name 'tpee' (did you mean tpe?)"),
         ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unknown argument of tpe 'startup'"),
         ("[run]", '[sampler]\nname = "tpe"\ngroup = 1\n[run]', "group = 1 is not allowed: true or false"),
