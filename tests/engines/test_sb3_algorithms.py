@@ -77,7 +77,12 @@ def test_records_have_the_columns_of_the_contract(case: str) -> None:
         },
     }
     assert missing == none_of["dqn" if of_values else case.removesuffix("-no-baseline")]
-    added = (*(("q_estimate", "q_true") if of_values else ()), "steps_to_clear", "hp_lost", "commonest_action")
+    added = (
+        *(("q_estimate", "q_true") if of_values else ()),
+        "steps_to_clear",
+        "hp_lost",
+        "commonest_action",
+    )
     assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
 
 
