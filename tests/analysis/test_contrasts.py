@@ -37,7 +37,7 @@ def test_means_have_welchs_interval_at_either_level() -> None:
 
 def test_a_mean_against_a_number_has_students() -> None:
     own, theirs = compare("mean", A, 5.0, LEVEL), stats.ttest_1samp(np.array(A) - 5, 0)
-    assert own.effect == pytest.approx(1.3) and own.means == (pytest.approx(6.3), 5.0)
+    assert own.effect == pytest.approx(1.3) and own.means == pytest.approx((6.3, 5.0))
     assert own.seeds == (5, 0)
     assert ends(own.simultaneous) == pytest.approx(ends(theirs.confidence_interval(LEVEL)))
 
@@ -135,7 +135,7 @@ def test_a_range_of_two_arms_against_a_number_is_welchs_difference() -> None:
     (low, high, _), _ = _ladders()
     own, theirs = compare_ranges([low, high], [0, 1], 2.0), stats.ttest_ind(high, low, equal_var=False)
     assert own.effect == pytest.approx(high.mean() - low.mean() - 2)
-    assert own.means == (pytest.approx(high.mean() - low.mean()), 2.0)
+    assert own.means == pytest.approx((high.mean() - low.mean(), 2.0))
     assert own.interval.low == pytest.approx(theirs.confidence_interval(0.975).low - 2)
     assert own.interval.high == pytest.approx(theirs.confidence_interval(0.95).high - 2)
 

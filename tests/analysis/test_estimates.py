@@ -77,16 +77,16 @@ def test_a_difference_of_shares_is_wider_than_newcombes_and_as_seldom_wrong_as_i
     """
     low, high = ends(intervals.incidence_difference_interval(56, 70, 48, 80))
     assert 0.03 < low < 0.0524 < 0.3339 < high < 0.35
-    counts, alpha = np.arange(31), 0.05 / 31
+    counts, alpha = range(31), 0.05 / 31
     made = [
         [ends(intervals.incidence_difference_interval(a, 30, b, 30, 1 - alpha)) for b in counts]
         for a in counts
     ]
-    low, high = np.moveaxis(np.array(made), -1, 0)
+    lows, highs = np.moveaxis(np.array(made), -1, 0)
     for apart in (0.0, 0.4):
         for share in np.linspace(0, 1 - apart, 21):
             chance = np.outer(stats.binom.pmf(counts, 30, share + apart), stats.binom.pmf(counts, 30, share))
-            assert chance[(low > apart) | (high < apart)].sum() <= alpha
+            assert chance[(lows > apart) | (highs < apart)].sum() <= alpha
 
 
 def test_bca_is_close_to_scipys_with_resamples_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -200,6 +200,10 @@ def test_paired_arms_are_compared_pair_by_pair(store: Store, tmp_path: Path) -> 
     one = judge_one(store, tmp_path, changed(*paired))
     assert [row.names for row in one.contrasts] == [("high", "low"), ("other", "middle")]
     assert one.verdict == "supported"
+    less = Store(tmp_path / "less")  # one pair that refutes is enough, although the other has no runs yet
+    save_runs(less, tmp_path, {"high": LOW, "low": HIGH})
+    one = judge_one(less, tmp_path, changed(*paired))
+    assert (one.verdict, one.reason) == ("refuted", "")
     crossed = changed(*paired).replace("paired = true\n", "")
     assert judge_one(store, tmp_path, crossed).verdict == "refuted"
 
@@ -229,7 +233,7 @@ def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path:
     save_runs(store, tmp_path, {"high": [soon] * 4 + [late] * 2 + [never] * 2, "low": [never] * 7 + [late]})
     steps = ('"final-share-killed"', '"steps-to:0.5"'), ("margin = 0.04\n", "")
     (row,) = judge_one(store, tmp_path, changed(*steps)).contrasts
-    assert row.contrast.means == (768, 1024)
+    assert [*row.contrast.means] == [768, 1024]
     assert "equal" in row.contrast.reason and row.verdict == "inconclusive"
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from .. import recompute_verdicts
+from .. import recompute_intervals, recompute_verdicts
 from ..cli.calls import described
 
 
@@ -27,19 +28,10 @@ def test_another_hand_comes_to_the_same_verdicts_and_sees_every_change(tmp_path:
     assert len(recompute_verdicts.check(told, rows)[0]) == 3
 
 
-def test_the_other_hand_imports_nothing_of_pneuma() -> None:
-    tree = ast.parse(Path(recompute_verdicts.__file__).read_text(encoding="utf-8"))
-    imported = {
-        name.partition(".")[0]
-        for node in ast.walk(tree)
-        for name in (
-            [alias.name for alias in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module or ""]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-    }
-    assert "pneuma" not in imported and "numpy" in imported
-    with pytest.raises(KeyError):
-        recompute_verdicts.value_of({}, "an outcome that it does not know")
+@pytest.mark.parametrize("hand", [recompute_verdicts, recompute_intervals])
+def test_the_other_hand_imports_nothing_of_pneuma(hand: ModuleType) -> None:
+    nodes = [*ast.walk(ast.parse(Path(str(hand.__file__)).read_text(encoding="utf-8")))]
+    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    names += ["." * node.level + (node.module or "") for node in nodes if isinstance(node, ast.ImportFrom)]
+    own = {name for name in names if name.startswith((".", "pneuma", "tests"))}
+    assert own <= {".recompute_intervals"} and "numpy" in names
