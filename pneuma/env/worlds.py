@@ -7,10 +7,8 @@ give the same bits for the same seeds and actions.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stdout
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -285,8 +283,7 @@ class Worlds:
         players["x"], players["y"] = self.level.starts[places].T
         players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
         for name, function, _ in self._custom:
-            with redirect_stdout(sys.stderr):  # standard output is for a command's document
-                custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
+            custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
 
     @property
     def present(self) -> np.ndarray:
