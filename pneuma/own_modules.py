@@ -6,7 +6,7 @@ import io
 import sys
 import sysconfig
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
@@ -25,8 +25,7 @@ def importing_from(folder: Path) -> Iterator[None]:
     # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
     writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     try:
-        with redirect_stdout(sys.stderr):  # standard output is for a command's document
-            yield
+        yield
     finally:
         sys.dont_write_bytecode = writes
         if added:

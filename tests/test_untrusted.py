@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,12 @@ from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
 from pneuma.files import checksum, read_json, read_whole
+from pneuma.study import tables
+from pneuma.study.measure import stored_row
 from pneuma.study.published import encode_published
-from pneuma.study.store import Status, Store
-from pneuma.study.tables import from_parquet
+from pneuma.study.rows import decode_row
+from pneuma.study.store import ROW_FILE, Status, Store
+from pneuma.study.tables import from_ipc, from_parquet
 
 from .analysis.published_runs import publish, save_run
 from .cli.calls import call
@@ -61,7 +65,7 @@ def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: 
         assert call(*command, "--results", store.root).code in (0, 2)
 
 
-def test_untrusted_a_table_that_unpacks_to_too_much_is_refused_by_its_footer() -> None:
+def test_untrusted_a_table_that_unpacks_to_too_much_is_refused() -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table({"step": pa.array(np.zeros(70_000_000, np.int8))}), sink, compression="zstd")
     data = sink.getvalue().to_pybytes()
@@ -71,6 +75,91 @@ def test_untrusted_a_table_that_unpacks_to_too_much_is_refused_by_its_footer() -
     for broken in (data[:-9], b"", b"PAR1" * 4):
         with pytest.raises(ValueError, match="no table that can be read"):
             from_parquet(broken)
+
+
+def _packed(table: pa.Table, **options: Any) -> bytes:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", **options)
+    return sink.getvalue().to_pybytes()
+
+
+def _lying() -> bytes:
+    """A table whose footer says that its 200,000 numbers are one: in as many bytes, as Thrift may."""
+
+    def number(value: int, least: int = 0) -> bytes:
+        parts = [(2 * value) >> shift & 127 for shift in range(0, 35, 7)]
+        while len(parts) > least and not parts[-1]:
+            parts.pop()
+        return bytes([part | 128 for part in parts[:-1]] + parts[-1:])
+
+    data = _packed(
+        pa.table({"step": pa.array(np.zeros(200_000))}), use_dictionary=False, write_statistics=False
+    )
+    group = pq.read_metadata(pa.BufferReader(data)).row_group(0)
+    begins = group.column(0).data_page_offset + group.column(0).total_compressed_size
+    footer = data[begins:]
+    for told in {group.total_byte_size, group.column(0).total_uncompressed_size, 200_000}:
+        footer = footer.replace(number(told), number(1, len(number(told))))
+    told = pq.read_metadata(pa.BufferReader(data[:begins] + footer)).row_group(0).column(0)
+    assert (told.num_values, told.total_uncompressed_size) == (1, 1)
+    return data[:begins] + footer
+
+
+NUMBERS = pa.table({"step": pa.array(np.zeros(1000))})
+BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "a text that a dictionary repeats": (
+        lambda: _packed(pa.table({"ending": ["x" * 200] * 10_000})), "unpacks to more than 1 MB",
+    ),
+    "texts that repeat the one before": (
+        lambda: _packed(
+            pa.table({"ending": ["x" * k for k in range(2000)]}),
+            use_dictionary=False, column_encoding={"ending": "DELTA_BYTE_ARRAY"},
+        ),
+        "is packed otherwise",
+    ),
+    "a footer that lies": (_lying, "unpacks to more than 1 MB"),
+    "pages of another kind": (lambda: _packed(NUMBERS, data_page_version="2.0"), "no table that can be read"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_untrusted_a_small_table_does_not_unpack_to_a_large_one(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "LARGEST_BYTES", 2**20)
+    make, words = BOMBS[kind]
+    assert len(data := make()) < 20_000
+    with pytest.raises(ValueError, match=words):
+        from_parquet(data)
+
+
+def test_what_pages_say_is_what_the_footer_of_a_sound_table_says() -> None:
+    table = pa.table({"a": ["x", "y"] * 5000, "b": np.arange(10_000.0), "c": [[1.0], [2.0, 3.0]] * 5000})
+    for options in ({}, {"use_dictionary": False}, {"data_page_size": 5000}):
+        data = _packed(table, **options)
+        group = pq.read_metadata(pa.BufferReader(data)).row_group(0)
+        for place, values in enumerate((10_000, 10_000, 15_000)):
+            chunk = group.column(place)
+            unpacked = sum(tables._page_sizes(data, chunk)) - 8 * values
+            in_dictionary = 8 * 10_000 if chunk.has_dictionary_page else 0  # at most
+            assert -500 * 8 < unpacked - chunk.total_uncompressed_size < 500 * 8 + in_dictionary
+        assert from_parquet(data).equals(table)
+
+
+@pytest.mark.parametrize("codec", ["lz4", "zstd"])
+def test_untrusted_a_row_that_is_compressed_is_refused(codec: str) -> None:
+    for compression in (None, codec):
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_file(
+            sink, NUMBERS.schema, options=pa.ipc.IpcWriteOptions(compression=compression)
+        ) as to:
+            to.write_table(NUMBERS)
+        data = sink.getvalue().to_pybytes()
+        if compression:
+            with pytest.raises(ValueError, match="is no plain table"):
+                from_ipc(data)
+        else:
+            assert from_ipc(data).equals(NUMBERS)
 
 
 def _swapped(store: Store, name: str, change: Any) -> None:
@@ -173,6 +262,60 @@ def test_untrusted_text_in_a_table_that_is_no_document_is_one_line(
     for command in (("summary", "mine"), ("collapse", "mine"), ("plot", "mine"), ("status", "mine")):
         told = call("study", *command, "--results", clone.root)
         assert told.code in (0, 2) and "Traceback" not in told.err
+
+
+def _one(values: Any) -> pa.Array:
+    """A cell that is a list."""
+    return pa.ListArray.from_arrays(pa.array([0, len(values)], pa.int32()), values)
+
+
+def _evaluations(**columns: pa.Array) -> pa.Array:
+    return _one(pa.StructArray.from_arrays([*columns.values()], names=[*columns]))
+
+
+STEPS, SHARES, TIMES = pa.array([500, 1000]), pa.array([0.5, 0.5]), pa.array([0, 0], pa.timestamp("s"))
+ODD_CELLS: dict[str, tuple[str, pa.Array]] = {
+    "a curve of text": ("entropy", _one(pa.array(["x"] * 200))),
+    "a curve of lists": ("entropy", _one(pa.array([[1.0]] * 200))),
+    "a curve of nothing": ("entropy", _one(pa.nulls(200))),
+    "a curve of yes and no": ("entropy", _one(pa.array([True] * 200))),
+    "evaluations of text": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array(["x", "y"]))),
+    "evaluations of lists": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array([[1.0], [2.0]]))),
+    "evaluations of yes and no": (
+        "evaluations",
+        _evaluations(step=STEPS, share_killed=pa.array([True, False])),
+    ),
+    "evaluations of times": ("evaluations", _evaluations(step=TIMES, share_killed=SHARES)),
+    "evaluations at no step": (
+        "evaluations",
+        _evaluations(step=pa.nulls(2), share_killed=SHARES),
+    ),
+    "a list of parents": ("fields", pa.array([json.dumps({"steps": 1000, "parent": ["a"]})])),
+    "a step of text": ("fields", pa.array([json.dumps({"steps": 1000, "fork_step": "a"})])),
+    "a table in a list": ("fields", pa.array([json.dumps({"steps": 1000, "reward": [{"a": 1}]})])),
+}
+
+
+@pytest.mark.parametrize("kind", ODD_CELLS)
+def test_untrusted_a_row_of_wrong_inner_types_is_one_line_that_names_its_run(store: Store, kind: str) -> None:
+    column, cell = ODD_CELLS[kind]
+    stored_row(store, RUN)
+    row = from_ipc((store.run_folder(RUN) / ROW_FILE).read_bytes())
+    row = row.set_column(row.column_names.index(column), column, cell)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_file(sink, row.schema) as writer:
+        writer.write_table(row)
+    data = sink.getvalue().to_pybytes()
+    with pytest.raises(ValueError, match=f"column {column} makes no sense"):
+        decode_row(data)
+    store.save_run(RUN, Status("done", 1000), {"run.json": b"{}", ROW_FILE: data})
+    for command in ("summary", "collapse", "plot"):
+        said = call("study", command, "mine", "--results", store.root)
+        assert said.code == 2 and "Traceback" not in said.err
+    index = RunIndex(store, shipped=False)
+    assert index.row(RUN) is None
+    (told,) = index.problems
+    assert str(store.run_folder(RUN)) in told and "\n" not in told
 
 
 # --- The working folder ------------------------------------------------------------------------------

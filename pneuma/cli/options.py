@@ -11,13 +11,14 @@ import functools
 import inspect
 import shlex
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
-from pneuma.cli.output import OUTPUT_FORMATS, Result, print_result, say
+from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.study.executors.base import (
@@ -344,8 +345,8 @@ def _as_command(function: Callable[..., Result | None]) -> Callable[..., int]:
         if is_dataclass(group := one.annotation) and isinstance(group, type):
             groups[name] = [*inspect.signature(group, eval_str=True).parameters.values()]
         parameters += groups.get(name, [one])
-    takes_json = "json" in signature.parameters
-    if signature.return_annotation is not None and not takes_json:
+    takes_json, of_result = "json" in signature.parameters, signature.return_annotation is not None
+    if of_result and not takes_json:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         parameters.append(inspect.Parameter("json", kind, default=JSON, annotation=bool))
 
@@ -355,7 +356,8 @@ def _as_command(function: Callable[..., Result | None]) -> Callable[..., int]:
         for name, options in groups.items():
             fields = {option.name: given.pop(option.name) for option in options}
             given[name] = signature.parameters[name].annotation(**fields)
-        result = function(**given)
+        with kept_for_the_result() if of_result else nullcontext():
+            result = function(**given)
         if result is None:
             return 0
         print_result(result, "json" if json else result.form)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
+import os
 import shlex
 import shutil
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
@@ -67,6 +70,30 @@ def tallied(words: Iterable[str]) -> str:
     return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
+@contextmanager
+def kept_for_the_result() -> Iterator[None]:
+    """Let what is printed meanwhile, by anybody's code in any language, go to standard error.
+
+    Standard output is then one document, of the result that is printed afterwards.
+    """
+    with ExitStack() as finally_, redirect_stdout(sys.stderr):
+        with suppress(OSError):  # one that is closed has nothing to keep
+            kept = os.dup(1)
+            finally_.callback(os.close, kept)
+            finally_.callback(os.dup2, kept, 1)
+            finally_.callback(_flush)
+            _flush()
+            os.dup2(2, 1)
+        yield
+
+
+def _flush() -> None:
+    """Write what Python and C still hold for standard output."""
+    if sys.__stdout__ is not None and not sys.__stdout__.closed:
+        sys.__stdout__.flush()
+    ctypes.CDLL(None).fflush(None)
+
+
 # --- Results in any form --------------------------------------------------------------------------
 
 OUTPUT_FORMATS = ("table", "markdown", "latex", "csv", "json")
@@ -94,10 +121,14 @@ class Result:
     """The table as CSV, with whole numbers, likewise; `table` if None."""
     form: str = "table"  # one of `OUTPUT_FORMATS`, unless `--json` asks for JSON
     code: int = 0
+    file: bytes = b""  # for `--out -`, in place of all else
 
 
 def print_result(result: Result, form: str) -> None:
     """Print a result in one of `OUTPUT_FORMATS`."""
+    if result.file:
+        sys.stdout.buffer.write(result.file)
+        return
     people = form == "table"
     for line in filter(None, [result.title] * people):
         say(line)

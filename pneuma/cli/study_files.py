@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -170,7 +169,7 @@ def export(
     band: opt.Text = opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
     window: opt.Text = opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages."),
     json: bool = opt.JSON,
-) -> Result | None:
+) -> Result:
     """Write a study's records as one tidy table."""
     if (band or window) and table != "curves":
         raise UserError("--band and --window: go with --table curves alone")
@@ -185,8 +184,7 @@ def export(
     form = "csv" if printed else EXPORT_SUFFIXES[out.suffix.lower()]
     encoded, rows = encode_table(data, table, form, picked.store, window, band or EDGED_BANDS[0])
     if printed:
-        sys.stdout.buffer.write(encoded)
-        return None
+        return Result({}, file=encoded)
     write_file(out, encoded)
     return Result({"file": out, "rows": rows}, [f"wrote {out}: {counted(rows, 'row')}"])
 

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, redirect_stdout, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -290,7 +289,7 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     try:
         if run.env_module:
             _load(run.env_module)
-        with blamed(f"env = {run.env}"), redirect_stdout(sys.stderr):  # stdout is for a document
+        with blamed(f"env = {run.env}"):
             if run.env not in gymnasium.registry:
                 _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)

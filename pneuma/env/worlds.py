@@ -6,9 +6,7 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -266,8 +264,7 @@ class Worlds:
         players["x"], players["y"] = self.level.starts[places].T
         players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
         for name, function, _ in self._custom:
-            with redirect_stdout(sys.stderr):  # standard output is for a command's document
-                custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
+            custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
 
     @property
     def present(self) -> np.ndarray:

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.files import checksum, parse_json
-from pneuma.study.rows import CURVE, Row, check_table, column_type, read_row
+from pneuma.study.rows import CURVE, Row, column_type, read_row, sound_rows
 from pneuma.study.tables import from_parquet
 
 
@@ -101,9 +101,7 @@ class Published:
 
     @cached_property
     def _rows(self) -> pa.Table:
-        table = from_parquet(self._data)
-        check_table(table)
-        return table
+        return sound_rows(from_parquet(self._data))
 
     def row(self, run_id: str) -> Row:
         """Return the row of one of its runs.

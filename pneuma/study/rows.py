@@ -11,16 +11,18 @@ are only exported.
 from __future__ import annotations
 
 import io
+import json
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
 from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.study.series import EXTREMES, GRID_POINTS, SLACK, Stretch, make_grid, unpack_signs
@@ -83,8 +85,7 @@ def decode_row(data: bytes) -> Row:
     Raises:
         ValueError: for anything else.
     """
-    table = from_ipc(data)
-    check_table(table)
+    table = sound_rows(from_ipc(data))
     if table.num_rows != 1:
         raise ValueError("has not one row")
     return read_row(table)
@@ -95,45 +96,68 @@ _PATTERNS = {
 }  # fmt: skip
 
 
-def check_table(table: pa.Table) -> None:
-    """Refuse a table, which may be untrusted, that could not have been written here.
+def sound_rows(table: pa.Table) -> pa.Table:
+    """Return the columns of rows that are read; refuse a table that could not have been written here.
 
     Raises:
         ValueError: naming what is wrong.
     """
-    _check_schema(table.schema.serialize().to_pybytes())
+    table = table.select(_known_columns(table.schema.remove_metadata().serialize().to_pybytes()))
     for name in (*NAMING, *NUMBERS, EVALUATIONS):
         cells = table[name].to_pylist() if name in _PATTERNS else ()
         matching = all(re.fullmatch(_PATTERNS[name], str(cell)) for cell in cells)
         if table[name].null_count or not matching:
             raise ValueError(f"column {name} makes no sense")
+    return table
 
 
 @lru_cache
-def _check_schema(serialized: bytes) -> None:
-    """Refuse names and types of columns likewise; those of a thousand runs are mostly the same."""
+def _known_columns(serialized: bytes) -> list[str]:
+    """Return which columns of a schema are read; schemas of a thousand runs are mostly the same."""
     schema = pa.ipc.read_schema(pa.py_buffer(serialized))
     if missing := {*NAMING, *NUMBERS, EVALUATIONS} - {*schema.names}:
         raise ValueError(f"column {min(missing)} is missing")
     for name, kind in zip(schema.names, schema.types, strict=True):
-        sound = column_type(name) in (None, kind)
-        if name == EVALUATIONS:
-            sound = pa.types.is_list(kind) and (
-                pa.types.is_null(kind.value_type)
-                or (pa.types.is_struct(kind.value_type) and kind.value_type.get_field_index("step") >= 0)
-            )
+        sound = _are_evaluations(kind) if name == EVALUATIONS else column_type(name) in (None, kind)
         if not sound:
             raise ValueError(f"column {name} makes no sense")
+    return [name for name in schema.names if name == EVALUATIONS or column_type(name)]
+
+
+def _are_evaluations(kind: pa.DataType) -> bool:
+    """Return whether a type is a list of structs of numbers, with their step; or a list of nothing."""
+    if not pa.types.is_list(kind) or not pa.types.is_struct(kind.value_type):
+        return bool(pa.types.is_list(kind) and pa.types.is_null(kind.value_type))
+    kinds = {field_.name: field_.type for field_ in kind.value_type}
+    numbers = {pa.int64(), pa.float64()}
+    return kinds.get("step") in numbers and {*kinds.values()} <= {*numbers, pa.null()}
 
 
 # --- Reading ----------------------------------------------------------------------------------------
 
 
-_DOCUMENTS = {"fields": parse_json, "provenance": parse_json, "signs": unpack_signs}
+def _read_fields(text: str) -> dict[str, Any]:
+    """Read a configuration, with each known field of a type that it may have."""
+    fields, types = parse_json(text), _field_types()
+    for key, value in fields.items():
+        parts = value if isinstance(value, list) else ()
+        fits = value is None or isinstance(value, types.get(key, (str, int, float, list)))
+        if not fits or any(isinstance(part, list | dict) for part in parts):
+            raise ValueError(f"{key} = {json.dumps(value)[:40]}")
+    return fields
+
+
+@cache
+def _field_types() -> dict[str, tuple[type, ...]]:
+    of_default = {str: (str,), list: (list,), type(None): (int, float, list)}
+    return {key: of_default.get(type(usual), (int, float)) for key, usual in as_fields(Run()).items()}
+
+
+_DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
 
 
 def read_row(table: pa.Table, place: int = 0, published: bool = False) -> Row:
-    """Return a row of a table that `check_table` lets pass.
+    """Return a row of a table of `sound_rows`.
 
     Raises:
         ValueError: naming a column that makes no sense.
