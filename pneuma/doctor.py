@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.store import Store
 
 GOOD, NOTE, BROKEN = "good", "note", "broken"
@@ -29,7 +29,6 @@ EXTRAS = {
     "onnx": ("onnx", "policies exported as ONNX"),
     "jax_cuda13_plugin": ("cuda", "updates of the engine batched on an NVIDIA GPU"),
     "ray": ("ray", "runs on a cluster (--executor ray)"),
-    "submitit": ("slurm", "jobs in a queue (--executor slurm)"),
     "tensorboard": ("tensorboard", "importing old logs"),
     "minatar": ("minatar", "the MinAtar games"),
     "minigrid": ("minigrid", "MiniGrid's worlds"),
@@ -58,7 +57,7 @@ def examine(results: Path) -> Iterator[Finding]:
     sound = PYTHONS[0] <= sys.version_info[:2] < PYTHONS[1]
     fix = "" if sound else "use Python 3.11 to 3.13"
     yield Finding("python", GOOD if sound else BROKEN, platform.python_version(), fix)
-    command, path = [sys.executable, "-P", "-c", TRIAL], one_thread_environment()["PYTHONPATH"]
+    command, path = [sys.executable, "-P", "-c", TRIAL], worker_environment()["PYTHONPATH"]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path})
     last = (done.stderr if done.returncode else done.stdout).strip().rpartition("\n")[2]
     if done.returncode:
