@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.store import Store
 
 from .training import training_here
 
 # As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
-os.environ.update(one_thread_environment())
+os.environ.update(worker_environment())
 
 
 @pytest.fixture(scope="session", autouse=True)

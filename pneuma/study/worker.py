@@ -1,15 +1,16 @@
-"""A worker process: trains one group of runs and writes them to the store.
+"""A worker process: trains one group of runs of a job and writes them to the store.
 
-    python -m pneuma.study.worker < job
+    python -m pneuma.study.worker JOB.json INDEX [--parent PID] [--last-try] [--only RUN_ID …]
 
-The job is one line of JSON: the results folder, the runs by id, and how they are supervised. Events go out as
-lines of JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy`
-if another process holds a run, `end` for every run. Standard input stays open: after a line `stop` the worker
-goes on to a checkpoint and ends. When it closes, because the parent has ended, the worker ends at once.
+With `--only` it trains these runs alone, and with `--last-try` it stores a crash. Events go out as lines of
+JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy` if another
+process has a run, `end` for every run. With a parent, standard input stays open: after a line `stop` the
+worker goes on to a checkpoint and ends. When it closes, because the parent has ended, it ends at once.
 """
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import json
 import os
@@ -22,9 +23,10 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TextIO
 
-from pneuma.config import Run, make_run
+from pneuma.config import Run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
@@ -33,6 +35,7 @@ from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
 from pneuma.study.identity import run_id
+from pneuma.study.job import read_job
 from pneuma.study.live import LiveLog
 from pneuma.study.locks import remove_lock
 from pneuma.study.measure import cells_of_files
@@ -59,15 +62,21 @@ class Job:
 
 
 def main() -> int:
-    job = json.loads(sys.stdin.readline())
-    die_with(job["parent"])
-    stop = threading.Event()
-    threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
+    parser = argparse.ArgumentParser(prog="python -m pneuma.study.worker")
+    parser.add_argument("job", type=Path)
+    parser.add_argument("index", type=int)
+    parser.add_argument("--parent", type=int)
+    parser.add_argument("--last-try", action="store_true")
+    parser.add_argument("--only", nargs="+", default=(), metavar="RUN_ID")
+    asked, stop = parser.parse_args(), threading.Event()
+    if asked.parent:
+        die_with(asked.parent)
+        threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
-    runs = {name: make_run(settings) for name, settings in job["runs"].items()}
-    what = Job(Store(job["results"]), runs, ExecutorConfig(**job["how"]), job["last_try"])
-    return train_group(what, Reporter(events), stop)
+    job = read_job(asked.job)
+    runs = {name: run for name, run in job.runs(asked.index).items() if name in asked.only or not asked.only}
+    return train_group(Job(job.store, runs, job.how, asked.last_try), Reporter(events), stop)
 
 
 class Reporter:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 
 NOISY = """
 import ctypes, os, sys
@@ -62,7 +62,7 @@ def test_json_is_one_document_whatever_an_environment_prints(tmp_path: Path) -> 
     (tmp_path / "mine.toml").write_text(STUDY)
     command = [sys.executable, "-m", "pneuma", "study", "plan", "mine.toml", "--json"]
     done = subprocess.run(
-        command, cwd=tmp_path, env=one_thread_environment(), capture_output=True, text=True, check=True
+        command, cwd=tmp_path, env=worker_environment(), capture_output=True, text=True, check=True
     )
     assert json.loads(done.stdout)["study"]
     for said in ("imported", "made", "reset", "by C", "by another way", "past Python", "closed", "wrapped"):

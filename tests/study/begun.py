@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.rows import decode_row
 from pneuma.study.store import ROW_FILE
 
@@ -32,7 +32,7 @@ def begin(folder: Path, study: Path, *options: str) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [*command, "--checkpoint-seconds", "0.1", *options],
         cwd=folder,
-        env=one_thread_environment(),
+        env=worker_environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.store import ROW_FILE, Store
 
 from ..cli.calls import call
@@ -75,7 +75,7 @@ class Reading:
 def read_and_delete(folder: Path, seconds: float, seed: int) -> Reading:
     """Do all things in a random order, and again in another, for so long."""
     os.chdir(folder)
-    os.environ.update(one_thread_environment())
+    os.environ.update(worker_environment())
     dice, reading, ends = random.Random(seed), Reading(), time.monotonic() + seconds
     deeds = list[str]()
     while reading.done.total() < len(DEEDS) or time.monotonic() < ends:

@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.measure import stored_row
 from pneuma.study.store import ROW_FILE, Store
 
@@ -75,13 +75,13 @@ class Storm:
     def begin(self, results: str) -> subprocess.Popen[bytes]:
         """Start it."""
         command = [*self.command(results), "--quiet"]
-        return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=one_thread_environment())
+        return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=worker_environment())
 
     def run_whole(self, results: str) -> str:
         """Run the study to its end, and compare; return what was printed."""
         (self.folder / "storm.toml").write_text(STUDY.format(engine=self.engine, steps=self.steps))
         command = self.command(results)
-        done = subprocess.run(command, capture_output=True, text=True, env=one_thread_environment())
+        done = subprocess.run(command, capture_output=True, text=True, env=worker_environment())
         told = done.stdout + done.stderr
         if "Traceback" in told or done.returncode:
             self.found.append(f"exit {done.returncode}: {told}")

@@ -54,7 +54,7 @@ def test_what_a_users_own_code_raised_is_not_trained_again(
 ) -> None:
     about = {"event": "end", "run_id": run_id(RUN), "status": "crashed", "step": 0, "trained": True}
     line = json.dumps({**about, "reason": "by the corridor", "final": final})
-    no_worker(tmp_path, monkeypatch, f"read group\necho x >> {tmp_path}/begun\necho '{line}'\nexit 1")
+    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
     *notes, end = train({run_id(RUN): RUN}, tmp_path)
     assert end["reason"] == "by the corridor" and len(notes) == (0 if final else 1)
     assert len((tmp_path / "begun").read_text().splitlines()) == len(notes) + 1
@@ -64,7 +64,7 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker of two dies in the first; then each of them dies alone, and the second once more."""
-    no_worker(tmp_path, monkeypatch, f'read group\necho "$group" >> {tmp_path}/begun\necho why >&2\nexit 3')
+    no_worker(tmp_path, monkeypatch, f'echo "$@" >> {tmp_path}/begun\necho why >&2\nexit 3')
     events = train(TWO, tmp_path)
     notes = [event["run_id"] for event in events if event["event"] == "note" and "once more" in event["text"]]
     assert sorted(notes) == sorted(TWO)  # of the second when it was alone
@@ -104,7 +104,7 @@ def test_xla_reads_every_one_of_its_flags(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(flag.startswith("--") for flag in flags)
     monkeypatch.setattr(local, "XLA_FLAGS", " ".join([*flags, "--xla_nonsense=1", last]))
     command = [sys.executable, "-c", "import jax; jax.numpy.ones(3).sum()"]
-    done = subprocess.run(command, env=local.one_thread_environment(), capture_output=True, text=True)
+    done = subprocess.run(command, env=local.worker_environment(), capture_output=True, text=True)
     assert done.returncode != 0 and "Unknown flag in XLA_FLAGS: --xla_nonsense=1" in done.stderr
 
 

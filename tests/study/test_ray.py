@@ -16,9 +16,7 @@ import pytest
 
 from pneuma.errors import UserError
 from pneuma.study.executors import ray
-from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.executors.local import one_thread_environment
-from pneuma.study.store import Store
+from pneuma.study.executors.local import worker_environment
 
 from .begun import begin, end_begun, outcome, wait_until, write_study
 
@@ -41,7 +39,7 @@ def start_nodes(count: int) -> tuple[subprocess.Popen[str], Nodes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=one_thread_environment(),
+        env=worker_environment(),
         text=True,
         start_new_session=True,
     )
@@ -82,9 +80,8 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
-    told = ray.versions(), "", str(tmp_path), str(tmp_path / "elsewhere")
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        ray.train_here({}, Store("/shared/results"), ExecutorConfig(), *told)
+        ray.train_here("/shared/results/.shared-1/job.json", 0, ray.versions(), "", str(tmp_path))
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

@@ -1,4 +1,4 @@
-"""The Slurm executor without a Slurm: submitit's local executor runs jobs, a list stands in for squeue."""
+"""The Slurm executor without a Slurm: jobs run on this machine, a list stands in for squeue."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,8 +21,6 @@ from pneuma.study.store import Status, Store
 
 from ..training import training_here
 from .begun import outcome
-
-submitit = pytest.importorskip("submitit")
 
 SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
 HOW = ExecutorConfig(2, executor="slurm")
@@ -39,32 +36,36 @@ class Queue:
     """In Slurm's place: keeps every array, answers as squeue does; its jobs run here, or do nothing."""
 
     def __init__(self, runs_jobs: bool) -> None:
-        self.submitted: dict[str, list[Any]] = {}
+        self.submitted: dict[str, list[subprocess.Popen[bytes] | None]] = {}
         self.runs_jobs = runs_jobs
         self.gone = False
 
-    def executor(self, folder: Path, name: str, how: ExecutorConfig) -> Any:
-        self.name = name
-        self.local = submitit.LocalExecutor(folder)
-        return self
-
-    def submit_array(self, jobs: Sequence[slurm.Training]) -> None:
-        started = self.local.submit_array(jobs) if self.runs_jobs else [None] * len(jobs)
-        self.submitted[self.name] = started
-
-    def ask(self, *command: str) -> list[str]:
+    def ask(self, *command: str, text: str = "", seconds: float = 0.0) -> list[str]:
+        if command[0] == "sbatch":
+            return self.submit(command, text)
         return [
-            f"{name}|{i if len(jobs) > 1 else 'N/A'}|RUNNING|7_{i}|node1"  # a single job is no array
+            f"{name}|{i}|RUNNING|7_{i}|node1"
             for name, jobs in self.submitted.items()
             for i, job in enumerate(jobs)
-            if not self.gone and not (job and job.done())
+            if not self.gone and not (job and job.poll() is not None)
         ]
+
+    def submit(self, command: Sequence[str], script: str) -> list[str]:
+        asked = dict(word.removeprefix("--").split("=", 1) for word in command if "=" in word)
+        numbers = range(int(asked["array"].removeprefix("0-").partition("%")[0]) + 1)
+        self.submitted[asked["job-name"]] = [
+            self.start(script, n) if self.runs_jobs else None for n in numbers
+        ]
+        return ["Submitted batch job 7"]
+
+    def start(self, script: str, number: int) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "SLURM_ARRAY_TASK_ID": str(number), "SLURM_CPUS_PER_TASK": "2"}
+        return subprocess.Popen(["sh", "-c", script], env=environment)
 
 
 @pytest.fixture
 def queue(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Queue:
     queue = Queue(getattr(request, "param", False))
-    monkeypatch.setattr(slurm, "_executor", queue.executor)
     monkeypatch.setattr(slurm, "_ask", queue.ask)
     monkeypatch.setattr(slurm, "LOOK_SECONDS", 0.05)
     return queue
@@ -96,8 +97,7 @@ def test_jobs_leave_what_local_leaves_and_none_is_submitted_twice(
         train(groups, store, DETACHED)
     assert ends(train(groups, store)) == dict.fromkeys({**groups[0], **groups[1]}, "done")
     (jobs,) = queue.submitted.values()
-    assert [job.wait() for job in jobs] == [None, None]
-    assert not list(store.root.rglob("*.pkl"))
+    assert [job.wait() for job in jobs if job] == [0, 0]
 
     beside = Store(tmp_path / "beside")
     with training_here():
@@ -151,37 +151,41 @@ def test_a_run_that_another_command_s_job_paused_is_told_so(
 def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
     queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    submit = queue.submit_array
+    submit = queue.submit
 
-    def slowly(jobs: Sequence[slurm.Training]) -> None:
+    def slowly(command: Sequence[str], script: str) -> list[str]:
         slurm._watch(
             set(), store, lambda event: None, LOCAL_CONFIG
         )  # it clears away what is not in the queue
-        submit(jobs)
+        return submit(command, script)
 
-    monkeypatch.setattr(queue, "submit_array", slowly)
+    monkeypatch.setattr(queue, "submit", slowly)
     with pytest.raises(Detached):
         train([group(6)], store, DETACHED)
     assert slurm.queued(store).keys() == group(6).keys()
 
 
-def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "srun").touch(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    lines = list[set[str]]()
-    for own in (
-        (),
-        (("time", "2:30:00"), ("gres", "gpu:a100:1"), ("exclusive", "true"), ("setup", "module")),
-    ):
-        executor = slurm._executor(tmp_path, "mine", replace(HOW, slurm=own))
-        lines.append({*executor._make_submission_file_text("", "").splitlines()})
-    assert lines[0] >= {"#SBATCH --time=60", "#SBATCH --requeue"}
-    asked = {"#SBATCH --time=2:30:00", "#SBATCH --gres=gpu:a100:1", "#SBATCH --exclusive", "module"}
-    assert lines[1] >= {*asked, "#SBATCH --requeue"}
+def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(tmp_path: Path) -> None:
+    words = {*slurm._sbatch(tmp_path / "mine", 3, HOW)}
+    assert words >= {"--time=60", "--requeue", "--array=0-2%2", "--signal=B:USR2@90", "--job-name=mine"}
+    own = (("time", "2:30:00"), ("gres", "gpu:a100:1"), ("exclusive", "true"), ("setup", "module load x"))
+    how = replace(HOW, slurm=own)
+    asked = {"--time=2:30:00", "--gres=gpu:a100:1", "--exclusive", "--requeue"}
+    assert {*slurm._sbatch(tmp_path / "mine", 3, how)} >= asked
+    assert "\nmodule load x\nexport PYTHONPATH=" in slurm._script(tmp_path / "mine", how)
     with pytest.raises(UserError, match="job_name=x: is set by Pneuma"):
-        slurm._executor(tmp_path, "mine", replace(HOW, slurm=(("job_name", "x"),)))
+        slurm.most_workers(replace(HOW, slurm=(("job_name", "x"),)))
+
+
+def test_jobs_that_sbatch_refuses_leave_nothing(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sbatch").write_text("#!/bin/sh\necho 'invalid partition' >&2\nexit 1\n")
+    (tmp_path / "sbatch").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(UserError, match="jobs are not submitted: .* invalid partition"):
+        train([group(8)], store)
+    assert not folders(store)
 
 
 # --- A job and its signals ---------------------------------------------------------------------------
@@ -189,8 +193,9 @@ def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(
 _JOB = """
 import os, signal, sys, threading, time
 from pathlib import Path
+from pneuma.study.executors import slurm
 from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.executors.slurm import Training
+from pneuma.study.job import write_job
 from pneuma.study.store import Store
 from tests.study.test_slurm import group
 from tests.study.storm import children
@@ -204,9 +209,11 @@ def hit():
         for pid in (*children(os.getpid()), os.getpid()):
             os.kill(pid, number)
 
-signal.signal(signal.SIGUSR2, lambda *_: print("back into the queue"))
+how = ExecutorConfig(1, checkpoint_seconds=1000, keep_checkpoints=2)
+job = write_job(store.root.parent / "job.json", [group(0, steps=10**9)], store, how)
+sys.argv[1:] = [str(job.path), "0"]
 threading.Thread(target=hit, daemon=True).start()
-Training(group(0, steps=10**9), store, ExecutorConfig(1, checkpoint_seconds=1000, keep_checkpoints=2))()
+slurm.main()
 """
 
 
@@ -215,13 +222,16 @@ def test_a_job_comes_to_checkpoints_before_it_goes(store: Store) -> None:
 
     The checkpoint after the first update, which is to be kept, tells when the run is under way.
     """
-    environment = {**os.environ, "XDG_CACHE_HOME": str(store.root.parent)}
+    scontrol = store.root.parent / "scontrol"
+    scontrol.write_text('#!/bin/sh\necho "$@"\n')
+    scontrol.chmod(0o755)
+    path = f"{scontrol.parent}{os.pathsep}{os.environ['PATH']}"
+    told = {"XDG_CACHE_HOME": str(store.root.parent), "SLURM_JOB_ID": "7", "PATH": path}
+    environment = {**os.environ, **told}
     done = subprocess.run(
         [sys.executable, "-c", _JOB, str(store.root), "SIGTERM", "SIGUSR2"],
         capture_output=True, text=True, timeout=120, env=environment,
     )  # fmt: skip
-    assert (done.returncode, done.stdout.strip()) == (128 + signal.SIGTERM, "back into the queue"), (
-        done.stderr
-    )
+    assert (done.returncode, done.stdout.strip()) == (128 + signal.SIGTERM, "requeue 7"), done.stderr
     status = store.status(next(iter(group(0, steps=10**9))))
     assert status.name == "partial" and status.step > 10  # an update

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, as_fields, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
 from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
-from pneuma.study.executors.local import one_thread_environment
+from pneuma.study.executors.local import worker_environment
 from pneuma.study.identity import run_id
+from pneuma.study.job import write_job
 from pneuma.study.rows import decode_row
 from pneuma.study.store import Status, Store, run_identity
 from pneuma.study.tables import from_parquet
@@ -109,19 +110,16 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     run = make_run(
         {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "steps": 10**9}
     )
+    job = write_job(tmp_path / "job.json", [{run_id(run): run}], Store(tmp_path), LOCAL_CONFIG)
     process = subprocess.Popen(
-        [sys.executable, "-m", "pneuma.study.worker"],
+        [sys.executable, "-m", "pneuma.study.worker", str(job.path), "0", "--parent", str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=one_thread_environment(),
+        env=worker_environment(),
     )
     try:
         assert process.stdin is not None and process.stdout is not None
-        runs = {run_id(run): as_fields(run)}
-        job = {"results": str(tmp_path), "runs": runs, "parent": os.getpid(), "how": {}, "last_try": True}
-        process.stdin.write(json.dumps(job).encode() + b"\n")
-        process.stdin.flush()
         assert any(json.loads(line).get("step", 0) > 0 for line in process.stdout)  # it is training
         process.stdin.close()
         assert process.wait(timeout=10) != 0

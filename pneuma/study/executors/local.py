@@ -12,7 +12,6 @@ checkpoint. The other executors use the same `Supervisor` on the nodes of a clus
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import selectors
 import signal
@@ -22,20 +21,19 @@ import tempfile
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import IO, TypeVar
+from typing import IO
 
-from pneuma.config import Run, as_fields
+from pneuma.config import Run
 from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, ExecutorConfig, OnEvent, end_event
+from pneuma.study.job import JobFile, write_job
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import SOURCE, available_cores, machine
 from pneuma.study.store import Status, Store
-
-Value = TypeVar("Value")
 
 TRIES = 2
 """Attempts after which a crash counts as the run's failure."""
@@ -68,8 +66,9 @@ def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs in a process of its own; see `base.Executor`."""
-    with Interrupts() as interrupts:
-        Supervisor(groups, store, how, on_event, interrupts).work()
+    with Interrupts() as interrupts, tempfile.TemporaryDirectory() as folder:
+        job = write_job(Path(folder) / "job.json", [*groups], store, how)
+        Supervisor(job, range(len(job.groups)), how.workers, on_event, interrupts).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -133,29 +132,36 @@ def say_stopping() -> None:
 
 @dataclass
 class _Task:
-    """A worker's runs, by id, the number of the attempt, and whether another process trained them."""
+    """Runs of a group of the job, by id, the number of the attempt, and whether another process has them."""
 
+    index: int
     group: Mapping[str, Run]
     tries: int = 1
     busy: bool = False
 
 
 class Supervisor:
-    """Keeps workers busy until every group of runs, by id, has ended.
+    """Keeps workers busy until all of some groups of a job have ended.
 
-    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
+    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once. A
+    group is divided among so many workers at once as `shares` says.
     """
 
     def __init__(
         self,
-        groups: Iterable[Mapping[str, Run]],
-        store: Store,
-        how: ExecutorConfig,
+        job: JobFile,
+        indices: Iterable[int],
+        workers: int,
         on_event: OnEvent,
         interrupts: Interrupts,
+        shares: int = 1,
     ) -> None:
-        self._tasks = [_Task(group) for group in groups]
-        self._store, self._how, self._on_event = store, how, on_event
+        self._tasks = [
+            _Task(index, dict([*job.runs(index).items()][first::shares]))
+            for index in indices
+            for first in range(min(shares, len(job.groups[index])))
+        ]
+        self._job, self._store, self._workers_at_once, self._on_event = job, job.store, workers, on_event
         self._interrupts, self._heeded = interrupts, 0
         self._selector = selectors.DefaultSelector()
         self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
@@ -164,7 +170,7 @@ class Supervisor:
         try:
             while self._tasks or self._workers():
                 self._start_pending()
-                waits = self._tasks and len(self._workers()) < self._how.workers
+                waits = self._tasks and len(self._workers()) < self._workers_at_once
                 for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
                     self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
                 self._heed_interrupts()
@@ -190,12 +196,12 @@ class Supervisor:
 
     def _start_pending(self) -> None:
         for task in [*self._tasks]:
-            if len(self._workers()) >= self._how.workers:
+            if len(self._workers()) >= self._workers_at_once:
                 return
             if task.busy and is_held(self._store.run_folder(next(iter(task.group)))):
                 continue  # a worker would cost half a second to find that out
             self._tasks.remove(task)
-            worker = _Worker(task, self._store, self._how)
+            worker = _Worker(task, self._job)
             self._selector.register(worker.events, selectors.EVENT_READ, worker)
 
     def _read(self, worker: _Worker) -> None:
@@ -227,19 +233,19 @@ class Supervisor:
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
         code, words = worker.wait_and_read_stderr()
-        group, tries = worker.task.group, worker.task.tries
+        index, group, tries = worker.task.index, worker.task.group, worker.task.tries
         silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
         begun = {*silent[:1], *worker.crashed}  # groups are trained in order
         if not self._interrupts.count:
-            self._tasks += [_Task({name: group[name]}, tries, busy=True) for name in worker.busy]
+            self._tasks += [_Task(index, {name: group[name]}, tries, busy=True) for name in worker.busy]
         for name in (*silent, *worker.crashed):
             crash = worker.crashed.get(name)
             if self._interrupts.count:
                 self._on_event(crash or end_event(name, Status("stopped")))
             elif name not in begun:
-                self._tasks.append(_Task({name: group[name]}, tries))
+                self._tasks.append(_Task(index, {name: group[name]}, tries))
             elif tries < TRIES and not (crash and crash.get("final")):  # alone, to affect no other run
-                self._tasks.append(_Task({name: group[name]}, tries + 1))
+                self._tasks.append(_Task(index, {name: group[name]}, tries + 1))
                 why = f"crashed ({crash['reason']})" if crash else _reason(code)
                 self._note(name, f"{why}; tried once more")
             elif crash:
@@ -283,19 +289,22 @@ class _Worker:
         events: its lines.
     """
 
-    def __init__(self, task: _Task, store: Store, how: ExecutorConfig) -> None:
+    def __init__(self, task: _Task, job: JobFile) -> None:
         self.task = task
         self.ended, self.busy = set[str](), set[str]()
         self.crashed: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
+        last_try = ["--last-try"] * (task.tries == TRIES)
+        command = [sys.executable, "-P", "-m", "pneuma.study.worker", str(job.path), str(task.index)]
+        command += ["--parent", str(os.getpid()), *last_try, "--only", *task.group]
         signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # inherited by the worker
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "pneuma.study.worker"],
+                command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
-                env=one_thread_environment(),
+                env=worker_environment(),
                 start_new_session=True,
                 bufsize=0,
             )
@@ -304,14 +313,6 @@ class _Worker:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._orders: IO[bytes] = self._process.stdin
         self.events: IO[bytes] = self._process.stdout
-        job = {
-            "parent": os.getpid(),
-            "results": str(store.root.resolve()),
-            "runs": {name: as_fields(run) for name, run in task.group.items()},
-            "how": asdict(replace(how, logs=_of(task, how.logs), until=_of(task, how.until))),
-            "last_try": task.tries == TRIES,
-        }
-        self.tell(json.dumps(job))
 
     def tell(self, line: str) -> None:
         with suppress(BrokenPipeError):  # it has ended; reading from it will show that
@@ -329,11 +330,7 @@ class _Worker:
             return code, self._errors.read()
 
 
-def _of(task: _Task, by_run: Mapping[str, Value]) -> dict[str, Value]:
-    return {name: by_run[name] for name in by_run.keys() & task.group}
-
-
-def one_thread_environment() -> dict[str, str]:
+def worker_environment() -> dict[str, str]:
     """Return environment variables for a child process that computes alike anywhere, on one thread.
 
     It imports this code. None of the shell's variables that could change numbers reaches it.

@@ -1,6 +1,6 @@
 """The Ray executor: groups of runs are tasks of a Ray cluster, on a results folder that all nodes share.
 
-    groups → Ray → `train_here` on a node: the local executor → results folder
+    groups → job.json → Ray → `train_here` on a node: workers, supervised as on this machine → results folder
     this command ← the state of runs in the results folder
 
 Pneuma's code is sent to the nodes with the task. The packages that it computes with must be installed there
@@ -14,17 +14,17 @@ import signal
 import socket
 from collections.abc import Iterable, Mapping
 from contextlib import chdir, suppress
-from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
 from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
+from pneuma.study.job import read_job, write_job
 from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
@@ -56,30 +56,31 @@ def run_groups(
 ) -> None:
     """Train each group of runs on a node; see `base.Executor`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
-    waiting = [dict(group) for group in groups]
-    left = {name for group in waiting for name in group}
-    with Interrupts() as interrupts, NamedTemporaryFile(dir=store.root, prefix=".shared-") as mark:
+    waiting, shared = [*enumerate(groups)], TemporaryDirectory(dir=store.root, prefix=".shared-")
+    left = {name for _, group in waiting for name in group}
+    with Interrupts() as interrupts, shared as folder:
         join(how.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
         import ray
 
-        shared = Store(store.root.resolve()), how, versions(), code(), os.getcwd(), mark.name
+        job = write_job(Path(folder).resolve() / "job.json", [group for _, group in waiting], store, how)
+        told = versions(), code(), os.getcwd()
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
-        tasks: dict[Any, dict[str, Run]] = {}
+        tasks: dict[Any, Mapping[str, Run]] = {}
 
         def live() -> dict[str, Job]:
             """Return the runs of tasks that have not ended, and keep those tasks."""
             while waiting and len(tasks) < how.workers:
-                group = waiting.pop(0)
-                tasks[start(group, *shared)] = group
+                index, group = waiting.pop(0)
+                tasks[start(str(job.path), index, *told)] = group
             for task in ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else ():
                 del tasks[task]
                 _check(task)
             if interrupts.count:
                 _stop([*tasks], interrupts)
                 raise KeyboardInterrupt
-            groups = [(Job("WAITING"), group) for group in waiting]
+            groups = [(Job("WAITING"), group) for _, group in waiting]
             groups += [(Job("IN THE CLUSTER"), group) for group in tasks.values()]
             return {name: job for job, group in groups for name in group}
 
@@ -155,35 +156,26 @@ def join(address: str | None) -> None:
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-def train_here(
-    runs: dict[str, Run],
-    store: Store,
-    how: ExecutorConfig,
-    wanted: Mapping[str, str],
-    source: str,
-    folder: str,
-    mark: str,
-) -> None:
-    """Train runs on the node that Ray calls this on, if it has the `wanted` versions and sees the `mark`.
+def train_here(path: str, index: int, wanted: Mapping[str, str], source: str, folder: str) -> None:
+    """Train a group of a job on the node that Ray calls this on, if it has the `wanted` versions.
 
     `source` is the version of the code that was sent, and `folder` the command's current one, from which
-    users' rewards and levels are read; `mark` is a file in the results folder.
+    users' rewards and levels are read.
     """
     installed, node = versions(), socket.gethostname()
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]
     if lacking:
         raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
-    if not Path(mark).exists():
-        raise UserError(
-            f"--executor ray: the node {node} does not see {store.root}: all must share that folder"
-        )
+    if not Path(path).exists():
+        results = Path(path).parent.parent
+        raise UserError(f"--executor ray: the node {node} does not see {results}: all must share that folder")
     die_with(os.getppid())  # Ray's own process here
     os.environ[CARRIED_CODE] = source
     with suppress(OSError):
         os.chdir(folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
-        Supervisor([runs], store, replace(how, workers=1), lambda event: None, interrupts).work()
+        Supervisor(read_job(Path(path)), [index], 1, lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:

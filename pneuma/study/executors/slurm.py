@@ -1,18 +1,17 @@
-"""The Slurm executor: groups of runs are jobs of a queue, on a results folder that all nodes share.
+"""The Slurm executor: groups of runs are arrays of jobs of a queue, on a results folder that all nodes share.
 
-    groups → arrays of jobs, by submitit → `Training` on a node: the local executor → results folder
+    groups → job.json → sbatch → `main` on a node: workers, supervised as on this machine → results folder
     this command ← what the queue tells of jobs, and the results folder of runs
 
 The command only submits and watches. It can be left at any moment, and jobs go on. The same command watches
 them again, and submits none twice, because a folder beside the results records what was submitted:
 
-    RESULTS-slurm/NAME/groups.json   the runs of each of the jobs of that name, and where each pauses
-                       jobs/         submitit's files: pickled jobs, and what they printed
+    RESULTS-slurm/NAME/job.json   the groups of runs of the array of that name, and where each run pauses
+                       *.out      what its jobs printed
 """
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import shutil
@@ -23,16 +22,14 @@ import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from importlib import import_module
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 from pneuma.config import Run
-from pneuma.errors import UserError, counted, install_extra
-from pneuma.files import replace_files, to_json
+from pneuma.errors import UserError, counted
 from pneuma.study.executors.base import AGAIN, Detached, ExecutorConfig, Job, OnEvent, watch
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node
+from pneuma.study.job import read_job, write_job
 from pneuma.study.locks import is_held, run_lock
 from pneuma.study.provenance import SOURCE
 from pneuma.study.store import Store
@@ -44,21 +41,27 @@ LOOK_SECONDS = 5.0
 """Seconds between two looks at the queue, as every squeue is work for the controller."""
 ANSWER_SECONDS = 8.0
 """Seconds that Slurm's programs may take to answer."""
+SUBMIT_SECONDS = 60.0
 USUAL_MINUTES = "60"
-"""Of a job; submitit needs a limit."""
+"""Of a job."""
+LEAD_SECONDS = 90
+"""How long before a job's time is over it goes on to a checkpoint."""
 MOST_REQUEUES = 1_000
-"""Likewise."""
-OWN = ("array", "job_name", "nodes", "ntasks_per_node", "signal")
+OWN = ("array", "job_name", "nodes", "ntasks", "ntasks_per_node", "signal", "output", "open_mode")
 """Options that Pneuma sets itself."""
 GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
 """Options that give a job a GPU."""
-NOTE = "groups.json"
+NOTE = "job.json"
 SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 """Signals for the end of a job's time, and for the loss of its node or `scancel`."""
 
 
 def most_workers(how: ExecutorConfig) -> int:
-    _executor(Path("unused"), "unused", how)
+    _options(how)
+    if shutil.which("sbatch") is None:
+        raise UserError(
+            "--executor slurm: there is no sbatch on this machine; give the command where jobs are submitted"
+        )
     return MOST_AT_ONCE
 
 
@@ -86,33 +89,21 @@ def run_groups(
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Training:
-    """A job, in the form that submitit asks for: it is pickled, and called on a node.
+def main() -> None:
+    """Train a group of a job; an argument is the job's file, another the group's number.
 
-    Before a job's time is over Slurm sends USR2, and submitit puts the job back into the queue. TERM means
-    that its node is taken away, or that it is cancelled. In both cases runs first go on to a checkpoint.
+    Slurm sends USR2 before a job's time is over, which goes back into the queue then, and TERM when its node
+    is taken away or it is cancelled. In both cases runs first go on to a checkpoint.
     """
-
-    runs: Mapping[str, Run]
-    store: Store
-    how: ExecutorConfig
-
-    def __call__(self) -> None:
-        prepare_node(any(key in GPU_OPTIONS for key, _ in self.how.slurm))
-        cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
-        shares = [dict([*self.runs.items()][first::cores]) for first in range(min(cores, len(self.runs)))]
-        how = replace(self.how, workers=cores)
-        with Interrupts(SIGNALS, most=1) as interrupts:
-            Supervisor(shares, self.store, how, lambda event: None, interrupts).work()
-        if signal.SIGUSR2 in interrupts.seen:
-            signal.raise_signal(signal.SIGUSR2)  # submitit's, which puts the job back into the queue
-        if interrupts.seen:
-            raise SystemExit(128 + signal.SIGTERM)
-
-    def checkpoint(self) -> Any:
-        """Return the job to put back into the queue: this one, as its checkpoints are in the store."""
-        return import_module("submitit").helpers.DelayedSubmission(self)
+    job, index = read_job(Path(sys.argv[1])), int(sys.argv[2])
+    prepare_node(any(key in GPU_OPTIONS for key, _ in job.how.slurm))
+    cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
+    with Interrupts(SIGNALS, most=1) as interrupts:
+        Supervisor(job, [index], cores, lambda event: None, interrupts, shares=cores).work()
+    if signal.SIGUSR2 in interrupts.seen and int(os.environ.get("SLURM_RESTART_COUNT", "0")) < MOST_REQUEUES:
+        subprocess.run(["scontrol", "requeue", os.environ["SLURM_JOB_ID"]], check=True)
+    if interrupts.seen:
+        raise SystemExit(128 + signal.SIGTERM)
 
 
 # --- In the command -----------------------------------------------------------------------------------
@@ -124,17 +115,55 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConf
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     fresh = [group for group in fresh if group]
     for array in (fresh[first : first + MOST_IN_ARRAY] for first in range(0, len(fresh), MOST_IN_ARRAY)):
-        name = f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
-        folder, shared = _folder(store) / name, Store(store.root.resolve())
-        executor = _executor(folder / "jobs", name, how)
-        note = [{run: how.until.get(run, 0) for run in group} for group in array]
+        folder = _folder(store) / f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
         try:
             with run_lock(folder):
-                replace_files(folder, {NOTE: to_json(note)})  # before, so that none is forgotten
-                executor.submit_array([Training(group, shared, how) for group in array])
-        except Exception as error:  # submitit raises many kinds; it has printed sbatch's message
+                write_job(folder / NOTE, array, store, how)  # before, so that none is forgotten
+                _ask(*_sbatch(folder, len(array), how), text=_script(folder, how), seconds=SUBMIT_SECONDS)
+        except (UserError, OSError) as error:
             shutil.rmtree(folder, ignore_errors=True)
-            raise UserError(f"--executor slurm: jobs are not submitted: {error}") from None
+            raise UserError(f"jobs are not submitted: {error}") from None
+
+
+def _options(how: ExecutorConfig) -> dict[str, str]:
+    """Return the options of sbatch that people give, without `setup`."""
+    options = dict(how.slurm)
+    if taken := [key for key in OWN if key in options]:
+        raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
+    options.pop("setup", "")
+    return options
+
+
+def _sbatch(folder: Path, jobs: int, how: ExecutorConfig) -> list[str]:
+    """Return the command that submits an array of jobs."""
+    own = {
+        "job_name": folder.name,
+        "array": f"0-{jobs - 1}%{how.workers}",
+        "nodes": "1",
+        "ntasks": "1",
+        "signal": f"B:USR2@{LEAD_SECONDS}",
+        "output": str(folder / "%a.out"),
+        "open_mode": "append",
+    }
+    options = {"requeue": "true", "time": USUAL_MINUTES, **_options(how), **own}
+    words = {key.replace("_", "-"): value for key, value in options.items()}
+    return [
+        "sbatch",
+        *(f"--{key}" if value == "true" else f"--{key}={value}" for key, value in words.items()),
+    ]
+
+
+def _script(folder: Path, how: ExecutorConfig) -> str:
+    job = [sys.executable, "-P", "-m", "pneuma.study.executors.slurm", str(folder / NOTE)]
+    return "\n".join(
+        [
+            "#!/bin/sh",
+            dict(how.slurm).get("setup", ""),
+            f"export PYTHONPATH={shlex.quote(str(SOURCE))}${{PYTHONPATH:+:$PYTHONPATH}}",
+            f'exec {shlex.join(job)} "$SLURM_ARRAY_TASK_ID"',  # so that signals reach it
+            "",
+        ]
+    )
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent, how: ExecutorConfig) -> None:
@@ -168,8 +197,14 @@ def _noted(store: Store) -> dict[str, list[dict[str, int]]]:
     noted = {}
     for note in sorted(_folder(store).glob(f"*/{NOTE}")):
         with suppress(FileNotFoundError):  # another command has cleared it away
-            noted[note.parent.name] = json.loads(note.read_bytes())
+            noted[note.parent.name] = _pauses(note)
     return noted
+
+
+@cache
+def _pauses(note: Path) -> list[dict[str, int]]:
+    job = read_job(note)
+    return [{run: job.how.until.get(run, 0) for run in group} for group in job.groups]
 
 
 def _put_away(store: Store) -> dict[str, Job]:
@@ -194,39 +229,21 @@ def queued(store: Store) -> dict[str, Job]:
     names = f"--name={','.join(noted)}"
     for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
         name, place, state, job, where = line.split("|", 4)
-        group = noted[name][int(place) if place.isdecimal() else 0]  # a single job is no array
-        jobs |= {run: Job(state, job, where, until) for run, until in group.items()}
+        jobs |= {run: Job(state, job, where, until) for run, until in noted[name][int(place)].items()}
     return jobs
 
 
-def _executor(folder: Path, name: str, how: ExecutorConfig) -> Any:
-    options = {key: True if text == "true" else text for key, text in how.slurm}
-    if taken := [key for key in OWN if key in options]:
-        raise UserError(f"--slurm {taken[0]}={options[taken[0]]}: is set by Pneuma")
-    path = f"export PYTHONPATH={shlex.quote(str(SOURCE))}${{PYTHONPATH:+:$PYTHONPATH}}"
-    cores = "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}"  # since 22.05 srun asks anew
-    setup = [path, cores, str(options.pop("setup", ""))]
-    try:
-        executor = import_module("submitit").SlurmExecutor(
-            folder, max_num_timeout=MOST_REQUEUES, python=f"{shlex.quote(sys.executable)} -P"
-        )
-    except ImportError:
-        raise UserError(f"--executor slurm needs submitit: {install_extra('slurm')}") from None
-    except RuntimeError as error:
-        raise UserError(f"--executor slurm: {error}; give the command where jobs are submitted") from None
-    usual = {"requeue": True, "time": USUAL_MINUTES}
-    parameters = {"job_name": name, "array_parallelism": how.workers, "setup": setup}
-    executor.update_parameters(**parameters, additional_parameters={**usual, **options})
-    return executor
-
-
-def _ask(*command: str) -> list[str]:
+def _ask(*command: str, text: str = "", seconds: float = ANSWER_SECONDS) -> list[str]:
     """Return the lines that a Slurm program prints."""
     try:
         answer = subprocess.run(
-            command, capture_output=True, text=True, timeout=ANSWER_SECONDS, check=True
+            command, input=text, capture_output=True, text=True, timeout=seconds, check=True
         ).stdout
     except (OSError, subprocess.SubprocessError) as error:
         reason = " ".join((getattr(error, "stderr", None) or str(error)).split())
         raise UserError(f"--executor slurm: {command[0]} does not answer on this machine: {reason}") from None
     return [line.strip() for line in answer.splitlines()]
+
+
+if __name__ == "__main__":
+    main()
