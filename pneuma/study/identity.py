@@ -16,7 +16,7 @@ from pneuma.own_modules import in_package
 
 _MODULE_FILES = ("pneuma.own_modules", "module_files")
 _FILES = {
-    "level": ("pneuma.env.level", "level_files"),
+    "level": ("pneuma.env.load_level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
     **dict.fromkeys(("reward", "env_module", "wrappers"), _MODULE_FILES),
 }
