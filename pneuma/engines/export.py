@@ -20,14 +20,15 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from pneuma.config import GODOT, Run, env_config, is_gymnasium_id
+from pneuma.algorithms import GODOT
+from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
+from pneuma.env.fields import REWARDS, are_own_characters, is_own_level
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import REWARDS, are_own_characters, is_own_level
 from pneuma.errors import UserError, install_extra
 from pneuma.files import MADE_BY
 

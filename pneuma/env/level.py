@@ -16,7 +16,7 @@ from pydantic import AfterValidator
 from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
-from pneuma.env_fields import EnvConfig
+from pneuma.env.fields import EnvConfig
 from pneuma.errors import UserError
 
 RANDOM = "random:"

@@ -27,9 +27,9 @@ import numpy as np
 from pydantic import Field
 
 from pneuma.env import rules
+from pneuma.env.fields import SHIPPED_LEVELS, EnvConfig, is_own_level
 from pneuma.env.level import EMPTY, RANDOM, START_CODE, WATER, Level, Rounded
 from pneuma.env.random_level import parse_name, random_level
-from pneuma.env_fields import SHIPPED_LEVELS, EnvConfig, is_own_level
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml

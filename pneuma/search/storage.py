@@ -25,7 +25,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.analysis.outcomes import check_outcome
 from pneuma.config import Run
-from pneuma.env_fields import read_fields
+from pneuma.env.fields import read_fields
 from pneuma.errors import UserError
 from pneuma.files import parse_json, read_whole, to_json
 from pneuma.search.optuna_study import STATES, create_study, distributions, ended_study

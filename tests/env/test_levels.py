@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
+from pneuma.env.fields import make_env_config
 from pneuma.env.level import Level
 from pneuma.env.load_level import load_level
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .arena import Place, begin, layer, write_level
