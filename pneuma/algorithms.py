@@ -10,6 +10,8 @@ from typing import Any
 
 MAILMAN = "pneuma/Mailman-v0"
 """The only environment with a table of states (thesis Fig. 2.1)."""
+GODOT = "Godot-v0"
+"""The id of a game made with Godot, which is started as a program: see `pneuma.godot.game`."""
 
 ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "ppo": ("batched", "sb3"),

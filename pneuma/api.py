@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
-from pneuma.env_fields import ENVIRONMENTS, make_env_config, read_field
+from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec

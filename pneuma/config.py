@@ -2,7 +2,7 @@
 
 A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget and a seed.
 Studies resolve to runs, engines train them, the store is keyed by them. The environment's part is in
-`env_fields.py`, that of algorithms and optimizers in `algorithms.py`. Nothing heavy is imported, so that
+`env/fields.py`, that of algorithms and optimizers in `algorithms.py`. Nothing heavy is imported, so that
 every command can read it.
 """
 
@@ -32,7 +32,7 @@ from pneuma.algorithms import (
     VALUE_BASED,
 )
 from pneuma.bases import BASES as BASES
-from pneuma.env_fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
+from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
 from pneuma.values import OneOf, Reads, Share, matching
 
@@ -90,8 +90,6 @@ OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 """Fields of Pneuma's worlds."""
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
-GODOT = "Godot-v0"
-"""The id of a game made with Godot, which is started as a program: see `pneuma.godot.game`."""
 NORMALIZING = ("normalize_observations", "normalize_rewards")
 OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers", *NORMALIZING)
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""

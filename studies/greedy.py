@@ -19,9 +19,9 @@ from pneuma.analysis.asked import open_study
 from pneuma.analysis.run_index import RunIndex
 from pneuma.api import load_policy
 from pneuma.engines.policy import Policy
+from pneuma.env.fields import ACTION_NAMES, make_env_config
 from pneuma.env.rules import RUNNING
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ACTION_NAMES, make_env_config
 from pneuma.study.plan import Selection
 from pneuma.study.store import Store
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pneuma.env.fields import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 
 EPISODES = 100
 TASKS = {

@@ -16,8 +16,8 @@ import numpy as np
 
 from pneuma.api import load_policy
 from pneuma.engines.policy import drawing
+from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 from pneuma.files import to_json
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, stored_settings

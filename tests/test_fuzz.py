@@ -18,7 +18,7 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
-from pneuma.env.level import load_level
+from pneuma.env.load_level import load_level
 from pneuma.errors import UserError
 from pneuma.files import checksum, dump_checksummed
 from pneuma.search.spec import load_search

@@ -15,7 +15,7 @@ MODULES = {
 }
 
 BASE = (
-    "pneuma.config", "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
+    "pneuma.config", "pneuma.env.fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values",
     "pneuma.worlds", "pneuma.schema", "pneuma.files", "pneuma.sb3_names",
     "pneuma.bases", "pneuma.own_modules",
 )  # fmt: skip
@@ -26,10 +26,10 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.__main__": ("pneuma.cli",),
     "pneuma.algorithms": (),
     "pneuma.config": (
-        "pneuma.env_fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values", "pneuma.schema",
+        "pneuma.env.fields", "pneuma.algorithms", "pneuma.errors", "pneuma.values", "pneuma.schema",
         "pneuma.bases",
     ),
-    "pneuma.env_fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
+    "pneuma.env.fields": ("pneuma.errors", "pneuma.values", "pneuma.schema"),
     "pneuma.errors": (),
     "pneuma.files": ("pneuma.errors",),
     "pneuma.own_modules": (),

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
+from pneuma.env.fields import EnvConfig
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
 from pneuma.env.watch import FRAMES_PER_STEP, smooth
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import EnvConfig
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
 from tools import COMMAND

@@ -4,7 +4,7 @@
 
 From the repository's root, it draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to
 6.5 with its conditions; one figure of every study in results/published, over the worlds in which it has runs;
-the collapses, maps and searches that pages show; and the verdicts on all claims.
+the searches that pages show; and the verdicts on all claims.
 Figures of an earlier run that are no longer drawn are removed.
 """
 
@@ -30,11 +30,9 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures.collapse import collapse_page
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
-from pneuma.figures.maps import robustness_page, study_maps
 from pneuma.figures.origin import read_origin
 from pneuma.figures.search import draw_search, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
@@ -90,12 +88,10 @@ WINNERS = {
 """A study of winners on fresh seeds, and the searches that found them."""
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
-WHOLE = ("architecture", "activation", "actor-size")
-"""Studies of which the thesis's figure shows every condition."""
+WHOLE = ("architecture", "activation", "actor-size", "robustness")
+"""Studies of which the thesis's figure shows every condition, or a table all that there is to see."""
 EARLIER = {"slots": 1}
 """The fields in which runs of earlier lists differ: they were trained in one world at a time."""
-COLLAPSES = ("collapse",)
-"""Studies whose collapses a page shows."""
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
 """What names of forks have in them, and what is shown of them."""
 BESIDE = {"published-logs": "author-logs"}
@@ -233,8 +229,6 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {title: replace(each, outcomes=FORK_OUTCOMES) for title, each in columns.items()}
         data = next(iter(columns.values()))
-    if maps := study_maps(data):
-        return [replace(robustness_page(data, maps), basename=f"{study}-map")]
     if len(data.outcomes) > 1:
         several = len(columns) > 1
         pages = [summary_page(one, study + f"-{one.world}" * several) for one in columns.values()]
@@ -242,8 +236,6 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
     else:
         pages = [curves_page(columns, basename=study)]
-    if study in COLLAPSES:
-        pages.append(replace(collapse_page(data), basename=f"{study}-collapses"))
     return pages
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pneuma.env.fields import DASH, SPELL_NAMES, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.render import GIF_FACTOR, Renderer
 from pneuma.env.rules import RIGHT
@@ -25,7 +26,6 @@ from pneuma.env.watch import (
     write_video,
 )
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import DASH, SPELL_NAMES, make_env_config
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.study.store import shipped_tables

@@ -40,8 +40,8 @@ from pneuma.study.store import PUBLISHED, shipped_tables
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 READING = (
-    "study list", "study show", "study summary", "study compare", "study collapse", "study effects",
-    "study robustness", "study verify", "env list",
+    "study list", "study show", "study summary", "study compare", "study collapse",
+    "study verify", "env list",
 )  # fmt: skip
 """Commands that print the same wherever they run."""
 WRITING = ("--out", "--plot", "--fork", "--trust", "--results")

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pneuma.env_fields import are_own_characters, is_own_level
+from pneuma.env.fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row

@@ -15,7 +15,7 @@ import numpy as np
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import RunView
 from pneuma.config import is_gymnasium_id
-from pneuma.env_fields import ACTION_NAMES
+from pneuma.env.fields import ACTION_NAMES
 from pneuma.study.rows import STUCK
 from pneuma.study.series import EXTREMES, NO_ENTROPY, mean_height
 

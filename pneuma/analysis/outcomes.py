@@ -24,7 +24,7 @@ from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.frames import RunView, StudyData, common_step, view
 from pneuma.analysis.measures import NAN, Measure, Take, diagnosed, last_value, late_mean, peak
 from pneuma.config import is_gymnasium_id
-from pneuma.env_fields import ACTION_NAMES, ENVIRONMENTS
+from pneuma.env.fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.rows import Row
 

@@ -143,8 +143,8 @@ def _check_drawable(name: str) -> None:
 
 
 def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
+    from pneuma.env.fields import make_env_config
     from pneuma.env.worlds import Worlds
-    from pneuma.env_fields import make_env_config
 
     _check_drawable(name)
     worlds = Worlds(1, make_env_config(settings, name.replace("/mo-", "/")))
@@ -179,8 +179,8 @@ def _player(
 
     from pneuma.api import load_policy
     from pneuma.engines.policy import drawing
+    from pneuma.env.fields import REWARDS
     from pneuma.env.players import Hunter, RandomPlayer
-    from pneuma.env_fields import REWARDS
 
     if player == "random":
         return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act

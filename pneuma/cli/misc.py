@@ -40,7 +40,7 @@ def report(
     return Result({"file": out, "bytes": len(page), "studies": studies, "claims": claims}, [told])
 
 
-def figure(file: Path = opt.argument("FILE", "A PNG, SVG or PDF that Pneuma drew.")) -> Result:
+def figure(file: Path = opt.argument("FILE", "A PNG that Pneuma drew.")) -> Result:
     """Say where a figure comes from: the command that draws it, and the runs that it shows."""
     from pneuma.figures.origin import read_origin
 

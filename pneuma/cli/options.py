@@ -138,16 +138,6 @@ def _read_setting(text: str) -> tuple[str, Any]:
     return key, read_value(value)
 
 
-def _read_contrast(text: str) -> tuple[str, Any, Any]:
-    """Read KEY=A:B. Either value may contain colons, as many as the other."""
-    key, _, values = (part.strip() for part in text.partition("="))
-    parts = values.split(":")
-    pair = [":".join(part).strip() for part in (parts[: len(parts) // 2], parts[len(parts) // 2 :])]
-    if not (key and all(pair)) or len(parts) % 2:
-        raise UserError(f"--contrast {text}: must be KEY=A:B, as in activation=tanh:relu")
-    return key, read_value(pair[0]), read_value(pair[1])
-
-
 # --- The options -----------------------------------------------------------------------------------
 
 Text = str | None
@@ -179,18 +169,10 @@ SETTINGS = option(
     _read_setting,
 )
 """Pairs of a field and its value; use `dict(set_ or ())`."""
-CONTRAST = option(
-    "--contrast",
-    "KEY=A:B",
-    "A field, its value said to be better, another: activation=tanh:relu.",
-    _read_contrast,
-    default=REQUIRED,
-)
 WORLD = choice(
     "--world", WORLDS, "Whose rules: the arena (default), the thesis's text, or its published code."
 )
 FORMATS = choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
-FIGURE_FOLDER = option("--out", "DIR", "Draw a figure into this folder.")
 PLOT_FOLDER = option("--out", "DIR", "Where to write (default: RESULTS/figures).")
 OUTCOME = option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return).")
 OUTCOMES = option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")

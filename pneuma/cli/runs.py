@@ -11,7 +11,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, write_file
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
-from pneuma.env_fields import ENVIRONMENTS, action_names
+from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
 from pneuma.study.executors.base import ExecutorConfig

@@ -239,7 +239,7 @@ def run(
 def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
     """Return a search with overridden fields, and its preset's budget with the given amounts."""
     from pneuma.config import Run
-    from pneuma.env_fields import read_field
+    from pneuma.env.fields import read_field
     from pneuma.sb3_names import own_fields
     from pneuma.search.space import FIXABLE
     from pneuma.search.spec import load_search

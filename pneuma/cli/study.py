@@ -32,8 +32,6 @@ app.command(short_help="Write a study's runs as one small table.")(study_files.p
 app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
 app.command(short_help="Compare two conditions.")(study_summary.compare)
 app.command(short_help="Say which runs collapsed, when, and how often.")(study_results.collapse)
-app.command(short_help="Say in which other settings a contrast holds.")(study_results.robustness)
-app.command(short_help="Test what matters where settings are crossed.")(study_results.effects)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
 

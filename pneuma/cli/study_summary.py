@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -133,8 +132,8 @@ def _thesis_table(
     """
     import pandas as pd
 
-    from pneuma.analysis.crossed import find_crossing
     from pneuma.analysis.summaries import NO_CELL, wide
+    from pneuma.figures.style import split_name
 
     told_by = found[found["statistic"].isin(TOLD_BY)].groupby("outcome", sort=False)["statistic"].first()
     pairs = [(name, told_by.get(name, "")) for name in outcomes or told_by.index[told_by == "mean"][:COLUMNS]]
@@ -145,10 +144,12 @@ def _thesis_table(
     table = table[(table != NO_CELL).any(axis=1)]
     table.insert(0, "runs", table.index.map(runs))
     if by_factor:
-        with suppress(UserError):  # not crossed
-            factors, levels = find_crossing(data)
-            words = [factor.replace("_", " ") for factor in factors]
-            table.index = pd.MultiIndex.from_tuples([levels[name] for name in table.index], names=words)
+        parts = [split_name(name) for name in table.index]
+        factors = {tuple(levels) for levels, _ in parts}
+        if len(factors) == 1 and (names := next(iter(factors))):
+            words = [name.replace("_", " ") for name in names]
+            rows = [(*levels.values(), last) for levels, last in parts]
+            table.index = pd.MultiIndex.from_tuples(rows, names=[*words, "condition"])
     return table.reset_index()
 
 

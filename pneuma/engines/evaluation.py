@@ -19,11 +19,11 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import ACTIVATION_CODES, choose
 from pneuma.engines.policy import Policy, flat, sizes
 from pneuma.env import rules
+from pneuma.env.fields import MOST_STEPS, own_rewards
 from pneuma.env.kernel import run_worlds
 from pneuma.env.players import RandomPlayer
 from pneuma.env.state import cached, open_state
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import MOST_STEPS, own_rewards
 from pneuma.errors import UserError
 
 MOST_WEIGHTS = 65_536

@@ -27,8 +27,8 @@ from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.sb3_learners import make_model
+from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import REWARDS
 from pneuma.errors import UserError, install_extra
 from pneuma.files import MADE_BY
 

@@ -25,7 +25,7 @@ from pneuma.config import Run, is_gymnasium_id, stream_seed
 from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env_fields import own_rewards
+from pneuma.env.fields import own_rewards
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id
-from pneuma.env_fields import ACTION_NAMES
+from pneuma.env.fields import ACTION_NAMES
 
 EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
 METRIC_COLUMNS = (

@@ -7,9 +7,8 @@ what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` 
 
 import gymnasium
 
-from pneuma.algorithms import MAILMAN
-from pneuma.config import GODOT
-from pneuma.env_fields import ENVIRONMENTS
+from pneuma.algorithms import GODOT, MAILMAN
+from pneuma.env.fields import ENVIRONMENTS
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
 """The same worlds with vector rewards, for multi-objective learning."""

@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pneuma.env import state
+from pneuma.env.fields import SHIPPED_CHARACTERS
 from pneuma.env.level import START_CODE, Level, Rounded
-from pneuma.env_fields import SHIPPED_CHARACTERS
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 

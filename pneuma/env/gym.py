@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import operator
 from typing import Any
 
@@ -9,11 +10,11 @@ import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 
+from pneuma.env.fields import ENVIRONMENTS, arguments_table, make_env_config
 from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 
 announce_compiling()
@@ -108,43 +109,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     `classes = tank` and `perceive = nearest:5`; PneumaHard-v0 with `level = random:train:0`,
     `monsters = mixed`, `random_levels = 200`, `perceive = rays:32`, `slow = 1` and `episode_steps = 300`.
 
-    | argument | default | meaning |
-    | --- | --- | --- |
-    | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
-    | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
-    | `monsters` | bamboo | on random levels: `bamboo`; `mixed`: 8, 2 of each other; `golems`: 8 for two |
-    | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
-    | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
-    | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
-    | `weapons` | own | `own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list |
-    | `second_weapon` | none | one that every player has too, with two actions to take up either |
-    | `magic` | false | whether there are the actions flame and heal |
-    | `dash` | false | whether there is the action dash (thesis chapter 7) |
-    | `tokens` | 0 | so many last actions say a token, which the other players observe next; up to 8 |
-    | `reward` | thesis, godot, kills | a formula, or a list of one per player |
-    | `shared_reward` | false | whether each player gets the mean of all players' rewards |
-    | `observation` | thesis, godot, thesis | the layout |
-    | `perceive` | all | `all`, `nearest:K`, `kind:NAME,...`, or `rays:N`, 1 to 64 |
-    | `order` | nearest, fixed, nearest | dead monsters are left out, or rows of zeros (HP 0 in `godot`) |
-    | `scale` | unit, raw, unit | of what is observed |
-    | `observe_facing` | false, false, true | whether a player observes its facing: four numbers |
-    | `start` | random, first, random | a random start place of the level, or always the first |
-    | `bodies` | block | whether living bodies stop each other, or `pass` |
-    | `coast` | wall | or `deadly`: who is over the sea drowns, at no cost of XP |
-    | `trees` | wall, pass, wall | whether trees and other obstacles stop bodies |
-    | `terrain_stops` | all, players, all | whom trees and coast stop |
-    | `slow` | none | codes of the ground that slows bodies: 1 snow, 2 grass, 3 sand |
-    | `slow_factor` | 0.5 | of their speed there |
-    | `attack_ticks` | 0 | that every attack lasts; 0: the weapon's, 24 for `blade` |
-    | `blow` | attack | a sword hits a monster once an attack; or on each `entry` into its box |
-    | `bite_while_knocked` | false | whether a monster bites while it is knocked back |
-    | `healing_cap` | false | whether healing by a kill stops at full HP |
-    | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |
-    | `xp_scope` | episode, forever, episode | `forever`: XP is kept until `reset(seed=...)` |
-    | `ending_cost` | 0, 1, 0 | XP lost by death from bites, clearing the level and the time limit |
-    | `episode_steps` | 1000, 7500, 1000 | the world's time limit |
-    | `time_limit` | truncate, terminate, truncate | whether it truncates or terminates |
-    | `end_on_clear` | false, true, false | whether the last kill ends the episode |
+    (The table of `pneuma.env.fields.EnvConfig`.)
     | `render_mode` | none | `rgb_array`, or `human` for a window |
     | `camera` | map | `follow` shows the player's surroundings |
 
@@ -215,3 +180,8 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     def _reward(self) -> Any:
         return self.state.events["reward"].item()
+
+
+PneumaEnv.__doc__ = inspect.cleandoc(PneumaEnv.__doc__ or "").replace(
+    "(The table of `pneuma.env.fields.EnvConfig`.)", arguments_table()
+)

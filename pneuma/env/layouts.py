@@ -1,7 +1,7 @@
 """What a player perceives: layouts, bounds and scales of an observation; `PneumaEnv` tells what they mean.
 
 An observation has a few numbers about the player, then a row for each monster perceived, or for each ray. A
-layout's own choices are in `pneuma.env_fields.OBSERVATION_FIELDS`. The land of random levels is the whole
+layout's own choices are in `pneuma.env.fields.OBSERVATION_FIELDS`. The land of random levels is the whole
 grid, so that each sees the same place as the same numbers, whichever are played together.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from gymnasium import spaces
 
 from pneuma.env.characters import FACINGS
+from pneuma.env.fields import WEAPON_NAMES, EnvConfig
 from pneuma.env.level import RANDOM, Level
-from pneuma.env_fields import WEAPON_NAMES, EnvConfig
 from pneuma.errors import UserError, unknown_name
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2

@@ -1,72 +1,32 @@
-"""Levels: where the land, the obstacles, the players and the monsters are.
-
-A level's name is one of
-
-    thesis              a level that comes with the package, as a folder of CSV tables
-    path/to/folder      a user's own folder of such tables, as the editor Tiled exports layers
-    random:train:17     an island drawn from a number; see `random_level.py`
-
-A folder holds
-
-    obstacles.csv   a code for every tile: -1, or anything else where something stands in the way
-    ground.csv      optional: what every tile is made of, for the eye and for the coast; code 0 is water
-    objects.csv     a table code,x,y of start places (400) and monsters (390 …), in pixels from the origin
-    level.toml      optional: what `Header` lists
+"""What a level is: where the land, the obstacles, the players and the monsters are.
 
 A level is refused if a body would start outside the grid, inside an obstacle or another body, or where no
-player can walk to.
+player can walk to. `load_level.py` finds levels by their names.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import repeat
-from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
-from pneuma.env_fields import SHIPPED_LEVELS, EnvConfig, is_own_level
-from pneuma.errors import UserError, unknown_name
-from pneuma.files import read_text
-from pneuma.schema import Table, TomlFile, read_model, read_toml
+from pneuma.env.fields import EnvConfig
+from pneuma.errors import UserError
 
-LEVELS = Path(__file__).parent / "data" / "levels"
 RANDOM = "random:"
 START_CODE = 400
 EMPTY, WATER, SNOW, GRASS, SAND, BRIDGE = range(-1, 5)
 """Codes of the ground in shipped and random levels; a user's own level may have others."""
-MAX_SIDE = 1000
-LARGEST_LAYER = 16 * 2**20
-"""Most bytes of a layer."""
-MOST_PLACES = 1000
-"""Most start places and monsters together in a level."""
-FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
 
 Rounded = AfterValidator(lambda pixels: round(pixels * 1024) / 1024)
 """For lengths from which the rules compute where a body touches a wall. Their sums are then exact: a body
 that overlapped the wall by a rounding error could not slide along it."""
-_Tiles = Annotated[float, Field(ge=-1e6, le=1e6), Rounded]
-_GroundCode = Annotated[int, Field(ge=EMPTY, lt=2**28)]
-
-
-class Header(Table):
-    """The contents of `level.toml`."""
-
-    title: Annotated[str, Field(min_length=1)]
-    tile: Annotated[float, Field(ge=8, le=4096), Rounded] = 64.0
-    """Side of a tile in pixels; players move 5 a tick and look one tile ahead."""
-    origin: Annotated[tuple[_Tiles, ...], Field(min_length=2, max_length=2)] | None = None
-    """Column and row of the tile whose upper left corner is (0, 0); None: the centre."""
-    coast: Annotated[tuple[_GroundCode, ...], Field(max_length=1000)] = (WATER,)
-    """Ground codes where the land ends."""
 
 
 @dataclass(frozen=True)
@@ -99,138 +59,6 @@ class Level:
         """The box of all tiles: left, top, right, bottom."""
         rows, columns = self.terrain.shape
         return self.left, self.top, self.left + columns * self.tile, self.top + rows * self.tile
-
-
-def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Level]:
-    """Load a world's level, or `count` consecutive random ones, and mark the slow ground."""
-    from pneuma.env.random_level import parse_name  # builds on this module
-
-    names = [config.level]
-    if config.random_levels > 1:
-        split, first = parse_name(config.level)
-        names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
-    levels = [load_level(name, monster_codes, config.monsters) for name in names]
-    there = {int(code) for level in levels for code in np.unique(level.ground)}
-    if (lacking := {*config.slow} - there) and not config.level.startswith(RANDOM):
-        raise UserError(f"slow: {config.level} has no ground {sorted(lacking)}; it has {sorted(there)}")
-    for level in levels:
-        level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
-    return levels
-
-
-def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
-    """Load a level by its name.
-
-    `monster_codes` has the kind of monster of each code; `monsters` live on random levels.
-    """
-    if name.startswith(RANDOM):
-        from pneuma.env.random_level import parse_name, random_level  # builds on this module
-
-        return random_level(*parse_name(name), monsters)
-    folder = _level_path(name)
-    path = folder / "level.toml"
-    file = read_toml(path) if path.is_file() else TomlFile(path, "", {})
-    file.data.setdefault("title", folder.resolve().name or "level")
-    header = read_model(Header, file)
-    blocked = _read_layer(folder / "obstacles.csv")
-    path = folder / "ground.csv"
-    ground = _read_layer(path) if path.is_file() else np.full_like(blocked, EMPTY)
-    if ground.shape != blocked.shape:
-        raise UserError(f"{folder}: ground of {ground.shape} tiles, and obstacles of {blocked.shape}")
-    terrain = np.where(blocked != EMPTY, rules.SOLID, rules.OPEN)
-    terrain[np.isin(ground, header.coast)] = rules.COAST
-    rows, columns = ground.shape
-    column, row = header.origin or (columns / 2, rows / 2)
-    objects = _read_objects(folder / "objects.csv", monster_codes)
-    return Level(
-        name=str(folder) if name.startswith("~") else name,
-        title=header.title,
-        tile=header.tile,
-        left=-column * header.tile,
-        top=-row * header.tile,
-        ground=ground,
-        terrain=terrain.astype(np.uint8),
-        starts=np.array([(x, y) for code, x, y in objects if code == START_CODE], np.float64),
-        monsters=tuple((monster_codes[int(code)], x, y) for code, x, y in objects if code != START_CODE),
-    )
-
-
-def level_files(name: str) -> list[Path]:
-    """Return the user's own files of a level; none for shipped and random levels."""
-    return _folder_files(_level_path(name)) if is_own_level(name) else []
-
-
-def _level_path(name: str) -> Path:
-    if name in SHIPPED_LEVELS:
-        return LEVELS / name
-    path = Path(os.path.expanduser(name))
-    if _folder_files(path):
-        return path
-    forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder with obstacles.csv and objects.csv"
-    raise UserError(f"{unknown_name('level', name, SHIPPED_LEVELS)}, {forms}")
-
-
-def _folder_files(folder: Path) -> list[Path]:
-    """Return the files of a level's folder, sorted; none if it holds no level."""
-    return [folder / name for name in FOLDER_FILES if (folder / name).is_file()]
-
-
-def _read_layer(path: Path) -> np.ndarray:
-    """Return the codes of a layer, (rows, columns) int64."""
-    rows = _read_rows(path, repeat(_code))
-    if not rows or max(len(rows), len(rows[0])) > MAX_SIDE:
-        raise UserError(f"{path}: a layer has 1 to {MAX_SIDE} tiles a side")
-    return np.array(rows, np.int64)
-
-
-def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[Any, ...]]:
-    """Return code, x and y of start places and monsters, in the file's order."""
-    table = _read_rows(path, (_code, _pixels, _pixels), "code,x,y")
-    if len(table) > MOST_PLACES:
-        raise UserError(f"{path}: more than {MOST_PLACES} start places and monsters are not allowed")
-    known = [START_CODE, *monster_codes]
-    codes = [row[0] for row in table]
-    if unknown := [code for code in codes if code not in known]:
-        raise UserError(f"{path}: unknown code {unknown[0]}; known are {', '.join(map(str, known))}")
-    if START_CODE not in codes:
-        raise UserError(f"{path}: no start place")
-    return table
-
-
-def _code(cell: str) -> int:
-    """Read a tile's code, of 32 bits with or without sign; by the highest four Tiled turns its picture."""
-    code = int(cell)
-    if not -(2**31) <= code < 2**32:
-        raise ValueError
-    return code if code == EMPTY else code % 2**28
-
-
-def _pixels(cell: str) -> float:
-    if not math.isfinite(pixels := float(cell)):
-        raise ValueError
-    return pixels
-
-
-def _read_rows(path: Path, kinds: Iterable[Callable[[str], Any]], head: str = "") -> list[tuple[Any, ...]]:
-    """Return the rows of a CSV table, of one kind of number a column, below the line `head` if given."""
-    lines = read_text(path, LARGEST_LAYER).splitlines()
-    if head and lines[:1] != [head]:
-        raise UserError(f"{path}: the first line must be {head}")
-    table: list[tuple[Any, ...]] = []
-    for row, line in enumerate(lines, 1):
-        if not line.strip() or (head and row == 1):
-            continue
-        cells, columns = line.split(","), len(table[0] if table else head.split(","))
-        if len(cells) != columns and (head or table):
-            raise UserError(f"{path}: row {row} has {len(cells)} columns, where {columns} are asked for")
-        numbers = []
-        for column, (read, cell) in enumerate(zip(kinds, cells, strict=False), 1):
-            try:
-                numbers.append(read(cell))
-            except ValueError:
-                raise UserError(f"{path}: row {row}, column {column}: {cell[:40]!r} is not allowed") from None
-        table.append(tuple(numbers))
-    return table
 
 
 # --- Where bodies may begin ----------------------------------------------------------------------

@@ -10,11 +10,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 announce_compiling()
 

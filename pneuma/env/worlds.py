@@ -14,10 +14,11 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 
 from pneuma.env import characters, kernel, rules, state
+from pneuma.env.fields import DASH, WEAPON_NAMES, EnvConfig, action_names, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
-from pneuma.env.level import Level, load_levels, refuse_bad_places
+from pneuma.env.level import Level, refuse_bad_places
+from pneuma.env.load_level import load_levels
 from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_reward, present
-from pneuma.env_fields import DASH, WEAPON_NAMES, EnvConfig, action_names, make_env_config
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")

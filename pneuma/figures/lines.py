@@ -23,7 +23,7 @@ from pneuma.analysis.curves import BANDS, Curve, curve_names, random_levels, stu
 from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
-from pneuma.env_fields import ACTION_NAMES
+from pneuma.env.fields import ACTION_NAMES
 from pneuma.errors import UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel

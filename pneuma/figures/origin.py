@@ -1,20 +1,20 @@
 """Where a figure comes from, which its file says in its own metadata.
 
-    Origin → save_figure → a PNG, SVG or PDF → read_origin → Origin
+    Origin → save_figure → a PNG, SVG or PDF; a PNG → read_origin → Origin
 
-It is one JSON document in ASCII, under the key that each format has for a description. Files that are read
-may be untrusted: nothing is unpacked, and no XML is parsed.
+It is one JSON document in ASCII, under the key that each format has for a description.
 """
 
 from __future__ import annotations
 
-import html
 import json
-import re
 from collections.abc import Iterable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated
+from warnings import catch_warnings
 
+from PIL import Image
 from pydantic import BaseModel, ConfigDict, FailFast
 
 from pneuma import __version__
@@ -25,8 +25,9 @@ from pneuma.values import shown_seeds
 
 KEYS = {"png": "Description", "svg": "Description", "pdf": "Subject"}
 """Where each format has the document; XMP maps all three to `dc:description`."""
-LARGEST_FIGURE, LARGEST_DOCUMENT = 64 * 2**20, 2**20
-"""Most bytes of a file, and of the document in it, that are read."""
+LARGEST_FIGURE = 64 * 2**20
+"""Most bytes of a file that is read; Pillow unpacks at most 1 MiB of text."""
+TOO_LARGE = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 MOST_IDS = 8
 """With more ids of a condition than this, their number and checksum are written."""
 
@@ -76,31 +77,17 @@ def sample(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int])
 
 
 def read_origin(path: Path) -> Origin:
-    """Return the origin in a figure's metadata.
+    """Return the origin in the text of a PNG.
 
     Raises:
         UserError: when the file cannot be read, or has none.
     """
     try:
-        return Origin.model_validate_json(_document(read_whole(path, LARGEST_FIGURE)))
+        data = read_whole(path, LARGEST_FIGURE)
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:  # of the text, or pydantic's
-        raise UserError(f"{path}: tells no origin; only a PNG, SVG or PDF that Pneuma drew does") from None
-
-
-_BEGINNING = re.compile(rb"tEXtDescription\0|/Subject \(|<dc:description>")
-
-
-def _document(data: bytes) -> bytes:
-    """Return the document in a figure's metadata, without the format's escapes; empty if there is none."""
-    begun = _BEGINNING.search(data)
-    if begun is None:
-        return b""
-    rest = data[begun.end() :][:LARGEST_DOCUMENT]
-    if begun[0].startswith(b"tEXt"):
-        length = int.from_bytes(data[: begun.start()][-4:])
-        return rest[: length - len("Description\0")]
-    if begun[0].startswith(b"/"):  # in the text, each parenthesis follows a backslash
-        return re.sub(rb"\\(.)", rb"\1", re.split(rb"(?<!\\)\)", rest, maxsplit=1)[0])
-    return html.unescape(rest.partition(b"<")[0].decode()).encode()
+    try:
+        with catch_warnings(action="error"), Image.open(BytesIO(data), formats=["PNG"]) as image:
+            return Origin.model_validate_json(image.info["Description"])
+    except (OSError, SyntaxError, LookupError, ValueError, *TOO_LARGE):  # damaged, or without such a text
+        raise UserError(f"{path}: tells no origin; only a PNG that Pneuma drew does") from None

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote as quote_link
@@ -23,16 +22,13 @@ from markupsafe import Markup
 
 from pneuma import __version__
 from pneuma.analysis import verdict_words
-from pneuma.analysis.collapse import diagnoses
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.frames import StudyData
 from pneuma.analysis.judgement import Verdict
 from pneuma.analysis.summaries import wide, with_cells
 from pneuma.errors import counted
-from pneuma.figures.collapse import collapse_page
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
-from pneuma.figures.maps import contrast_word, robustness_page, study_maps
 from pneuma.figures.style import clean
 from pneuma.figures.summary import summary_page
 from pneuma.figures.words import fits_panel
@@ -141,21 +137,15 @@ def numbers_table(study: str, summary: pd.DataFrame) -> CaptionedTable:
 
 
 def study_pictures(data: StudyData, words: str) -> list[dict[str, str]]:
-    """Draw a study's figures for the report: curves, collapses if there are any, and maps.
+    """Draw a study's figure for the report: its curves.
 
-    Each has a data URI, a text alternative, and a caption with the command that draws it, whose `words` ask
+    It has a data URI, a text alternative, and a caption with the command that draws it, whose `words` ask
     for the study. With too many conditions for curves, it shows their summaries.
     """
     if curve_names(data) and fits_panel(data):
         pages = [(f"Curves over {data.budget:,} environment steps", "plot", curves_page(data))]
     else:
         pages = [("What every run came to, and means", "plot --figure summary", summary_page(data))]
-    found = diagnoses(data)
-    if found["collapsed"].any():
-        pages.append(("Runs that collapsed", "collapse --out figures", collapse_page(data, found)))
-    if maps := study_maps(data):
-        command = f"robustness --contrast {quote(contrast_word(maps[0]))} --out figures"
-        pages.append(("In which cells contrasts hold", command, robustness_page(data, maps)))
     pictures = []
     for what, command, page in pages:
         again = f"pneuma study {command} {words}"

@@ -27,7 +27,7 @@ from optuna.storages.journal import BaseJournalBackend
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import Run
-from pneuma.env_fields import read_fields
+from pneuma.env.fields import read_fields
 from pneuma.errors import UserError
 from pneuma.files import parse_json, read_whole, to_json
 from pneuma.search.samplers import make_pruner

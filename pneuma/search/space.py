@@ -18,7 +18,7 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
-from pneuma.env_fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
+from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import FieldsOf, Table, shown, wrong
 from pneuma.study.identity import describe_user_code

@@ -23,7 +23,7 @@ from pydantic import AfterValidator, BeforeValidator
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import BASES, Steps
-from pneuma.env_fields import ENVIRONMENTS
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED

@@ -13,7 +13,7 @@ from typing import Any
 
 from pneuma.algorithms import OF_OPTIMIZERS
 from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run, as_fields, make_run
-from pneuma.env_fields import read_field
+from pneuma.env.fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan

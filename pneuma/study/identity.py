@@ -9,14 +9,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.config import ENGINE_VERSIONS, GODOT, RULES_VERSION, Run, as_fields
-from pneuma.env_fields import are_own_characters, is_own_level, own_rewards, read_field
+from pneuma.algorithms import GODOT
+from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
+from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, read_field
 from pneuma.files import read_whole
 from pneuma.own_modules import in_package
 
 _MODULE_FILES = ("pneuma.own_modules", "module_files")
 _FILES = {
-    "level": ("pneuma.env.level", "level_files"),
+    "level": ("pneuma.env.load_level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
     **dict.fromkeys(("reward", "env_module", "wrappers"), _MODULE_FILES),
 }

@@ -23,7 +23,7 @@ from pneuma.config import (
     is_gymnasium_id,
     make_run,
 )
-from pneuma.env_fields import OF_PLAYERS, read_field
+from pneuma.env.fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import run_id

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.config import BASES, Run, fields_read
-from pneuma.env_fields import ENVIRONMENT_SLOTS
+from pneuma.env.fields import ENVIRONMENT_SLOTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
 from pneuma.study.identity import own_names

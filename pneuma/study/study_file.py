@@ -21,7 +21,7 @@ from annotated_types import Interval, MinLen
 from pydantic import BeforeValidator, model_validator
 
 from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run
-from pneuma.env_fields import ENVIRONMENTS, read_field
+from pneuma.env.fields import ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong

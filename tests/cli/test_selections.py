@@ -241,8 +241,8 @@ seeds = 1
 steps = 512
 """
 READERS = {
-    "status": "", "summary": "", "collapse": "", "effects": "", "publish": "", "plot": "",
-    "export": "--table curves --out x.csv", "robustness": "--contrast gamma=0.4:0.5", "compare": "a b",
+    "status": "", "summary": "", "collapse": "", "publish": "", "plot": "",
+    "export": "--table curves --out x.csv", "compare": "a b",
 }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy, read_sound_policy
-from pneuma.env_fields import action_names, make_env_config
+from pneuma.env.fields import action_names, make_env_config
 from pneuma.errors import UserError
 
 FEATURES = 60

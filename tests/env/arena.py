@@ -19,9 +19,9 @@ from types import ModuleType
 import numpy as np
 
 from pneuma.env import rules
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 EAST = 576.0 - 22
 """Where a player's body is flush with the coast."""

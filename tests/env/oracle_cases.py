@@ -17,9 +17,9 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from pneuma.env.characters import load_characters
+from pneuma.env.fields import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_config
 from pneuma.errors import UserError
 
 from .oracle import Oracle

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .arena import BAMBOO, RIGHT, UP, begin, play, player_at, write_level

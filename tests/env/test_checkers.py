@@ -11,8 +11,8 @@ from gymnasium.utils.env_checker import check_env as gymnasiums_check
 from stable_baselines3.common.env_checker import check_env as sb3s_check
 
 from pneuma.env import MO_ENVIRONMENTS, REGISTERED
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.pettingzoo import parallel_env
-from pneuma.env_fields import ENVIRONMENTS
 
 CYCLES = 100
 each_world = pytest.mark.parametrize("env_id", ENVIRONMENTS)

@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.gym import PneumaEnv
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
 
 from .arena import ARENA, begin
 

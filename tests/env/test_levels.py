@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import Level, load_level
+from pneuma.env.fields import make_env_config
+from pneuma.env.level import Level
+from pneuma.env.load_level import load_level
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .arena import Place, begin, layer, write_level
@@ -91,11 +92,12 @@ def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacle
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({"ground": "1,1,1,1\n\n1,x,1,1\n"}, "ground.csv: row 3, column 2: 'x' is not allowed"),
-        ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2 has 3 columns, where 4 are asked for"),
-        ({"ground": "4294967296\n"}, "ground.csv: row 1, column 1: '4294967296' is not allowed"),
-        ({"objects": "code,x,y\n400,0\n"}, "objects.csv: row 2 has 2 columns, where 3 are asked for"),
-        ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2, column 3: 'nan' is not allowed"),
+        ({"ground": "1,1,1,1\n\n1,x,1,1\n"}, "ground.csv: row 2, column 2: could not convert string 'x'"),
+        ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2: the number of columns changed from 4 to 3"),
+        ({"ground": "a; at row 7\n"}, "ground.csv: row 1, column 1: could not convert string 'a; at row 7'"),
+        ({"ground": "4294967296\n"}, "ground.csv: row 1, column 1: 4294967296 is not allowed"),
+        ({"objects": "code,x,y\n400,0\n"}, "objects.csv: row 2: the dtype passed requires 3 columns"),
+        ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2, column 3: nan is not allowed"),
         ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
         ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv: unknown code 399; known are 400, 390"),
         ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: no start place"),

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.env.fields import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import OBSERVATIONS, ORDERS, SCALES
 
 from .arena import GODOT, RIGHT, STAND, THESIS, UP, Place, begin, play, stage
 

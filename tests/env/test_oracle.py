@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
+from pneuma.env.fields import make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.rules import (
     ATTACK,
@@ -30,7 +31,6 @@ from pneuma.env.rules import (
     UP,
 )
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 
 from .oracle import Oracle
 from .oracle_arrays import Pair

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pneuma.env.fields import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 
 from .arena import ARENA, GODOT, THESIS
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from pneuma.env import rules
-from pneuma.env.level import Level, load_level
+from pneuma.env.fields import SCALES, make_env_config
+from pneuma.env.level import Level
+from pneuma.env.load_level import load_level
 from pneuma.env.random_level import random_level
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import SCALES, make_env_config
 from pneuma.errors import UserError
 
 CODES = {390: "bamboo", 391: "spirit"}

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image, ImageSequence
 
 from pneuma.env import rules, watch
+from pneuma.env.fields import make_env_config
 from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 
 from .arena import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, begin, play, stage
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from pneuma.env import MO_ENVIRONMENTS
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.mo import PneumaMOEnv
 from pneuma.env.reward import PARTS
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import ENVIRONMENTS, make_env_config
 from pneuma.errors import UserError
 from pneuma.own_modules import module_files
 

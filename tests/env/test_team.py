@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneuma.env.fields import make_env_config
 from pneuma.env.rules import ATTACK, DOWN, HEAL, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
-from pneuma.env_fields import make_env_config
 from pneuma.errors import UserError
 
 from .oracle_stage import FAR, HERE, QUIET, act, put, set_up, told

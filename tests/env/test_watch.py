@@ -12,13 +12,13 @@ import pytest
 from gymnasium.utils.play import play
 
 from pneuma.env import MO_ENVIRONMENTS, watch
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
 from pneuma.env.watch import Window
-from pneuma.env_fields import ENVIRONMENTS
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
 

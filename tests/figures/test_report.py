@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.run_index import RunIndex
-from pneuma.figures.report import Part, numbers_table, report_page, study_pictures
-from pneuma.study.imported import import_tensorboard
-from pneuma.study.store import Store
+from pneuma.figures.report import Part, numbers_table, report_page
 
-from ..hand_made import write_events
 from .hand_made_verdicts import claim, comparison, judged
 
 Read = Callable[[bytes], Any]
@@ -94,15 +88,6 @@ def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, 
     ]
     assert hostile.all("h2")[1].text == HOSTILE
     assert {each.attributes["href"].removeprefix("#") for each in hostile.all("a")} <= set(hostile.anchors)
-
-
-def test_collapses_of_logs_without_evaluations_are_drawn(tmp_path: Path) -> None:
-    points = [("train/entropy_loss", 100 * k, -1.0 if k < 60 else -0.001) for k in range(1, 101)]
-    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    store = Store(tmp_path / "results")
-    import_tensorboard([tmp_path / "logs"], store)
-    captions = [each["caption"] for each in study_pictures(open_study(RunIndex(store), "logs"), "logs")]
-    assert captions[1:] == ["Runs that collapsed: pneuma study collapse --out figures logs."]
 
 
 def test_numbers_have_a_row_for_each_condition_and_their_intervals() -> None:

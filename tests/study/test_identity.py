@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.config import OF_GYMNASIUM, Run, make_run
 from pneuma.engines.environment import check_environment
-from pneuma.env.level import LEVELS
+from pneuma.env.load_level import LEVELS
 from pneuma.study import identity
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Cell, Selection, make_plan
@@ -98,7 +98,7 @@ def test_contents_cannot_be_shifted_from_one_file_to_the_next(level: Path) -> No
 def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A shipped name means the shipped level (`pneuma.env.level`), wherever the command is called."""
+    """A shipped name means the shipped level (`pneuma.env.load_level`), wherever the command is called."""
     before = _name("thesis")
     shutil.copytree(LEVELS / "thesis", tmp_path / "thesis")
     monkeypatch.chdir(tmp_path)

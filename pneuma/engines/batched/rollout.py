@@ -19,10 +19,10 @@ from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
 from pneuma.engines.policy import Layers, flat, sizes
 from pneuma.env import rules
+from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, run_worlds
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes, cached, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
-from pneuma.env_fields import own_rewards
 
 ENDED = np.dtype(
     [

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
-from annotated_types import Interval, MinLen
+from annotated_types import DocInfo, Interval, MinLen, doc
 
 from pneuma.errors import UserError, unknown_name
 from pneuma.values import MOST_NAMES, OneOf, Reads, matching, names_like
@@ -49,49 +49,109 @@ def _read_codes(value: Any) -> tuple[int, ...]:
 class EnvConfig:
     """The fields of one environment; each is a keyword of `gymnasium.make` and a key of a study.
 
-    `pneuma.env.gym.PneumaEnv` tells what each means. The defaults are those of `pneuma/Pneuma-v0`, the
-    environment of the thesis's text; empty texts are filled by `make_env_config`.
+    The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are filled
+    by `make_env_config`. What each means is told by the table of `pneuma.env.gym.PneumaEnv`, too.
     """
 
-    level: Annotated[str, MinLen(1)] = "thesis"
-    random_levels: Annotated[int, Interval(ge=1, le=10_000)] = 1
-    monsters: Annotated[str, OneOf(KINDS_OF_MONSTERS)] = "bamboo"
-    characters: str = ""
-    players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = 1
-    classes: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a class, or a list of one a player")] = (
-        "base",
+    level: Annotated[
+        str, MinLen(1), doc("a shipped level, a folder of tables, `random:train:N` or `random:test:N`")
+    ] = "thesis"
+    random_levels: Annotated[
+        int, Interval(ge=1, le=10_000), doc("so many random levels from number N on; each episode draws one")
+    ] = 1
+    monsters: Annotated[
+        str,
+        OneOf(KINDS_OF_MONSTERS),
+        doc("on random levels: `bamboo`; `mixed`: 8, 2 of each other; `golems`: 8 for two"),
+    ] = "bamboo"
+    characters: Annotated[str, doc("a file that overrides and extends the shipped ones; or `pygame`")] = ""
+    players: Annotated[
+        int,
+        Interval(ge=1, le=MAX_PLAYERS),
+        doc("1 to 8 in a world; more than one not here, but in the other interfaces"),
+    ] = 1
+    classes: Annotated[
+        tuple[str, ...],
+        names_like(r"[\w-]+", "a class, or a list of one a player"),
+        doc("`base`, `tank`, `mage`, `warrior`, or a list of one per player"),
+    ] = ("base",)
+    weapons: Annotated[
+        tuple[str, ...],
+        names_like(r"[\w-]+", "a weapon, or a list of one a player"),
+        doc("`own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list"),
+    ] = ("own",)
+    second_weapon: Annotated[
+        str,
+        matching(r"|[\w-]+", "a weapon"),
+        doc("one that every player has too, with two actions to take up either"),
+    ] = ""
+    magic: Annotated[bool, doc("whether there are the actions flame and heal")] = False
+    dash: Annotated[bool, doc("whether there is the action dash (thesis chapter 7)")] = False
+    tokens: Annotated[
+        int,
+        Interval(ge=0, le=8),
+        doc("so many last actions say a token, which the other players observe next; up to 8"),
+    ] = 0
+    reward: Annotated[
+        tuple[str, ...],
+        names_like(_REWARD, _REWARD_ALLOWED, REWARDS),
+        doc("a formula, or a list of one per player"),
+    ] = ("thesis",)
+    shared_reward: Annotated[bool, doc("whether each player gets the mean of all players' rewards")] = False
+    observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = "thesis"
+    perceive: Annotated[
+        str, matching(_PERCEIVE, PERCEIVE), doc("`all`, `nearest:K`, `kind:NAME,...`, or `rays:N`, 1 to 64")
+    ] = ""
+    order: Annotated[
+        str, OneOf(("", *ORDERS)), doc("dead monsters are left out, or rows of zeros (HP 0 in `godot`)")
+    ] = ""
+    scale: Annotated[str, OneOf(("", *SCALES)), doc("of what is observed")] = ""
+    observe_facing: Annotated[bool, doc("whether a player observes its facing: four numbers")] = False
+    start: Annotated[
+        str, OneOf(("random", "first")), doc("a random start place of the level, or always the first")
+    ] = "random"
+    bodies: Annotated[
+        str, OneOf(("block", "pass")), doc("whether living bodies stop each other, or `pass`")
+    ] = "block"
+    coast: Annotated[
+        str, OneOf(("wall", "deadly")), doc("or `deadly`: who is over the sea drowns, at no cost of XP")
+    ] = "wall"
+    trees: Annotated[str, OneOf(("wall", "pass")), doc("whether trees and other obstacles stop bodies")] = (
+        "wall"
     )
-    weapons: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a weapon, or a list of one a player")] = (
-        "own",
-    )
-    second_weapon: Annotated[str, matching(r"|[\w-]+", "a weapon")] = ""
-    magic: bool = False
-    dash: bool = False
-    tokens: Annotated[int, Interval(ge=0, le=8)] = 0
-    reward: Annotated[tuple[str, ...], names_like(_REWARD, _REWARD_ALLOWED, REWARDS)] = ("thesis",)
-    shared_reward: bool = False
-    observation: Annotated[str, OneOf(OBSERVATIONS)] = "thesis"
-    perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
-    order: Annotated[str, OneOf(("", *ORDERS))] = ""
-    scale: Annotated[str, OneOf(("", *SCALES))] = ""
-    observe_facing: bool = False
-    start: Annotated[str, OneOf(("random", "first"))] = "random"
-    bodies: Annotated[str, OneOf(("block", "pass"))] = "block"
-    coast: Annotated[str, OneOf(("wall", "deadly"))] = "wall"
-    trees: Annotated[str, OneOf(("wall", "pass"))] = "wall"
-    terrain_stops: Annotated[str, OneOf(("all", "players"))] = "all"
-    slow: Annotated[tuple[int, ...], Reads(_read_codes, "a list of codes of the ground, from 0")] = ()
-    slow_factor: Annotated[float, Interval(gt=0, le=1)] = 0.5
-    attack_ticks: Annotated[int, Interval(ge=0, le=3600)] = 0
-    blow: Annotated[str, OneOf(("attack", "entry"))] = "attack"
-    bite_while_knocked: bool = False
-    healing_cap: bool = False
-    kill_credit: Annotated[str, OneOf(("striker", "near"))] = "striker"
-    xp_scope: Annotated[str, OneOf(("episode", "forever"))] = "episode"
-    ending_cost: Annotated[float, Interval(ge=0, le=1000)] = 0.0
-    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS)] = 1000
-    time_limit: Annotated[str, OneOf(("truncate", "terminate"))] = "truncate"
-    end_on_clear: bool = False
+    terrain_stops: Annotated[str, OneOf(("all", "players")), doc("whom trees and coast stop")] = "all"
+    slow: Annotated[
+        tuple[int, ...],
+        Reads(_read_codes, "a list of codes of the ground, from 0"),
+        doc("codes of the ground that slows bodies: 1 snow, 2 grass, 3 sand"),
+    ] = ()
+    slow_factor: Annotated[float, Interval(gt=0, le=1), doc("of their speed there")] = 0.5
+    attack_ticks: Annotated[
+        int, Interval(ge=0, le=3600), doc("that every attack lasts; 0: the weapon's, 24 for `blade`")
+    ] = 0
+    blow: Annotated[
+        str,
+        OneOf(("attack", "entry")),
+        doc("a sword hits a monster once an attack; or on each `entry` into its box"),
+    ] = "attack"
+    bite_while_knocked: Annotated[bool, doc("whether a monster bites while it is knocked back")] = False
+    healing_cap: Annotated[bool, doc("whether healing by a kill stops at full HP")] = False
+    kill_credit: Annotated[
+        str, OneOf(("striker", "near")), doc("who gains: who struck, or all within the attack circle")
+    ] = "striker"
+    xp_scope: Annotated[
+        str, OneOf(("episode", "forever")), doc("`forever`: XP is kept until `reset(seed=...)`")
+    ] = "episode"
+    ending_cost: Annotated[
+        float,
+        Interval(ge=0, le=1000),
+        doc("XP lost by death from bites, clearing the level and the time limit"),
+    ] = 0.0
+    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS), doc("the world's time limit")] = 1000
+    time_limit: Annotated[
+        str, OneOf(("truncate", "terminate")), doc("whether it truncates or terminates")
+    ] = "truncate"
+    end_on_clear: Annotated[bool, doc("whether the last kill ends the episode")] = False
 
 
 ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
@@ -223,3 +283,26 @@ def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[s
 def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
     """Check one field of a configuration; see `read_fields`."""
     return read_fields(config, {key: value})[key]
+
+
+# --- Told ----------------------------------------------------------------------------------------
+
+
+def arguments_table() -> str:
+    """Return a Markdown table of all fields: their defaults, in the three worlds where they differ."""
+    worlds = [vars(make_env_config({}, env)) for env in ENVIRONMENTS[:3]]
+    rows = ["| argument | default | meaning |", "| --- | --- | --- |"]
+    for name, kind in get_type_hints(EnvConfig, include_extras=True).items():
+        defaults = [_told_default(world[name]) for world in worlds]
+        told = ", ".join(defaults) if len({*defaults}) > 1 else defaults[0]
+        (meaning,) = (each.documentation for each in kind.__metadata__ if isinstance(each, DocInfo))
+        rows.append(f"| `{name}` | {told} | {meaning} |")
+    return "\n".join(rows)
+
+
+def _told_default(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return f"{value:g}"
+    return ", ".join(value if isinstance(value, tuple) else [value]) or "none"
