@@ -95,8 +95,8 @@ def training_curves(data: StudyData, quantity: str, window: str | None = None) -
 def evaluation_curves(data: StudyData, quantity: str = "share_killed") -> list[Curve]:
     """Return each condition's curve of a quantity of evaluations.
 
-    It is at the steps of the evaluations. Where runs were evaluated at unlike steps, as imported ones may be, it
-    is at those of the run with the fewest, between which the others are interpolated.
+    It is at the steps of the evaluations. Where runs were evaluated at unlike steps, as imported ones may be,
+    it is at those of the run with the fewest, and the others are interpolated.
     """
     column, curves = evaluation_column(quantity), []
     for runs in _groups(data):

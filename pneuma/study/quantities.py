@@ -23,7 +23,7 @@ UPDATE_QUANTITIES = (
 TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
 
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success", "evaluated_return")
-"""Quantities of a curve over evaluations: columns of the evaluations table, where the last is called return."""
+"""Quantities of a curve over evaluations: columns of their table, which calls the last one return."""
 
 
 def evaluation_column(quantity: str) -> str:

@@ -74,7 +74,7 @@ def test_arms_of_unlike_steps_are_compared_at_the_least(store: Store, tmp_path: 
     save_runs(store, tmp_path, {"high": [[near, high] for near, high in zip(NEAR, HIGH, strict=True)]})
     save_runs(store, tmp_path, {"low": LOW}, steps=512)
     one = judge_one(store, tmp_path, claims)
-    assert one.decisive[0].contrast.effect == pytest.approx(np.mean(NEAR) - np.mean(LOW), abs=1e-12)
+    assert one.told[0].contrast.effect == pytest.approx(np.mean(NEAR) - np.mean(LOW), abs=1e-12)
     assert one.verdict == "refuted"  # it is not greater: within the margin
 
 
@@ -162,7 +162,7 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
     one = judge_one(store, tmp_path, changed(*both))
     assert [own.verdict for own in one.contrasts] == ["supported", "inconclusive", "supported", "supported"]
     assert one.verdict == "supported"
-    assert [(own.outcome, own.verdict) for own in one.decisive] == [
+    assert [(own.outcome, own.verdict) for own in one.told] == [
         ("final-share-killed", "inconclusive"), ("final-return", "supported"),
     ]  # fmt: skip
 
@@ -264,7 +264,7 @@ def test_ranges_of_two_ladders(store: Store, tmp_path: Path) -> None:
     arms = {"high": HIGH, "low": LOW, "middle": [share + 0.1 for share in LOW]}
     save_runs(store, tmp_path, arms)
     one = judge_one(store, tmp_path, changed(*ranges))
-    (own,) = one.decisive
+    (own,) = one.told
     assert one.verdict == "supported"
     assert own.names == ("low, high", "middle, low")
     assert own.contrast.effect == pytest.approx(0.4)
@@ -287,7 +287,7 @@ def test_a_range_is_held_against_a_number_of_each_outcome(store: Store, tmp_path
 def test_spreads_of_two_arms(store: Store, tmp_path: Path) -> None:
     """0.3 is the mean distance of WIDE from its median, and 0.02 that of LOW."""
     save_runs(store, tmp_path, {"high": WIDE, "low": LOW})
-    (own,) = judge_one(store, tmp_path, changed(('"mean"', '"spread"'))).decisive
+    (own,) = judge_one(store, tmp_path, changed(('"mean"', '"spread"'))).told
     assert own.contrast.effect == pytest.approx(np.abs(np.array(WIDE) - 0.5).mean() - 0.02)
     far = [np.abs(np.array(arm) - np.median(arm)) for arm in (WIDE, LOW)]
     theirs = stats.ttest_ind(*far).confidence_interval(0.95)

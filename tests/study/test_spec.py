@@ -114,10 +114,12 @@ def test_every_combination_is_a_condition_with_a_name_that_tells_it(tmp_path: Pa
 MISTAKES: dict[str, tuple[str, str, str, int, tuple[str, ...]]] = {
     # name: (study, a text in it, what that becomes, line of the mistake, words of the message)
     "no baseline": (STUDY, 'baseline = "relu"', 'baseline = "rleu"', 5, ("'rleu'", "did you mean relu?")),
-    "unfit for its base": (STUDY, 'activation = "tanh"', "held_out_levels = [0, 5]", 11, ("held_out_levels",)),
+    "unfit for its base": (
+        STUDY, 'activation = "tanh"', "held_out_levels = 5", 11, ("held_out_levels = 5",),
+    ),
     "twice": (CROSSED, "epsilon = 1e-6", 'reward = "godot"', 12, ("betas: fast", "reward", "another factor")),
     "values that do not go together": (
-        CROSSED, "reward = [", "held_out_levels = [0, 5]\nreward = [", 10, ("held_out_levels",),
+        CROSSED, "reward = [", "held_out_levels = [4, 5]\nreward = [", 10, ("held_out_levels",),
     ),
     "too many": (CROSSED, "[3e-4, 1e-3]", f"{[i / 1000 for i in range(1, 140)]}", 8, ("1,112 conditions",)),
     "one name for two": (
