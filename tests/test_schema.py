@@ -94,7 +94,7 @@ def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
         ("lr", ["clip", "learning_rate"], "learning_rate"),  # by meaning
         ("reward", ["length", "return"], "return"),
         ("fin", ["final-share-killed"], ""),  # as well of finish, or of a fin
-        ("reward", ["relearned", "final-return"], "final-return"),
+        ("reward", ["auc-return", "final-return"], "final-return"),
         ("share_killed", ["auc-share-killed", "final-share-killed"], "final-share-killed"),
         ("xyz", ["search", "activation"], ""),
         ("xyz", [], ""),

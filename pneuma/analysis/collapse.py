@@ -5,11 +5,10 @@
 A run collapses if one of three states lasts (docs/outcomes.md gives the numbers): its policy has no entropy
 and a single action; it kills far less than at its best (or returns less, if there is nobody to kill); or, in
 worlds that never reset XP, its return is below zero after having been above, so that it has died more often
-than it has killed. A run has recovered if the state ends for good, and relearned if it then plays nearly as
-well as at its best before.
+than it has killed.
 
-Logs without actions and evaluations are judged by entropy and return only; signs that could not be seen are
-reported.
+Logs without actions and evaluations are judged by entropy and return only. Of a run that shows none of the
+signs that decide nothing is known.
 """
 
 from __future__ import annotations
@@ -37,43 +36,28 @@ FALLEN_TO = 0.5
 DEPTH = 0.1
 """Least fall, and least gain over the random player before it, in share of monsters killed: 1.4 of 14,
 twice the standard error of the difference of two evaluations of 50 episodes, or more."""
-RELEARNED = 0.8
-"""A run has relearned if it kills this share of its best before the collapse."""
-
 INCIDENCE_COLUMNS = (
-    "condition", "runs", "diverged", "collapsed", "share", "low", "high", "interval", "recovered",
-    "relearned", "unknown",
+    "condition", "runs", "diverged", "collapsed", "share", "low", "high", "interval", "unknown",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The diagnosis of one run. If it collapsed several times: how the first began and the last ended.
+    """The diagnosis of one run. If it collapsed several times: how the first began.
 
     Attributes:
-        collapsed: whether it ever did.
+        collapsed: whether it ever did; None if its records show none of the signs that decide.
         onset_step: agent steps at the first update or evaluation of the collapse.
         onset_update: the number of that update; None if unknown.
         last_healthy_step: the last update, evaluation or best return before it, from which a fork can start.
         signs: those of `SIGNS` that held over most of it.
-        unseen: signs that the run's records cannot show; for a fork, a fall from its parent's best.
-        recovered_step: where the last collapse ended; None if it lasts to the run's end.
-        relearned: whether it plays nearly as well as before again; None without a collapse or evaluations.
     """
 
-    collapsed: bool
+    collapsed: bool | None
     onset_step: int | None = None
     onset_update: int | None = None
     last_healthy_step: int | None = None
     signs: tuple[str, ...] = ()
-    unseen: tuple[str, ...] = ()
-    recovered_step: int | None = None
-    relearned: bool | None = None
-
-    @property
-    def undiagnosable(self) -> bool:
-        """Whether the run's records show none of the signs that decide."""
-        return {NO_ENTROPY, FALL, LOSS} <= {*self.unseen}
 
 
 def diagnose(seen: RunView) -> Diagnosis:
@@ -92,14 +76,11 @@ def diagnose(seen: RunView) -> Diagnosis:
         alone = both(alone, found[ONE_ACTION])
     # Repeated single updates are joined, but are no collapse: most updates must show the sign.
     stuck = [part for part in _lasting(alone, gap, shortest) if share_held(alone, part, distance or 1) > MOST]
-    judged = {*found, *([LOSS] if losses is not None else [])}
-    if falls or (len(steps) and not run.begun):  # a fork's best was its parent's
-        judged.add(FALL)
-    unseen = tuple(sign for sign in SIGNS if sign not in judged)
     spells = joined(stuck + falls + sunk, gap)
     if not spells:
-        return Diagnosis(False, unseen=unseen)
-    (onset, last), ended = spells[0], spells[-1][1]
+        evaluated = len(steps) and not run.begun  # a fork's best was its parent's
+        return Diagnosis(False if NO_ENTROPY in found or losses is not None or evaluated else None)
+    onset, last = spells[0]
     fell, lost = ([part for part in parts if onset <= part[0] <= last] for parts in (falls, sunk))
     present = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
     present |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
@@ -110,16 +91,12 @@ def diagnose(seen: RunView) -> Diagnosis:
         sound = points[returns[points < onset].argmax()]
     else:
         sound = max(onset - (distance or 1), 0)
-    lasts = ended >= min(run.end, seen.last_step) - gap or ended >= max(steps, default=np.inf)
     return Diagnosis(
         True,
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
         last_healthy_step=int(sound),
         signs=tuple(sign for sign in SIGNS if sign in present),
-        unseen=unseen,
-        recovered_step=None if lasts else int(ended),
-        relearned=_relearned(seen, played, onset, None if lasts else ended),
     )
 
 
@@ -132,10 +109,10 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     for run in data.runs:
         found = diagnose(view(data, run))
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
-        shown = {**vars(found), "signs": ", ".join(found.signs), "unseen": ", ".join(found.unseen)}
-        rows.append({**named, **shown, "collapsed": None if found.undiagnosable else found.collapsed})
-    whole = ["onset_step", "onset_update", "last_healthy_step", "recovered_step"]
-    kinds = {**dict.fromkeys(whole, "Int64"), "collapsed": "boolean", "relearned": "boolean"}
+        rows.append({**named, **vars(found), "signs": ", ".join(found.signs)})
+    kinds = {"collapsed": "boolean"} | dict.fromkeys(
+        ("onset_step", "onset_update", "last_healthy_step"), "Int64"
+    )
     return pd.DataFrame(rows).astype(kinds)
 
 
@@ -152,9 +129,7 @@ def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:
         diverged, share = int((found["status"] == "diverged").sum()), count / runs if runs else float("nan")
         interval = incidence_interval(count, runs)
         ends = interval.low, interval.high, interval.method
-        recovered, relearned = int(found["recovered_step"].notna().sum()), int(found["relearned"].sum())
-        unknown = len(diagnosed) - runs
-        rows.append((condition, runs, diverged, count, share, *ends, recovered, relearned, unknown))
+        rows.append((condition, runs, diverged, count, share, *ends, len(diagnosed) - runs))
     return pd.DataFrame(rows, columns=list(INCIDENCE_COLUMNS))
 
 
@@ -211,20 +186,6 @@ def _falls(played: _Played) -> list[Stretch]:
     learned = best - random >= enough
     fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= enough)
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
-
-
-def _relearned(seen: RunView, played: _Played, onset: float, recovered: float | None) -> bool | None:
-    """Return whether evaluations after the recovery come near the best before the onset."""
-    steps, shares, random = played
-    if not len(shares) or random is None:
-        return None
-    if recovered is None:
-        return False
-    if seen.run.begun:  # its best before was its parent's
-        return None
-    best = max(shares[steps < onset], default=0.0)
-    after = max(shares[steps > int(recovered)], default=0.0)
-    return bool(after >= max(RELEARNED * best, random + DEPTH))
 
 
 def _update_steps(run: Row) -> int | None:

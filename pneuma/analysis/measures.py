@@ -133,11 +133,10 @@ def overestimation(seen: RunView) -> float:
 
 
 def diagnosed(part: str) -> Measure:
-    """Return an attribute of the diagnosis of collapse; NaN if it is None or no sign can be seen."""
+    """Return an attribute of the diagnosis of collapse; NaN if it is None."""
 
     def measure(seen: RunView) -> float:
-        found = diagnose(seen)
-        value = None if found.undiagnosable else getattr(found, part)
+        value = getattr(diagnose(seen), part)
         return NAN if value is None else float(value)
 
     return measure

@@ -286,9 +286,6 @@ OUTCOMES: dict[str, Outcome] = {
         "the run collapsed (1) or not (0)", "", DOWN, SHARE, "signs", diagnosed("collapsed")),
     "collapse-step": Outcome(
         "onset of its collapse", "steps", "", POSITIVE, "signs", diagnosed("onset_step")),
-    "relearned": Outcome(
-        "a collapsed run played as before again (1) or not (0)", "", UP, SHARE, "signs",
-        diagnosed("relearned")),
     "fall-from-best": _evaluated(
         "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, "share_killed",
         lambda values: values.max() - values[-1], requires_learning=True),

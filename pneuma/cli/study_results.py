@@ -56,12 +56,10 @@ def collapse(
 def _collapse_tables(collapsed: pd.DataFrame, shares: pd.DataFrame) -> Iterator[str | Table]:
     rows: list[tuple[object, ...]] = []
     for row in rows_of(collapsed):
-        again = f"{row['recovered_step']:,}" if row["recovered_step"] else "never"
-        again += " and relearned" * bool(row["relearned"])
         about = (row[key] for key in ("condition", "seed", "run_id"))
-        rows.append((*about, f"{row['onset_step']:,}", row["signs"], again))
+        rows.append((*about, f"{row['onset_step']:,}", row["signs"]))
     if rows:
-        yield Table(("condition", "seed", "run", "step", "signs", "recovered at step"), rows)
+        yield Table(("condition", "seed", "run", "step", "signs"), rows)
         yield ""
     rows = []
     for row in rows_of(shares):

@@ -37,19 +37,7 @@ def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.nd
     return shares
 
 
-# --- Onset and recovery ---------------------------------------------------------------------------
-
-
-def interrupted(*updates: int) -> np.ndarray:
-    """Return a spell of one action from update 61 to 84, in health at some of them."""
-    rows = one_action(61, 84)
-    rows[[update - 1 for update in updates]] = healthy()[0]
-    return rows
-
-
-def twice(last: int) -> np.ndarray:
-    """Return a spell from update 21 to 40, and another from 71 on."""
-    return np.where(np.arange(1, 101)[:, None] > 60, one_action(71, last), one_action(21, 40))
+# --- Onset ---------------------------------------------------------------------------
 
 
 SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] = {
@@ -58,27 +46,16 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
         one_action(61), after(learning(), 13, 0.05), {},
         {
             "collapsed": True, "onset_step": 6100, "onset_update": 61, "last_healthy_step": 6000,
-            "signs": ("no entropy", "one action", "dead units", "fall"), "recovered_step": None,
-            "relearned": False,
+            "signs": ("no entropy", "one action", "dead units", "fall"),
         },
     ),
     "a fall for good, without any loss of entropy": (
         healthy(), after(learning(), 15, 0.1), {},
         {"collapsed": True, "signs": ("fall",), "onset_step": 7500, "last_healthy_step": 7000},
     ),
-    "an interruption shorter than a hundredth of the budget": (
-        interrupted(80), learning(), {}, {"recovered_step": 8400},
-    ),
-    "a longer one, after which a spell is too short": (
-        interrupted(80, 81), learning(), {}, {"recovered_step": 7900},
-    ),
-    "one that recovered, and collapses again": (
-        twice(90), learning(), {}, {"onset_update": 21, "recovered_step": 9000, "relearned": True},
-    ),
-    "and for good": (twice(100), learning(), {}, {"recovered_step": None, "relearned": False}),
     "diverged": (
         one_action(61), learning(), {"end": 8000},
-        {"collapsed": True, "onset_update": 61, "recovered_step": None},
+        {"collapsed": True, "onset_update": 61},
     ),
     "as it stood before": (one_action(61), learning(), {"at_step": 6000}, {"collapsed": False}),
     "as it stood after": (one_action(61), learning(), {"at_step": 8000}, {"onset_update": 61}),
@@ -132,7 +109,7 @@ def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_nev
     """It crosses zero at update 60; a point averages five episodes, so that the one of update 62 is 0."""
     sinking = returns_of([(1, 0.0), (40, 20.0), (100, -40.0)])
     found = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
-    assert (found.collapsed, found.signs, found.recovered_step) == (True, ("return below zero",), None)
+    assert (found.collapsed, found.signs) == (True, ("return below zero",))
     assert found.onset_step == 6300 and 4000 <= (found.last_healthy_step or 0) <= 4300
     risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
     assert risen == Diagnosis(False)
@@ -151,27 +128,12 @@ def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
     assert not diagnosed(tmp_path, healthy(), np.full(20, 0.4), returns=drift, xp_scope=xp_scope).collapsed
 
 
-# --- Recovery -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("best_after", "relearned"), [(0.27, False), (0.3, True)])
-def test_a_collapse_that_ends_has_recovered_and_relearned_by_its_evaluations(
-    tmp_path: Path, best_after: float, relearned: bool
-) -> None:
-    """The best before update 51 is 0.36 at the tenth evaluation; four fifths of it are 0.288."""
-    shares = np.linspace(0.0, 0.72, 21)[1:]
-    shares = after(after(shares, 11, 0.05, 14), 15, best_after)
-    found = diagnosed(tmp_path, one_action(51, 70), shares)
-    assert (found.onset_update, found.recovered_step) == (51, 7000)
-    assert found.relearned is relearned
-
-
 # --- Studies --------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def data(tmp_path: Path) -> StudyData:
-    """Of `relu` two runs of three collapse, the second recovers; of `tanh` none of two does."""
+    """Of `relu` two runs of three collapse, the second for a while; of `tanh` none of two does."""
     store = Store(tmp_path / "results")
     cells = {("relu", 0): "a0" * 8, ("relu", 1): "a1" * 8, ("relu", 2): "a2" * 8}
     cells |= {("tanh", 0): "b0" * 8, ("tanh", 1): "b1" * 8}
@@ -185,17 +147,16 @@ def data(tmp_path: Path) -> StudyData:
 def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
     """Clopper and Pearson's bounds of 2 of 3 and of 0 of 2, from their binomial equations."""
     relu, tanh = incidence(data, diagnoses(data)).to_dict("records")
-    assert [relu[key] for key in ("runs", "collapsed", "recovered", "relearned")] == [3, 2, 1, 1]
+    assert [relu[key] for key in ("runs", "collapsed")] == [3, 2]
     assert 3 * relu["low"] ** 2 * (1 - relu["low"]) + relu["low"] ** 3 == pytest.approx(0.025)
     assert 1 - relu["high"] ** 3 == pytest.approx(0.025)
     assert (tanh["collapsed"], tanh["share"], tanh["low"]) == (0, 0, 0)
     assert (1 - tanh["high"]) ** 2 == pytest.approx(0.025)
     assert outcome_values(data, "relu", "collapsed").tolist() == [1, 1, 0]
     np.testing.assert_array_equal(outcome_values(data, "relu", "collapse-step"), [6100, 3100, np.nan])
-    np.testing.assert_array_equal(outcome_values(data, "relu", "relearned"), [0, 1, np.nan])
 
 
-def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> None:
+def test_logs_are_judged_by_their_entropy_alone(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
@@ -204,8 +165,6 @@ def test_logs_are_judged_by_their_entropy_alone_and_say_so(tmp_path: Path) -> No
     data = open_study(RunIndex(store), "logs")
     found = diagnose(view(data, data.runs[0]))
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
-    assert found.unseen == ("one action", "dead units", "fall", "return below zero")
-    assert found.relearned is None
     assert data.budget == BUDGET
 
 

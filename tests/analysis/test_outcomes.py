@@ -231,7 +231,7 @@ def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_lef
 
 
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
-    none_has = {"collapse-step", "relearned"}  # of healthy runs
+    none_has = {"collapse-step"}  # of healthy runs
     none_has |= {"q-overestimation", "final-success"}  # of runs that estimate no values, in Pneuma's worlds
     none_has |= {"time-to-clear", "hp-lost", "kill-evenness"}  # of older runs
     none_has |= {"low-entropy-share"}  # of runs that do not tell how many steps an update has
