@@ -140,9 +140,8 @@ def _read_fields(text: str) -> dict[str, Any]:
     """Read a configuration, with each known field of a type that it may have."""
     fields, types = parse_json(text), _field_types()
     for key, value in fields.items():
-        parts = value if isinstance(value, list) else ()
         fits = value is None or isinstance(value, types.get(key, (str, int, float, list)))
-        if not fits or any(isinstance(part, list | dict) for part in parts):
+        if not fits or (isinstance(value, list) and any(isinstance(part, list | dict) for part in value)):
             raise ValueError(f"{key} = {json.dumps(value)[:40]}")
     return fields
 
