@@ -68,7 +68,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     ),
     "pneuma.bench": ("pneuma.env",),
     "pneuma.doctor": ("pneuma.study",),
-    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
+    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines", "pneuma.search"),
     "pneuma.cli": ("pneuma",),
 }  # fmt: skip
 
