@@ -3,6 +3,7 @@
     run_study(study)      as `pneuma study run` does
     open_data(study)      a study's data, for `pneuma.analysis`
     compare(study, a, b)  the differences of two conditions, with intervals
+    promote(search)       trains a search's winner and its base on fresh seeds: what was gained
     load_policy(run_id)   a stored run's policy, with its environment
     evaluate(agent)       evaluates any agent as runs are evaluated
 
@@ -155,6 +156,54 @@ def compare(
 
     data = study if isinstance(study, StudyData) else open_data(study, results)
     return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else tuple(outcomes))
+
+
+def promote(
+    *searches: Where,
+    results: Where | None = None,
+    seeds: int | Sequence[int] = 10,
+    steps: int | None = None,
+    trial: int | None = None,
+    world: str | None = None,
+    workers: int | None = None,
+    quiet: bool = False,
+) -> pd.DataFrame:
+    """Train winners of searches and their bases on fresh seeds; return what each gained in each objective.
+
+    Args:
+        searches: names of searches, or paths of their files; several must have been tuned alike.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        seeds: a count or a list of seeds that no search has used.
+        steps: agent steps of each run, instead of the searches'.
+        trial: which trial of a single search, instead of the best.
+        world: a key of `pneuma.worlds.WORLDS` in which they were searched; default: the arena.
+        workers: number of runs that train at once; default: one per core.
+        quiet: show no progress.
+
+    Returns:
+        a row for each winner and objective: its value in the search, on the fresh seeds and that of its base,
+        the difference of means with its 95 % interval, and how much of the value was luck.
+
+    Raises:
+        UserError: for an unknown search, one without a complete trial, or when a run crashed or was killed.
+    """
+    import pandas as pd
+
+    from pneuma.search import promote as promotion
+
+    selection = _selection(seeds, steps, (), None)
+    assert selection.seeds is not None
+    names = [os.fspath(search) for search in searches]
+    promoted = promotion.promote(_store(results), names, selection.seeds, selection.steps, trial, world)
+    promoted.plan(_store(results))
+    path = promoted.path(_store(results))
+    data = run_study(path, results, seeds=promoted.seeds, steps=promoted.steps, workers=workers, quiet=quiet)
+    rows = [
+        {"search": winner.name, "trial": winner.trial.number, "objective": objective, **asdict(gain)}
+        for winner in promoted.winners
+        for objective, gain in promotion.gains(winner, data).items()
+    ]
+    return pd.DataFrame(rows)
 
 
 def load_policy(

@@ -66,7 +66,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
         "pneuma.analysis", "pneuma.search", "pneuma.env", "pneuma.study.store", "pneuma.study.provenance",
         "pneuma.study.plan", "pneuma.study.series", "pneuma.study.quantities",
     ),
-    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines"),
+    "pneuma.api": ("pneuma.study", "pneuma.analysis", "pneuma.engines", "pneuma.search"),
     "pneuma.cli": ("pneuma",),
 }  # fmt: skip
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.analysis import run_index
+from pneuma.api import promote
 from pneuma.search.spec import SearchFile
 from pneuma.search.trials import Unfinished
 from pneuma.study.measure import stored_row
@@ -118,6 +119,8 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     gained = document["winners"][0]["objectives"]["killed"]
     assert gained["luck"] == pytest.approx(gained["fresh"] - gained["seen"])  # less is sought
     assert document["seeds"] == [0, 1]
+    (row,) = promote(searched[0], results=searched[1], seeds=2, quiet=True).to_dict("records")
+    assert (row["search"], row["objective"], row["fresh"]) == ("small", "killed", gained["fresh"])
     lost = document["run_ids"]["small-tuned"][0]
     status = Store.status
 

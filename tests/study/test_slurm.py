@@ -183,7 +183,7 @@ def test_jobs_that_sbatch_refuses_leave_nothing(
     (tmp_path / "sbatch").write_text("#!/bin/sh\necho 'invalid partition' >&2\nexit 1\n")
     (tmp_path / "sbatch").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    with pytest.raises(UserError, match="jobs are not submitted: .* invalid partition"):
+    with pytest.raises(UserError, match="sbatch failed .* invalid partition; no job"):
         train([group(8)], store)
     assert not folders(store)
 
@@ -226,12 +226,12 @@ def test_a_job_comes_to_checkpoints_before_it_goes(store: Store) -> None:
     scontrol.write_text('#!/bin/sh\necho "$@"\n')
     scontrol.chmod(0o755)
     path = f"{scontrol.parent}{os.pathsep}{os.environ['PATH']}"
-    told = {"XDG_CACHE_HOME": str(store.root.parent), "SLURM_JOB_ID": "7", "PATH": path}
+    told = {"XDG_CACHE_HOME": str(store.root.parent), "SLURM_ARRAY_JOB_ID": "7", "PATH": path}
     environment = {**os.environ, **told}
     done = subprocess.run(
         [sys.executable, "-c", _JOB, str(store.root), "SIGTERM", "SIGUSR2"],
         capture_output=True, text=True, timeout=120, env=environment,
     )  # fmt: skip
-    assert (done.returncode, done.stdout.strip()) == (128 + signal.SIGTERM, "requeue 7"), done.stderr
+    assert (done.returncode, done.stdout.strip()) == (128 + signal.SIGTERM, "requeue 7_0"), done.stderr
     status = store.status(next(iter(group(0, steps=10**9))))
     assert status.name == "partial" and status.step > 10  # an update

@@ -101,7 +101,8 @@ def main() -> None:
     with Interrupts(SIGNALS, most=1) as interrupts:
         Supervisor(job, [index], cores, lambda event: None, interrupts, shares=cores).work()
     if signal.SIGUSR2 in interrupts.seen and int(os.environ.get("SLURM_RESTART_COUNT", "0")) < MOST_REQUEUES:
-        subprocess.run(["scontrol", "requeue", os.environ["SLURM_JOB_ID"]], check=True)
+        place = f"{os.environ['SLURM_ARRAY_JOB_ID']}_{index}"  # the id of one may be that of the whole array
+        subprocess.run(["scontrol", "requeue", place], check=False)
     if interrupts.seen:
         raise SystemExit(128 + signal.SIGTERM)
 
@@ -122,7 +123,7 @@ def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConf
                 _ask(*_sbatch(folder, len(array), how), text=_script(folder, how), seconds=SUBMIT_SECONDS)
         except (UserError, OSError) as error:
             shutil.rmtree(folder, ignore_errors=True)
-            raise UserError(f"jobs are not submitted: {error}") from None
+            raise UserError(f"{error}; no job of these is submitted") from None
 
 
 def _options(how: ExecutorConfig) -> dict[str, str]:
@@ -241,7 +242,7 @@ def _ask(*command: str, text: str = "", seconds: float = ANSWER_SECONDS) -> list
         ).stdout
     except (OSError, subprocess.SubprocessError) as error:
         reason = " ".join((getattr(error, "stderr", None) or str(error)).split())
-        raise UserError(f"--executor slurm: {command[0]} does not answer on this machine: {reason}") from None
+        raise UserError(f"--executor slurm: {command[0]} failed on this machine: {reason}") from None
     return [line.strip() for line in answer.splitlines()]
 
 
