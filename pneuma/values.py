@@ -94,12 +94,6 @@ def shown_value(value: object) -> str:
     return "none" if value in (None, "") else str(value)
 
 
-def shown_level(value: object) -> str:
-    """Return a field's value as text between commas: a list in brackets."""
-    shown = shown_value(value)
-    return f"[{shown}]" if "," in shown else shown
-
-
 def shown_settings(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 

@@ -1,17 +1,16 @@
-"""The speed of the rules, the engines and the command line on this machine: `python -m tests.speed [--json]`.
-
-Beside what is Pneuma's stand CartPole, and Stable-Baselines3 alone with the settings of the same run.
-"""
+"""How fast rules, engines and start are beside CartPole and plain SB3: `python -m tests.speed [--json]`."""
 
 from __future__ import annotations
 
 import json
+import shlex
 import statistics
 import subprocess
 import sys
 import timeit
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -55,10 +54,10 @@ def steps_per_second() -> Iterator[dict[str, object]]:
 
 
 def seconds_to_start() -> Iterator[dict[str, object]]:
-    for words in ("-c pass", "-c import|pneuma", "-m pneuma --help", "-m pneuma study list"):
-        command = [sys.executable, *(word.replace("|", " ") for word in words.split())]
+    for words in ("-c pass", "-c 'import pneuma'", "-m pneuma --help", "-m pneuma study list"):
+        command = [sys.executable, *shlex.split(words)]
         start = partial(subprocess.run, command, capture_output=True, check=True)
-        yield {"case": " ".join(["start: python", *command[1:]]), "value": seconds(start), "unit": "seconds"}
+        yield {"case": f"start: python {words}", "value": seconds(start), "unit": "seconds"}
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -99,8 +98,8 @@ def single(name: str) -> Callable[[], None]:
 
 def engine(name: str) -> Callable[[], None]:
     """Return a function that trains on by an engine, without the evaluations of a run."""
-    networks = {"actor": NETWORKS["pi"], "critic": NETWORKS["vf"]}
-    run = make_run({"env": ARENA, "engine": name, "horizon": HORIZON, "slots": 1, **networks})
+    learner = {"horizon": HORIZON, "slots": 1, "actor": NETWORKS["pi"], "critic": NETWORKS["vf"]}
+    run = make_run({"env": ARENA, "engine": name, **learner})
     trainer = {"batched": BatchedTrainer, "sb3": Sb3Trainer}[name](run)
 
     def train() -> None:
@@ -111,13 +110,8 @@ def engine(name: str) -> Callable[[], None]:
 
 
 def plain() -> Callable[[], object]:
-    learner = PPO(
-        "MlpPolicy",
-        PneumaVecEnv(1, seed=0, env_id=ARENA),
-        n_steps=HORIZON,
-        policy_kwargs={"net_arch": NETWORKS},
-        device="cpu",
-    )
+    settings: Any = {"n_steps": HORIZON, "policy_kwargs": {"net_arch": NETWORKS}, "device": "cpu"}
+    learner = PPO("MlpPolicy", PneumaVecEnv(1, seed=0, env_id=ARENA), **settings)
     return lambda: learner.learn(TRAINED_STEPS)
 
 

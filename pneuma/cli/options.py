@@ -174,7 +174,6 @@ WORLD = choice(
 )
 FORMATS = choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
 PLOT_FOLDER = option("--out", "DIR", "Where to write (default: RESULTS/figures).")
-OUTCOME = option("--outcome", "NAME", "One of docs/outcomes.md (default: monsters killed, or return).")
 OUTCOMES = option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
 
 

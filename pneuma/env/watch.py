@@ -47,7 +47,10 @@ class Window:
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
         self._pygame = pygame = open_display()
-        self._screen = pygame.display.set_mode(size)
+        try:
+            self._screen = pygame.display.set_mode(size)
+        except pygame.error as error:
+            raise UserError(f"no window can be opened: {error}") from None
         pygame.display.set_caption(title)
         self._clock = pygame.time.Clock()
         self.closed = False
