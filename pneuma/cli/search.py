@@ -206,11 +206,11 @@ def run(
     task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
     how = place.config()
     ended_trials: list[FrozenTrial] = []
-    tell = partial(say, aside=True, quiet=quiet)
+    report = partial(say, aside=True, quiet=quiet)
     train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
     code = 0
     try:
-        for ended in run_search(task, store, train_trials, tell):
+        for ended in run_search(task, store, train_trials, report):
             for trial in ended[len(ended_trials) :]:
                 note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
                 state = STATES[trial.state]

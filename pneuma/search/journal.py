@@ -93,7 +93,7 @@ class Journal(BaseJournalBackend):
                 if os.fstat(file.fileno()).st_size != self.size:
                     raise UserError(
                         f"another program wrote into {self._path} meanwhile; "
-                        "move the log away, and no run is trained twice"
+                        "the same command goes on, if it added no trial"
                     )
                 file.write(entry)
                 file.flush()

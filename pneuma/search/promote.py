@@ -107,7 +107,7 @@ def promote(
 ) -> Promotion:
     """Promote the best trial of each search, or `trial` of a single one; `steps` are usually the search's."""
     if trial is not None and len(names) > 1:
-        raise UserError(f"--trial {trial}: is of one search; name one")
+        raise UserError(f"--trial {trial} requires a single search: name one")
     searches = [read_record(store, name, world) for name in names]
     winners = find_winners(searches, trial, seeds)
     return Promotion(winners, tuple(seeds), steps or searches[0].task.budget.steps)

@@ -135,6 +135,28 @@ def test_a_search_that_is_killed_ends_with_the_same_trials(
     assert told_of(read_record(store, task.search.name, "text").trials) == told
 
 
+RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        '[pruner]\nname = "hyperband"',
+        '[sampler]\nname = "nsga-ii"\npopulation_size = 4',
+        '[sampler]\nname = "cmaes"\npopsize = 5',
+    ],
+)
+def test_what_samplers_and_pruners_know_outlives_kills(make_task: MakeTask, store: Store, kinds: str) -> None:
+    """Killed at every round, and a part of the log's last entry lost each time; nothing of it is a pickle."""
+    task = make_task(22, more=RANGE + kinds)
+    path = log_path(store, task.search.label)
+    for kill in range(14):
+        search(task, store, most=2)
+        path.write_bytes(path.read_bytes()[: -300 * (kill % 2) or None])
+    assert search(task, store)[0] == solve(task)
+    assert "cma:optimizer" not in path.read_text()
+
+
 def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
     make_task: MakeTask, store: Store
 ) -> None:
@@ -200,6 +222,20 @@ def test_trials_that_others_added_are_refused(make_task: MakeTask, store: Store)
         UserError, match="trial 4 of the log of search formula is not what the search suggests"
     ):
         search(make_task(8), store)
+
+
+def test_a_log_that_another_program_writes_into_meanwhile_is_not_written_on(
+    make_task: MakeTask, store: Store
+) -> None:
+    task = make_task(8)
+    path = log_path(store, task.search.label)
+
+    def train(plan: Plan, until: Mapping[str, int]) -> None:
+        load(path).set_user_attr("note", "mine")
+
+    with pytest.raises(UserError, match="another program wrote .* the same command goes on"):
+        list(run_search(task, store, train, lambda note: None))
+    assert search(task, store)[0] == solve(task)
 
 
 def test_trials_outside_the_space_are_refused(make_task: MakeTask, store: Store) -> None:
