@@ -25,7 +25,7 @@ from optuna.trial import FrozenTrial, TrialState
 from optuna.visualization import matplotlib as pictures
 
 from pneuma.analysis.frames import StudyData
-from pneuma.analysis.outcomes import find_outcome, outcome_values
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.errors import counted, plain
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
@@ -34,6 +34,7 @@ from pneuma.figures.style import COLOURS, GREY, INK, WIDTH
 from pneuma.figures.words import capital, headline_of, notes_of
 from pneuma.search.journal import RecordedSearch
 from pneuma.search.promote import Gain, Winner, gains
+from pneuma.search.values import counted_outcome
 
 TABLES = {"table-6-1": ":", "table-6-2": "--"}
 """Bases whose values are marked: the thesis's, and the lines that mark them."""
@@ -193,7 +194,13 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     share = measured.unit == "share"
     runs = {
         winner.name: tuple(
-            outcome_values(data, condition, objective.outcome) for condition in (winner.name, winner.tuned)
+            np.array(
+                [
+                    counted_outcome(winner.searched.task.search, data, run, objective.outcome)
+                    for run in data.of_condition(name)
+                ]
+            )
+            for name in (winner.name, winner.tuned)
         )
         for winner in winners
     }

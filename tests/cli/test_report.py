@@ -66,7 +66,7 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
     rows = [each.text for each in page.elements if each.tag == "td"][: len(WORDS) * len(WORLDS)]
     assert [int(cell) for cell in rows] == [counted[world, word] for world in WORLDS for word in WORDS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]
-    assert len(anchors) == len({claim["claim"] for claim in document["claims"]})
+    assert len(anchors) == len({claim["row"] for claim in document["claims"]})
     assert document["claims_hash"] in words
 
 

@@ -114,15 +114,17 @@ def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
     assert found.luck == pytest.approx(winner.trial.values[0] - 0.3)
 
     page = winners_page("won", [winner], data)
-    (panel,) = page.grid[0]
-    assert panel and panel.rows == [winner.name]
+    panel, beside = page.grid[0]
+    assert panel and beside and panel.rows == [winner.name]
     panel.draw(axes := Figure().add_subplot())
     marks = {line.get_label(): line for line in axes.get_lines()}
     assert {"untuned", "tuned", "tuned, as its search saw it"} <= {*marks}
-    bar = pytest.approx([found.fresh_baseline + end for end in found.interval])
-    assert bar in [list(np.asarray(line.get_xdata())) for line in axes.get_lines()]
-    points = [each[0] for line in axes.get_lines() if len(each := np.asarray(line.get_xdata())) == 1]
-    assert points == pytest.approx([0.3, winner.trial.values[0], 0.25])
+    drawn = [np.asarray(line.get_xdata()) for line in axes.get_lines()]
+    assert [list(each) for each in drawn if len(each) > 1] == [[0.2, 0.25, 0.3], [0.6, 0.0]]
+    assert [each[0] for each in drawn if len(each) == 1] == pytest.approx([0.3, winner.trial.values[0], 0.25])
+    beside.draw(axes := Figure().add_subplot())
+    bars = [list(np.asarray(line.get_xdata())) for line in axes.get_lines()]
+    assert pytest.approx(found.interval) in bars and [found.difference] in bars
 
 
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(
