@@ -3,7 +3,8 @@
     ClaimList, and the commits of each claim's runs → names of the keys that changed since
 
 Only what decides which numbers are compared counts: arms, seeds, steps, outcomes. Words and margins do not.
-Nothing can be said of a file outside a git checkout, nor of a commit that the checkout does not have.
+The file is known by its title, wherever it was. Nothing can be said of a file outside a git checkout, nor of a
+commit that the checkout does not have.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ ABSENT = "the claim itself"
 def changed_since(claims: ClaimList, name: str, commits: Iterable[str]) -> list[str]:
     """Return the keys of a claim that its file had otherwise at a commit; `ABSENT` if there was no claim."""
     found: dict[str, None] = {}
+    text = claims.path.read_text(encoding="utf-8")
+    title = next((line for line in text.splitlines() if line.startswith("title = ")), "[defaults]")
     for commit in commits:
-        if (then := _fixed_at(claims.path, commit)) is not None:
-            now = _fixed_in(claims.path.read_text(encoding="utf-8"))[name]
+        if (then := _fixed_at(claims.path, commit, title)) is not None:
+            now = _fixed_in(text)[name]
             if name not in then:
                 found[ABSENT] = None
             else:
@@ -44,8 +47,8 @@ def _differ(now: Any, then: Any) -> bool:
 
 
 @cache
-def _fixed_at(path: Path, commit: str) -> Mapping[str, Mapping[str, Any]] | None:
-    text = file_at(path, commit)
+def _fixed_at(path: Path, commit: str, title: str) -> Mapping[str, Mapping[str, Any]] | None:
+    text = file_at(path, commit, title)
     return None if text is None else _fixed_in(text)
 
 

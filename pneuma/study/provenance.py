@@ -144,13 +144,18 @@ def uncommitted(source: Path = SOURCE) -> list[str]:
     return [line[3:] for line in _git(source, "status", "--porcelain", "--", "pneuma", "studies")]
 
 
-def file_at(path: Path, commit: str) -> str | None:
-    """Return a file's text as it was at a commit; None without a checkout that has both."""
+def file_at(path: Path, commit: str, line: str) -> str | None:
+    """Return the text of a file with a line as it was at a commit, where it may have had another name.
+
+    None without a checkout that has the commit, or where no such file was there.
+    """
     if not re.fullmatch("[0-9a-f]{40}", commit):
         return None
-    command = ["git", "-C", str(path.parent), "show", f"{commit}:./{path.name}"]
+    git: Any = {"text": True, "stderr": subprocess.DEVNULL, "cwd": path.parent}
     with suppress(OSError, subprocess.CalledProcessError):
-        return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
+        words = ["git", "grep", "--full-name", "-lFe", line, commit, "--", f":/*{path.suffix}"]
+        names = subprocess.check_output(words, **git).splitlines()
+        return subprocess.check_output(["git", "show", names[0]], **git)
     return None
 
 
