@@ -326,6 +326,9 @@ def judged(
         limit, above = claim.get("above", claim.get("below")), "above" in claim
         limit = limit[outcome] if isinstance(limit, dict) else limit
         values = {name: (own > limit if above else own < limit) * 1.0 for name, own in values.items()}
+        shares = [own.mean() for own in values.values()]
+        if len(shares) > 1 and (max(shares) <= 0.1 or min(shares) >= 0.9):
+            return nothing
     effect, alone = interval(claim["kind"], a, b, values, constant, 0.05)
     _, ends = interval(claim["kind"], a, b, values, constant, alpha)
     way = claim["direction"]

@@ -43,7 +43,7 @@ from pneuma.worlds import WORLDS
 
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""
-RULES = 4
+RULES = 5
 """The version of the rules by which claims are judged; raised whenever a verdict could change."""
 
 

@@ -29,6 +29,8 @@ from pneuma.study.store import Store
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 
+RARE = 0.1
+"""A share of runs up to which an event counts as none, and its absence likewise."""
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
@@ -193,10 +195,17 @@ def _at_an_end(row: ClaimContrast, arms: Sequence[Arm]) -> str:
     """Return the reason if every run of both arms is at the outcome's least or greatest value.
 
     Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
-    For outcomes that measure play, the floor is decided by the comparison with the random player.
+    For outcomes that measure play, the floor is decided by the comparison with the random player. Where runs
+    are counted, arms of which at most a tenth have the event, or lack it, are at an end: there is nothing to
+    cure, or to make worse.
     """
-    if len(arms) < 2 or row.claim.counts or MINUS in row.outcome:
+    if len(arms) < 2 or MINUS in row.outcome:
         return ""
+    if row.claim.counts:
+        shares = np.array([arm.values.mean() for arm in arms])
+        ends = {"floor": (shares <= RARE).all(), "ceiling": (shares >= 1 - RARE).all()}
+        reached = [end for end, there in ends.items() if there]
+        return f"both arms are at the {reached[0]}: {RARE:.0%} of the runs or fewer differ" if reached else ""
     measured = find_outcome(row.outcome)
     near = row.margin or measured.alike
     known = _is_of_play(row.outcome) and all(arm.learned is not None for arm in arms)

@@ -355,6 +355,11 @@ REASONS: dict[str, tuple[dict[str, list[float]], list[tuple[str, str]], str]] = 
         "--preset claims --world text --steps 512 && pneuma study run",
     ),
     "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
+    "nothing to cure": (
+        {"high": NEAR, "low": LOW},
+        [('"mean"', '"incidence"\nabove = 0.5'), ("margin = 0.04", "margin = 0.4"), ('"greater"', '"less"')],
+        "both arms are at the floor: 10% of the runs or fewer differ",
+    ),
     "ceiling": (
         {"high": [1 - k / 1000 for k in range(8)], "low": [1.0] * 8}, [('"greater"', '"equal"')],
         "both arms are at the ceiling",
