@@ -3,8 +3,8 @@
     ClaimList, and the commits of each claim's runs → names of the keys that changed since
 
 Only what decides which numbers are compared counts: arms, seeds, steps, outcomes. Words and margins do not.
-The file is known by its title, wherever it was. Nothing can be said of a file outside a git checkout, nor of a
-commit that the checkout does not have.
+The file is known by its title, wherever it was. Nothing can be said of a file outside a git checkout, nor of
+a commit that the checkout does not have.
 """
 
 from __future__ import annotations
