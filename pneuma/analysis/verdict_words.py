@@ -185,7 +185,7 @@ def effect(row: ClaimContrast) -> str:
     else:
         if row.claim.counts or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
-        places = _places(*numbers[2:])
+        places = max(_places(*numbers[2:]), 0) if unit else _places(*numbers[2:])
         a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
         size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
     between = f" ({low} to {high})" if contrast.simultaneous.exists else ""

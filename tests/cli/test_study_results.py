@@ -80,7 +80,7 @@ def test_a_crash_is_exit_code_1_and_says_where_to_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script = tmp_path / "python"
-    script.write_text("#!/bin/sh\nread job\necho out of luck >&2\nexit 3\n")
+    script.write_text("#!/bin/sh\necho out of luck >&2\nexit 3\n")
     script.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(script))
     results = tmp_path / "results"
