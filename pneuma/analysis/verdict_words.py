@@ -186,7 +186,8 @@ def effect(row: ClaimContrast) -> str:
         if row.claim.counts or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
         places = max(_places(*numbers[2:]), 0) if unit else _places(*numbers[2:])
-        a, b, size, low, high = (shown(number, places).replace("-", "−") for number in numbers)
+        a, b, size = (shown(number, places).replace("-", "−") for number in numbers[:3])
+        low, high = (_end(end, places) for end in numbers[3:])
         size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
     between = f" ({low} to {high})" if contrast.simultaneous.exists else ""
     if alone:
@@ -215,6 +216,13 @@ def _said(row: ClaimContrast) -> str:
         words = f"runs with {words} {event}"
     pair = dict(zip(row.claim.pairs, row.claim.called[2:], strict=False)).get((row.a, row.b), "")
     return ", ".join(filter(None, [pair, _OF_KIND.get(row.claim.kind, "{}").format(words)]))
+
+
+def _end(end: float, places: int) -> str:
+    """Return an end of an interval; one that would be 0 has a digit, which tells on which side of 0 it is."""
+    if math.isfinite(end) and end and round(end, places) == 0:
+        places = -math.floor(math.log10(abs(end)))
+    return shown(end, min(places, MOST)).replace("-", "−")
 
 
 def _places(size: float, low: float, high: float) -> int:
