@@ -14,12 +14,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, get_font
 from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from scipy.optimize import isotonic_regression
 
-from pneuma.errors import plain, unknown_name
+from pneuma.errors import plain, print_aside, unknown_name
 from pneuma.figures.origin import KEYS, Origin
 
 WIDTH = 7.0
@@ -199,6 +200,12 @@ def save_figure(
                 _save_png(figure, path, origin, colours)
             else:
                 figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
+    known = {"\n", *map(chr, get_font(findfont(_RC["font.family"])).get_charmap())}
+    if lacking := {letter for text in figure.findobj(Text) for letter in text.get_text()} - known:
+        shown = " ".join(sorted(lacking)[:10])
+        print_aside(
+            f"Figures' font lacks {shown}, drawn as boxes; [labels] in a study's file renames conditions."
+        )
     return paths
 
 

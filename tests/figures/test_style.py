@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.dom.minidom
 from pathlib import Path
 
+import pytest
 from matplotlib.figure import Figure
 
 from pneuma.errors import plain
@@ -46,3 +47,14 @@ def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_pa
     document = path.read_text(encoding="utf-8")
     xml.dom.minidom.parseString(document)
     assert document.count(r"a\u001b\u202eb\ud800") == 2
+
+
+def test_letters_that_figures_cannot_show_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with house_style():
+        for title in ("größer β₁", "大きい β₁"):
+            figure = Figure()
+            figure.subplots().set_title(title)
+            save_figure(figure, tmp_path, "names", ("png",), Origin(command=""))
+            assert ("lacks い き 大" in capsys.readouterr().err) == title.startswith("大")
