@@ -259,7 +259,9 @@ def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> di
     """
     columns = {}
     for world in WORLDS:
-        if world == "godot" and any(of == study for name in OF_OWN_GAME for of, _ in [THESIS_FIGURES[name]]):
+        if world == "godot" and study in {
+            of for name, (of, _) in THESIS_FIGURES.items() if name in OF_OWN_GAME
+        }:
             continue  # the own game's runs stand there
         shown: set[str] = set()
         for settings, added in (({}, ""), (EARLIER, ", one environment")):
