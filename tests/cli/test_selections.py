@@ -142,7 +142,7 @@ def _published(store: Store, **selection: Any) -> tuple[int, str]:
 
 
 def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_option(store: Store) -> None:
-    every, fresh = _published(store), _published(store, seeds=range(300, 310))
+    every, fresh = (_published(store, steps=1_000_000, **one) for one in ({}, {"seeds": range(300, 310)}))
     quick = _finish(store, seeds=(0, 1, 2), steps=50_000)
 
     def compare(*options: str) -> tuple[str, str]:
@@ -165,7 +165,7 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
 
 
 def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:
-    published, _ = _published(store)
+    published, _ = _published(store, steps=1_000_000)
     new = _finish(store, seeds=(9000,), steps=1_000_000)
     shown, told = _ask(store, "activation", conditions=("tanh", "relu"))
     assert len(shown) == published + 2 and {*new} < {*shown}
