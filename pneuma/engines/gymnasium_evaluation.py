@@ -10,7 +10,7 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.gymnasium_env import NAN, GymnasiumSlots, blamed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, Row
-from pneuma.errors import UserError
+from pneuma.errors import OwnCodeError
 
 BEST_EPISODES = 5
 """Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
@@ -81,7 +81,7 @@ def _play(
                 going_on.append(row)
         if slots.lengths[going_on].max(initial=0) >= LONGEST_EPISODE:
             fix = "set env_kwargs = { max_episode_steps = N }"
-            raise UserError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {fix}")
+            raise OwnCodeError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {fix}")
         rows = np.array(going_on, np.int64)
     slots.close()
     return returns, slots.lengths, successes

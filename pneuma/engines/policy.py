@@ -30,7 +30,7 @@ Where each player of a world has a policy of its own, (players, inputs, outputs)
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Policy:
     """An actor and a critic, or one network of action values, as multilayer perceptrons.
 
@@ -57,6 +57,15 @@ class Policy:
     bounds: np.ndarray | None = None
     choices: np.ndarray | None = None
     scaling: Scaling | None = None
+
+    def __repr__(self) -> str:
+        """Return the policy in a line: its networks' sizes, not their numbers."""
+        networks = (
+            f"{part} {list(map(int, sizes(getattr(self, part))))}"
+            for part in ("actor", "critic")
+            if getattr(self, part)
+        )
+        return f"Policy({self.activation}, {', '.join(networks)})"
 
     @property
     def features(self) -> int:
@@ -105,6 +114,23 @@ class Policy:
         if self.deviation is not None:
             return self._clip(logits)
         return self._joined([part.argmax(axis=1) for part in self._parts(logits)])
+
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, None]:
+        """Return actions for one observation, (features,), or several, (N, features), and no state.
+
+        As a model of Stable-Baselines3 does, whose `evaluate_policy` can play a policy therefore. Drawn
+        actions follow `numpy.random.seed`.
+        """
+        rows = np.reshape(observation, (-1, self.features))
+        drawn = np.random.default_rng(np.random.randint(2**31))
+        actions = self.best(rows) if deterministic else self.sample(rows, drawn)
+        return actions if np.ndim(observation) > 1 else actions[0], state
 
     def _parts(self, logits: np.ndarray) -> list[np.ndarray]:
         """Return the logits of each choice."""

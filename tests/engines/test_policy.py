@@ -76,3 +76,19 @@ def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
     again = read_sound_policy(policy.to_bytes())
     assert (again.exploration, again.critic) == (0.2, ())
     assert again.to_bytes() == policy.to_bytes()
+
+
+def test_stable_baselines3_evaluates_a_stored_policy() -> None:
+    import gymnasium
+    from stable_baselines3.common.evaluation import evaluate_policy
+
+    env = gymnasium.make("CartPole-v1")
+    # Leaning to the right, it pushes to the right: that holds the pole for a while.
+    lean = (np.array([[0.0, 0], [0, 0], [-1, 1], [-1, 1]], np.float32), np.zeros(2, np.float32))
+    value = (np.zeros((4, 1), np.float32), np.zeros(1, np.float32))
+    policy = Policy("tanh", (lean,), (value,))
+    mean, _ = evaluate_policy(policy, env, n_eval_episodes=3, warn=False)  # type: ignore[arg-type]
+    assert mean > 100
+    assert repr(policy) == "Policy(tanh, actor [4, 2], critic [4, 1])"
+    action, state = policy.predict(np.array([0.0, 0, 1, 1], np.float32), deterministic=True)
+    assert (action, state) == (1, None)
