@@ -80,8 +80,8 @@ def _play(
             else:
                 going_on.append(row)
         if slots.lengths[going_on].max(initial=0) >= LONGEST_EPISODE:
-            fix = "set env_kwargs = { max_episode_steps = N }"
-            raise OwnCodeError(f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps: {fix}")
+            endless = f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps"
+            raise OwnCodeError(f"{endless}: set env_kwargs = {{ max_episode_steps = N }}")
         rows = np.array(going_on, np.int64)
     slots.close()
     return returns, slots.lengths, successes
