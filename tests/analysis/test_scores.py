@@ -1,0 +1,61 @@
+"""Scores over environments: against what rliable 1.2 printed for the same scores, and by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.scores import (
+    AGGREGATES,
+    bootstrap,
+    improvement,
+    normalized,
+    profile,
+    profile_band,
+)
+
+A = [
+    np.array([0.34, 0.584, 0.389, 0.827, 0.308, 0.154, 0.374, 0.611, 0.582, 0.449]),
+    np.array([0.668, 0.914, 0.722, 0.827, 0.96, 0.792, 0.751, 0.794, 0.883, 0.702]),
+    np.array([1.001, 1.144, 1.399, 0.607, 1.181, 0.635, 0.815, 0.864, 0.443, 1.031]),
+]
+B = [
+    np.array([0.142, 0.339, 0.182, 0.178, 0.0, 0.407, 0.353, 0.164, 0.334, 0.514]),
+    np.array([0.802, 0.695, 0.664, 0.917, 0.827, 0.804, 0.774, 0.874, 0.716, 1.043]),
+    np.array([0.885, 0.742, 0.99, 1.187, 0.459, 0.105, 1.285, 0.46, 1.479, 1.157]),
+]
+RLIABLE = {
+    "mean": (0.725033, 0.655, 0.796),
+    "median": (0.8013, 0.732, 0.855),
+    "IQM": (0.729, 0.653, 0.8),
+    "optimality gap": (0.300167, 0.243, 0.358),
+}
+"""What `rliable.library.get_interval_estimates` gives for A, with 20,000 resamples."""
+
+
+@pytest.mark.parametrize("name", RLIABLE)
+def test_aggregates_and_intervals_are_rliables(name: str) -> None:
+    value, low, high = RLIABLE[name]
+    assert AGGREGATES[name](A) == pytest.approx(value, abs=1e-6)
+    interval = bootstrap(AGGREGATES[name], A)
+    assert (interval.low, interval.high) == pytest.approx((low, high), abs=0.005)
+    assert bootstrap(AGGREGATES[name], A) == interval  # the same resamples each time
+
+
+def test_probability_of_improvement_and_profile_are_rliables() -> None:
+    assert improvement(A, B) == pytest.approx(0.588333, abs=1e-6)
+    interval = bootstrap(improvement, A, B)
+    assert (interval.low, interval.high) == pytest.approx((0.443, 0.722), abs=0.01)
+    thresholds = np.array([0.25, 0.5, 0.75, 1.0])
+    np.testing.assert_allclose(profile(A, thresholds), [29 / 30, 23 / 30, 15 / 30, 5 / 30])
+    low, high = profile_band(A, thresholds)
+    np.testing.assert_allclose(low, [0.9, 0.667, 0.333, 0.067], atol=0.035)
+    np.testing.assert_allclose(high, [1.0, 0.867, 0.633, 0.267], atol=0.035)
+
+
+def test_by_hand_with_unequal_numbers_of_runs() -> None:
+    scores = [np.array([0.0, 1.0]), np.array([2.0])]
+    assert AGGREGATES["mean"](scores) == pytest.approx(1.25)  # of 0.5 and 2
+    assert AGGREGATES["optimality gap"](scores) == pytest.approx(1 / 3)  # 2 counts as 1
+    assert improvement(scores, [np.array([0.5]), np.array([2.0])]) == pytest.approx(0.5)
+    np.testing.assert_allclose(normalized(np.array([-500.0, -100.0]), -500, -100), [0, 1])
