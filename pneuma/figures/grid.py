@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
-from pneuma.errors import plain
+from pneuma.errors import UserError, plain
 from pneuma.figures import style
 from pneuma.figures.origin import Origin, Sample
-from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, TYPE_POINTS, WIDTH, characters, clean
+from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, TYPE_POINTS, WIDTH, Look, characters, clean
 
 FAR = 3.0
 """The random player's level this many times above the highest point is not drawn."""
@@ -43,6 +44,8 @@ EMPTY_WIDTH = 0.3
 """Width of a column without runs, relative to the others."""
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
+LEAST_PANEL_INCHES = 0.8
+USUAL_LOOK = Look()
 
 
 # --- Pages -------------------------------------------------------------------------------------------
@@ -151,14 +154,22 @@ def _draw_no_runs(axes: Axes) -> None:
 
 
 def save_page(
-    page: Page, folder: Path, formats: Sequence[str] = ("png", "svg"), command: str = ""
+    page: Page,
+    folder: Path,
+    formats: Sequence[str] = ("png", "svg"),
+    command: str = "",
+    look: Look = USUAL_LOOK,
 ) -> list[Path]:
     """Draw a figure, and write it in each of some `FIGURE_FORMATS`; return the files.
 
     Its origin tells the `command` that draws it again.
+
+    Raises:
+        UserError: when `look` has no such style sheet, or too little height for panels.
     """
     origin = Origin(command=plain(command), runs=tuple(page.runs))
-    with style.house_style():
+    page = _looking(page, look)
+    with style.house_style(sheet=look.sheet):
         figure = Figure(layout="constrained")
         panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
         names = {panel: str(number) for number, panel in enumerate(panels)}
@@ -166,15 +177,29 @@ def save_page(
         grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
         for panel, name in names.items():
             pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
-            _fill(grid[name], panel, pitch, WIDTH / len(cells[0]))
-        _put_texts(figure, page, _legend_entries(figure.axes, page.entries))
+            _fill(grid[name], panel, pitch, look.width / len(cells[0]))
+        _put_texts(figure, page, _legend_entries(figure.axes, page.entries), look)
         return style.save_figure(figure, folder, page.basename, formats, origin)
+
+
+def _looking(page: Page, look: Look) -> Page:
+    """Return a page with the texts that are asked for, and as many panels in a row as its width takes."""
+    headline = look.title if look.title is not None else "" if look.plain else page.headline
+    page = replace(page, headline=headline, caption=() if look.plain else page.caption)
+    panels = [panel for row in page.grid for panel in row if panel]
+    if page.widths or len({*panels}) < len(panels):  # columns have a meaning, or a panel spans some
+        return page
+    before = len(page.grid[0])
+    across = min(before, max(1, round(before * look.width / WIDTH)))
+    rows = -(-len(panels) // across)
+    return replace(page, grid=in_grid(panels, across), inches=page.inches * rows / len(page.grid))
 
 
 def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
     panel.draw(axes)
     beside_rows = 0.72 if panel.rows else 1.0
-    wide = characters(1.2 * TYPE_POINTS, beside_rows * width)  # bold letters are wider
+    points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
+    wide = characters(1.2 * points, beside_rows * width)  # bold letters are wider
     title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
     panel.x_ticks(axes.xaxis)
@@ -184,26 +209,30 @@ def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
         label_rows(axes, panel.rows, pitch)
 
 
-def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any]) -> None:
+def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Look) -> None:
     """Put the headline and legend above the panels and the caption below, and set the figure's size."""
-    points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / WIDTH
-    heading = textwrap.wrap(page.headline, characters(1.2 * points))
-    labels = {"\n".join(textwrap.wrap(label, characters(points) - 8)): artist
-              for label, artist in entries.items()}  # fmt: skip
+    points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / look.width
+    heading = textwrap.wrap(page.headline, characters(1.2 * points, look.width))
+    wide = characters(points, look.width)
+    labels = {"\n".join(textwrap.wrap(label, wide - 8)): artist for label, artist in entries.items()}
     longest = max((len(label) for label in labels), default=0)
     # a handle is as wide as 8 letters
-    columns = max(1, min(len(labels), characters(points) // (longest + 8)))
+    columns = max(1, min(len(labels), wide // (longest + 8)))
     rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
     below_lines = textwrap.wrap(
         " ".join(filter(None, page.caption)),
-        characters(CAPTION * points),
+        characters(CAPTION * points, look.width),
         max_lines=CAPTION_LINES,
         placeholder=" …",
     )
     above = line * (1.2 * len(heading) + rows) + 0.1
     below = CAPTION * line * len(below_lines) + 0.08
-    height = above + page.inches + below
-    figure.set_size_inches(WIDTH, height)
+    height = look.height or above + page.inches + below
+    least = above + below + LEAST_PANEL_INCHES * len(page.grid)
+    if look.height and height < least:
+        needed = f"at least {least:.1f}"
+        raise UserError(f"--height {height:g}: {needed} inches; --plain has no headline and caption")
+    figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
     figure.text(edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * points, va="top")

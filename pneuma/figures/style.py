@@ -6,11 +6,14 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
+from matplotlib import style as sheets
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,7 +23,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from scipy.optimize import isotonic_regression
 
-from pneuma.errors import plain, print_aside, unknown_name
+from pneuma.errors import UserError, plain, print_aside, unknown_name
 from pneuma.figures.origin import KEYS, Origin
 
 WIDTH = 7.0
@@ -49,6 +52,7 @@ _RC: Any = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
+    "axes.prop_cycle": cycler(color=COLOURS),
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
@@ -86,14 +90,44 @@ def characters(points: float = TYPE_POINTS, width: float = WIDTH) -> int:
     return int((width - 0.15) * 72 / (0.54 * points))
 
 
+@dataclass(frozen=True)
+class Look:
+    """What a user asks of a figure, beside what is in it.
+
+    Attributes:
+        width: in inches.
+        height: in inches, with headline, legend and caption; None for what its panels need.
+        title: the headline, in place of the study's.
+        sheet: a style sheet of matplotlib, by name or file, over Pneuma's style.
+        plain: whether to leave headline and caption out, as a paper has its own.
+    """
+
+    width: float = WIDTH
+    height: float | None = None
+    title: str | None = None
+    sheet: str = ""
+    plain: bool = False
+
+
 @contextmanager
-def house_style(type_points: float = TYPE_POINTS) -> Iterator[None]:
-    """Draw in Pneuma's style, whatever the user's settings; `type_points` is the text's size."""
+def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[None]:
+    """Draw in Pneuma's style, whatever the user's settings; `type_points` is the text's size.
+
+    Raises:
+        UserError: when there is no such style sheet of matplotlib.
+    """
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.use("agg")
         mpl.rcParams.update(_RC)
         mpl.rcParams.update({key: type_points * share for key, share in _RELATIVE_TYPE.items()})
+        if sheet:
+            try:
+                sheets.use(sheet)
+            except (OSError, UnicodeDecodeError):
+                raise UserError(
+                    f"--style {sheet}: is neither a style sheet of matplotlib nor a file"
+                ) from None
         yield
 
 
@@ -133,7 +167,7 @@ def condition_styles(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
     places |= {kind: next(free) for kind in dict.fromkeys(kinds.values()) if kind not in places}
     return {
         name: {
-            "color": COLOURS[places[kind] % len(COLOURS)],
+            "color": f"C{places[kind]}",  # of the style sheet
             "marker": MARKERS[places[kind] % len(MARKERS)],
         }
         for name, kind in kinds.items()

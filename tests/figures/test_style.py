@@ -12,7 +12,6 @@ from pneuma.errors import plain
 from pneuma.figures.grid import label_rows
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import (
-    COLOURS,
     condition_styles,
     house_style,
     save_figure,
@@ -25,7 +24,7 @@ from .hand_made import HandMade
 def test_table_6_2_has_one_colour_under_all_its_names() -> None:
     studies = [("stationary", "non-stationary"), ("tanh", "relu", "leaky-relu"), ("0.2", "0.1")]
     looks = {name: look for names in studies for name, look in condition_styles(names).items()}
-    first = [name for name, look in looks.items() if look["color"] == COLOURS[0]]
+    first = [name for name, look in looks.items() if look["color"] == "C0"]
     assert first == ["non-stationary", "tanh", "0.1"]
 
 
