@@ -13,6 +13,21 @@ MAILMAN = "pneuma/Mailman-v0"
 GODOT = "Godot-v0"
 """The id of a game made with Godot, which is started as a program: see `pneuma.godot.game`."""
 
+OPEN_LEARNERS = {
+    "sac": "stable_baselines3:SAC",
+    "td3": "stable_baselines3:TD3",
+    "ddpg": "stable_baselines3:DDPG",
+    "qr-dqn": "sb3_contrib:QRDQN",
+    "tqc": "sb3_contrib:TQC",
+    "crossq": "sb3_contrib:CrossQ",
+    "ars": "sb3_contrib:ARS",
+    "recurrent-ppo": "sb3_contrib:RecurrentPPO",
+    "maskable-ppo": "sb3_contrib:MaskablePPO",
+}
+"""Learners that have no fields of their own here: their arguments are `algorithm_kwargs`."""
+OF_OPEN_LEARNERS = ("policy", "algorithm_kwargs", "callback")
+"""Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
+
 ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "ppo": ("batched", "sb3"),
     "a2c": ("sb3",),
@@ -21,6 +36,7 @@ ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "double-dqn": ("sb3",),
     "q-learning": ("tabular",),
     "double-q-learning": ("tabular",),
+    **dict.fromkeys(OPEN_LEARNERS, ("sb3",)),
 }
 """The engines that train each algorithm, the usual one first."""
 
@@ -46,6 +62,7 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "double-dqn": _DQN,
     "q-learning": _TABLE,
     "double-q-learning": _TABLE,
+    **dict.fromkeys(OPEN_LEARNERS, ("slots",)),
 }
 """The fields each algorithm reads, beside those that all read and those of its optimizer."""
 

@@ -25,7 +25,9 @@ from pneuma.algorithms import (
     ALGORITHMS,
     MAILMAN,
     OF_ALGORITHMS,
+    OF_OPEN_LEARNERS,
     OF_OPTIMIZERS,
+    OPEN_LEARNERS,
     OPTIMIZER_DEFAULTS,
     OPTIMIZER_FIELDS,
     TABULAR,
@@ -119,10 +121,22 @@ def _read_arguments(value: Any) -> str:
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
-    names = tuple(value.split(",") if isinstance(value, str) and value else value)
-    if not all(re.fullmatch(rf"({MODULE}):\w+", name) for name in names):
+    """Read classes, of `gymnasium.wrappers` where no module is named, with their arguments as JSON."""
+    if isinstance(value, str):
+        value = value.split(",") if value and "{" not in value else [value] * bool(value)
+    return tuple(map(_read_wrapper, [value] if isinstance(value, Mapping) else value))
+
+
+def _read_wrapper(value: Any) -> str:
+    if isinstance(value, Mapping):
+        name, arguments = value["name"], {key: each for key, each in value.items() if key != "name"}
+    else:
+        name, brace, rest = value.partition("{")
+        arguments = brace + rest
+    name = name if ":" in name else f"gymnasium.wrappers:{name}"
+    if not re.fullmatch(rf"({MODULE}):\w+", name):
         raise ValueError
-    return names
+    return name + _read_arguments(arguments)
 
 
 _ENV_ALLOWED = f"one of {', '.join(OWN_ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
@@ -137,8 +151,10 @@ class Run(EnvConfig):
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
     """Keyword arguments of the environment, as JSON."""
-    wrappers: Annotated[tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such")] = ()
-    """Wrapper classes, the innermost first."""
+    wrappers: Annotated[
+        tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such, or of { name, arguments }")
+    ] = ()
+    """Wrapper classes, the innermost first; followed by their arguments as JSON, if they have some."""
     normalize_observations: bool = False
     """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
     normalize_rewards: bool = False
@@ -146,6 +162,12 @@ class Run(EnvConfig):
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
     """The engine: batched (compiled), sb3 (Stable-Baselines3), or tabular."""
     algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
+    policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = ""
+    """Stable-Baselines3's name of the learner's policy, if it is not MlpPolicy."""
+    algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = ""
+    """More arguments of Stable-Baselines3's learner, as JSON."""
+    callback: Annotated[str, matching(rf"|({MODULE}):\w+", "module:Class")] = ""
+    """A callback of Stable-Baselines3's, made without arguments."""
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = 50_000
     """Budget in agent steps, summed over slots."""
@@ -273,13 +295,21 @@ def make_run(given: Mapping[str, object]) -> Run:
 def fields_read(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle = {"slow_factor": not run.slow, "dampening": not run.momentum, "clip": run.gradient_limit is None}
+    idle |= {key: not getattr(run, key) for key in OF_OPEN_LEARNERS}
     return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
+
+
+def is_open(run: Run) -> bool:
+    """Return whether Stable-Baselines3 trains a run as a script of one's own would: no exact resume."""
+    return run.algorithm in OPEN_LEARNERS or any(getattr(run, key) for key in OF_OPEN_LEARNERS)
 
 
 def beyond_engine(run: Run) -> str:
     """Return what the compiled engine cannot do for a run; empty if it can train it."""
     if ENGINES[0] not in ALGORITHM_ENGINES[run.algorithm]:
         return f"the algorithm {run.algorithm}"
+    if given := [key for key in OF_OPEN_LEARNERS if getattr(run, key)]:
+        return f"a run with {given[0]}"
     return "" if run.value_baseline else "advantages without a baseline"
 
 
@@ -302,6 +332,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(
             f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
         )
+    if is_open(run) and not is_gymnasium_id(run.env):
+        given = next((key for key in OF_OPEN_LEARNERS if getattr(run, key)), f"algorithm = {run.algorithm}")
+        raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         raise UserError(
             f"learners = independent is not allowed: {run.engine} trains one policy for all players"
@@ -327,16 +360,19 @@ def _check_learner(run: Run) -> None:
 
 def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     of_algorithm = ALGORITHM_FIELDS[algorithm]
+    if algorithm in OPEN_LEARNERS:
+        return frozenset((*of_algorithm, *OF_OPEN_LEARNERS, *OF_GYMNASIUM)) | _READ_BY_ALL
     if algorithm in TABULAR:
         return frozenset(of_algorithm) | _READ_BY_ALL
     of_env = OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS
     unread = NORMALIZING if algorithm in VALUE_BASED else ()  # what is replayed was seen otherwise
-    return (frozenset((*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *of_env)) | _READ_BY_ALL) - {*unread}
+    read = (*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *OF_OPEN_LEARNERS, *of_env)
+    return (frozenset(read) | _READ_BY_ALL) - {*unread}
 
 
 _LEFT_OPEN = {*OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
 """Fields for which None means the default."""
-_READ_BY_SOME = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS}
+_READ_BY_SOME = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
 _READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
 
 

@@ -39,6 +39,8 @@ NAMES = {
 }
 """Arguments that are fields by another name."""
 
+PASSED_ON = "algorithm_kwargs"
+"""The field of arguments that the learner alone reads."""
 _ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-relu"}
 
 
@@ -48,6 +50,9 @@ def own_fields(given: Mapping[str, Any]) -> dict[str, Any]:
     keys: dict[str, str] = {}
     for key, value in given.items():
         for name, own in _read(key, value).items():
+            if name == PASSED_ON and isinstance(own, Mapping) and isinstance(fields.get(name, {}), Mapping):
+                fields[name] = {**fields.get(name, {}), **own}
+                continue
             if name in fields:
                 raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
             fields[name], keys[name] = own, key
@@ -76,29 +81,27 @@ def _normalized(key: str, value: Any) -> dict[str, Any]:
 
 
 def _perceptron(key: str, value: Any) -> dict[str, Any]:
-    if value != "MlpPolicy":
-        raise UserError(f'{key} = "{value}" is not allowed: networks are those of "MlpPolicy"')
-    return {}
+    return {} if value == "MlpPolicy" else {key: value}
 
 
-def _without_noise_of_states(key: str, value: Any) -> dict[str, Any]:
-    if key == "use_sde" and value:
-        raise UserError(f"{key} is not allowed: there is no state-dependent exploration")
-    return {}
+def _passed_on(key: str, value: Any) -> dict[str, Any]:
+    """Read an argument that is no field, if it is not at the learner's own default."""
+    return {PASSED_ON: {key: value}} if value not in (False, None, -1) else {}
 
 
 def _networks(key: str, value: Any) -> dict[str, Any]:
-    """Read a table, or the zoo's text "dict(net_arch=dict(pi=[64], vf=[64]), activation_fn=nn.ReLU)"."""
-    allowed = "a table or dict(…) of net_arch and activation_fn"
+    """Read a table, or the zoo's text "dict(net_arch=dict(pi=[64], vf=[64]), activation_fn=nn.ReLU)".
+
+    Networks of pi and vf, and three activations, are fields; all else is passed on to the policy.
+    """
     try:
         arguments = _evaluated(ast.parse(value, mode="eval").body) if isinstance(value, str) else {**value}
-        layers = arguments.pop("net_arch", None)
-        activation = arguments.pop("activation_fn", None)
-        if arguments:
-            raise UserError(f"{key}: {next(iter(arguments))} is not allowed: {allowed}")
-        return {**_layers(layers), **({"activation": _ACTIVATIONS[activation]} if activation else {})}
+        own = _layers(arguments.pop("net_arch", None))
+        if arguments.get("activation_fn") in _ACTIVATIONS:
+            own["activation"] = _ACTIVATIONS[arguments.pop("activation_fn")]
+        return {**own, **({PASSED_ON: {key: arguments}} if arguments else {})}
     except (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError):
-        raise UserError(f"{key} = {value!r} is not allowed: {allowed}") from None
+        raise UserError(f"{key} = {value!r} is not allowed: a table or dict(…)") from None
 
 
 def _layers(layers: Any) -> dict[str, Any]:
@@ -127,6 +130,5 @@ _READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
     "normalize": _normalized,
     "policy": _perceptron,
     "policy_kwargs": _networks,
-    "use_sde": _without_noise_of_states,
-    "sde_sample_freq": _without_noise_of_states,
+    **dict.fromkeys(("use_sde", "sde_sample_freq", "clip_range_vf"), _passed_on),
 }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.algorithms import ALGORITHMS, MAILMAN, TABULAR, VALUE_BASED
+from pneuma.algorithms import ALGORITHMS, MAILMAN, OPEN_LEARNERS, TABULAR, VALUE_BASED
 from pneuma.config import (
     BASES,
     as_fields,
@@ -72,16 +72,16 @@ def test_an_optimizer_has_its_own_fields_and_no_others(optimizer: str, read: dic
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
     """What it does not read is at its default, whatever was said; None where only others have it."""
-    env = MAILMAN if algorithm in TABULAR else "pneuma/Pneuma-v0"
+    env = {**dict.fromkeys(TABULAR, MAILMAN), **dict.fromkeys(OPEN_LEARNERS, "CartPole-v1")}.get(algorithm)
     said = {"critic": [64], "clip_range": 0.3, "buffer_size": 32, "target_kl": 0.5, "reward_noise": 2.0}
-    run = make_run({**said, "algorithm": algorithm, "env": env})
+    run = make_run({**said, "algorithm": algorithm, "env": env or "pneuma/Pneuma-v0"})
     expected: dict[str, Any] = {
         "critic": (64,) if algorithm in ("ppo", "a2c", "trpo") else (256,),
         "clip_range": 0.3 if algorithm == "ppo" else 0.1,
         "buffer_size": 32 if algorithm in VALUE_BASED and algorithm not in TABULAR else None,
         "target_kl": 0.5 if algorithm == "trpo" else None,
         "reward_noise": 2.0 if algorithm in TABULAR else None,
-        "betas": None if algorithm in TABULAR else (0.9, 0.999),
+        "betas": None if env else (0.9, 0.999),
         "engine": "batched" if algorithm == "ppo" else "tabular" if algorithm in TABULAR else "sb3",
     }
     assert {key: getattr(run, key) for key in expected} == expected

@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, stream_seed
+from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_open, stream_seed
 
 
 def check_environment(run: Run) -> None:
     """Make a run's environment once, to find mistakes; its engine must be able to train in it."""
-    if is_gymnasium_id(run.env):
+    if is_open(run):
+        from pneuma.engines.sb3_open import check_learner
+
+        check_learner(run)
+    elif is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_env import check_spaces
 
         check_spaces(run)

@@ -296,10 +296,16 @@ def make_env(run: Run) -> gymnasium.Env[Any, Any]:
     except UserError as error:
         raise UserError(f"{error}{_how_to_register(run)}") from None
     for name in run.wrappers:
-        module, _, kind = name.rpartition(":")
+        kind, brace, rest = name.partition("{")
         with blamed(f"wrappers = {name}"):
-            env = getattr(_load(module), kind)(env)
+            env = load_class(kind)(env, **json.loads(brace + rest or "{}"))
     return env
+
+
+def load_class(name: str) -> Any:
+    """Return what module:Class names."""
+    module, _, kind = name.rpartition(":")
+    return getattr(_load(module), kind)
 
 
 def _how_to_register(run: Run) -> str:

@@ -32,7 +32,7 @@ class Evaluation:
         slots.action_space.seed(stream_seed(run.stream, "random-player") % 2**31)
         returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
-        self._random_return, self._random_spread = float(drawn.mean()), float(drawn.std())
+        self.random: Row = {"random_return": float(drawn.mean()), "random_spread": float(drawn.std())}
 
     def evaluate(self, policy: Policy, step: int) -> Row:
         """Return one row of `records.EVALUATION_COLUMNS`, with some of `VALUE_COLUMNS`."""
@@ -56,8 +56,7 @@ class Evaluation:
             "argmax_starts": BEST_EPISODES,
             "argmax_return": float(returns[episodes:].mean()),
             "success": float(successes[:episodes].mean()) if told_success else NAN,
-            "random_return": self._random_return,
-            "random_spread": self._random_spread,
+            **self.random,
         }
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import Run, is_gymnasium_id, stream_seed
+from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
 from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
@@ -33,6 +33,7 @@ TRAINERS = {
     "tabular": "pneuma.engines.tabular:TableTrainer",
 }
 """The trainer of each of `pneuma.config.ENGINES`, imported when it trains, as most are heavy."""
+OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 
 EVALUATIONS = 20
 """Evaluations per run."""
@@ -44,12 +45,13 @@ RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
 class Progress:
     """The state of one run after an update, at an agent step counted over all slots.
 
-    The engine continues to add to the records. `checkpoint` takes one; call it before the next update.
+    The engine continues to add to the records. `checkpoint` takes one; call it before the next update. It is
+    None if the run cannot be resumed.
     """
 
     step: int
     records: Records
-    checkpoint: Callable[[], Checkpoint]
+    checkpoint: Callable[[], Checkpoint] | None
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,8 @@ class Trainer(ABC):
         """Do the update between two agent steps and record it; return whether all numbers are finite."""
 
     @abstractmethod
-    def policy(self) -> Policy:
-        """Return the current policy."""
+    def policy(self) -> Policy | None:
+        """Return the current policy; None if it is not of networks that `Policy` has."""
 
     @abstractmethod
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
@@ -102,7 +104,8 @@ class Trainer(ABC):
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
     _seed_shared_generators(run)
-    module, name = TRAINERS[run.engine].split(":")
+    resumes = not is_open(run)
+    module, name = (TRAINERS[run.engine] if resumes else OPEN_TRAINER).split(":")
     trainer: Trainer = getattr(import_module(module), name)(run)
     records, step = Records(), 0
     if checkpoint:
@@ -120,7 +123,8 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             return Result("diverged", step, records, None)
         if update in judged:
             records.evaluations.append(trainer.evaluate(step))
-        if not on_update(Progress(step, records, partial(trainer.checkpoint, step, records))):
+        checkpoint_now = partial(trainer.checkpoint, step, records) if resumes else None
+        if not on_update(Progress(step, records, checkpoint_now)):
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())
     return Result("done", step, records, trainer.policy())

@@ -47,31 +47,9 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
     """
     torch.manual_seed(stream_seed(run.stream, "weights"))
-    kind = LEARNERS[run.algorithm]
-    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in arguments_of(run)}
-    layers: Any = list(run.actor)
-    if issubclass(kind, DQN):
-        assert run.target_every
-        at_least = env.num_envs  # a step of all slots
-        arguments["target_update_interval"] = max(run.target_every, at_least)
-    else:
-        layers = {"pi": layers, "vf": list(run.critic)}
-        arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
-    if "max_grad_norm" in arguments and (run.gradient_limit is None or run.clip != "joint"):
-        arguments["max_grad_norm"] = float("inf")
-    model = kind(
-        policy="MlpPolicy",
-        env=env,
-        policy_kwargs={
-            "net_arch": layers,
-            "activation_fn": ACTIVATIONS[run.activation],
-            "optimizer_class": OPTIMIZERS[run.optimizer],
-            "optimizer_kwargs": optimizer_arguments(run),
-            **(extractor or {}),
-        },
-        device="cpu",
-        **arguments,
-    )
+    arguments = learner_arguments(run, env.num_envs)
+    arguments["policy_kwargs"] |= extractor or {}
+    model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device="cpu", **arguments)
     if run.first_layer_scale != 1:
         networks: Any = model.policy.mlp_extractor
         with torch.no_grad():
@@ -80,6 +58,29 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
+
+
+def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
+    """Return the arguments of a learner of `LEARNERS` that follow from a run's fields."""
+    kind = LEARNERS[run.algorithm]
+    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in arguments_of(run)}
+    layers: Any = list(run.actor)
+    if issubclass(kind, DQN):
+        assert run.target_every
+        at_least = slots  # a step of all slots
+        arguments["target_update_interval"] = max(run.target_every, at_least)
+    else:
+        layers = {"pi": layers, "vf": list(run.critic)}
+        arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
+    if "max_grad_norm" in arguments and (run.gradient_limit is None or run.clip != "joint"):
+        arguments["max_grad_norm"] = float("inf")
+    arguments["policy_kwargs"] = {
+        "net_arch": layers,
+        "activation_fn": ACTIVATIONS[run.activation],
+        "optimizer_class": OPTIMIZERS[run.optimizer],
+        "optimizer_kwargs": optimizer_arguments(run),
+    }
+    return arguments
 
 
 def scheduled(run: Run, name: str) -> Any:

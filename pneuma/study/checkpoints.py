@@ -94,6 +94,8 @@ class RunCheckpoints:
 
         If it cannot be written, this is reported and tried again later. Training goes on.
         """
+        if progress.checkpoint is None:
+            return
         now = time.monotonic()
         if now < self._next and not at_once and progress.step not in self._steps_to_keep:
             return

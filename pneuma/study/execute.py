@@ -10,7 +10,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, env_config
+from pneuma.algorithms import OF_OPEN_LEARNERS
+from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
 from pneuma.study.executors.base import SLURM, Event, ExecutorConfig, load_executor
 from pneuma.study.plan import Cell, Plan
@@ -157,6 +158,9 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     if published:
         runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
         notes.append(f"{runs} published, and not trained: figures and numbers take them from there")
+    if open_ones := sum(map(is_open, todo.values())):
+        whose = f"{counted(open_ones, 'run')} of a learner of one's own setting"
+        notes.append(f"{whose} cannot be resumed: stopped or killed, it begins anew")
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
@@ -168,7 +172,7 @@ def check_environments(runs: Iterable[Run]) -> None:
     """Make each distinct environment of some runs once, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
-    keys = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    keys = ("env", *OF_GYMNASIUM, "engine", "algorithm", *OF_OPEN_LEARNERS)
     distinct = {(env_config(run), *(getattr(run, key) for key in keys)): run for run in runs}
     for run in distinct.values():
         check_environment(run)

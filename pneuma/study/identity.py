@@ -19,10 +19,13 @@ _MODULE_FILES = ("pneuma.own_modules", "module_files")
 _FILES = {
     "level": ("pneuma.env.load_level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
-    **dict.fromkeys(("reward", "env_module", "wrappers"), _MODULE_FILES),
+    **dict.fromkeys(("reward", "env_module", "wrappers", "callback"), _MODULE_FILES),
 }
 """By field: the function that returns the user's files to hash. None imports them."""
-_USES = {"reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper"}
+_USES = {
+    "reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper",
+    "callback": "run the callback",
+}  # fmt: skip
 
 
 def run_id(run: Run) -> str:
@@ -43,9 +46,13 @@ def config_id(run: Run) -> str:
 def _digest(run: Run, without: Sequence[str] = ()) -> str:
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
-    hashed |= dict.fromkeys(own_names(fields).keys() - {"reward", "wrappers"}, "of the user's own")
+    hashed |= dict.fromkeys(
+        own_names(fields).keys() - {"reward", "wrappers", "callback"}, "of the user's own"
+    )
     if "wrappers" in hashed:
-        hashed["wrappers"] = [Path(name).name for name in fields["wrappers"]]
+        hashed["wrappers"] = [_by_file(name) for name in fields["wrappers"]]
+    if "callback" in hashed:
+        hashed["callback"] = _by_file(fields["callback"])
     if "reward" in hashed:
         hashed["reward"] = [_by_module(name) for name in fields["reward"]]
     identity = {
@@ -55,6 +62,12 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _by_file(name: str) -> str:
+    """Return a class with its arguments, by the name of its module's file where it is given by its path."""
+    kind, brace, arguments = name.partition("{")
+    return Path(kind).name + brace + arguments
 
 
 def _by_module(reward: str) -> str:
@@ -76,7 +89,8 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     paths: list[Path] = []
     for key, named in own_names(fields).items():
         module, function = _FILES[key]
-        names = [named] if isinstance(named, str) else [name.rpartition(":")[0] for name in named]
+        every = [named] if isinstance(named, str) else named
+        names = [name.partition("{")[0].rpartition(":")[0] or name for name in every]
         for name in names:
             paths += getattr(import_module(module), function)(name)
     digest = hashlib.sha256()
@@ -90,7 +104,7 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that name a user's own level, characters or modules, by field."""
     tests = {"level": is_own_level, "characters": are_own_characters}
     named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
-    named |= {key: fields.get(key) for key in ("env_module", "wrappers")}
+    named |= {key: fields.get(key) for key in ("env_module", "wrappers", "callback")}
     named["reward"] = own_rewards(fields.get("reward", ()))
     return {key: value for key, value in named.items() if value}
 

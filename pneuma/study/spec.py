@@ -153,8 +153,12 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     return {**fields, **over}
 
 
+CLASSES = ("reward", "wrappers", "callback")
+"""Fields that name something inside a module."""
+
+
 def _beside(folder: Path, key: str, name: str) -> str:
-    file, colon, inside = name.partition(":") if key in ("reward", "wrappers") else (name, "", "")
+    file, colon, inside = name.partition(":") if key in CLASSES else (name, "", "")
     module = file.replace(".", "/")
     is_there = Path.is_dir if key == "level" else Path.is_file
     for each in (file, f"{module}.py", f"{module}/__init__.py"):

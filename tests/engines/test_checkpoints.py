@@ -53,6 +53,7 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
     kept: list[tuple[Checkpoint, bytes]] = []
 
     def keep(progress: Progress) -> bool:
+        assert progress.checkpoint
         kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {}, "")))
         return True
 

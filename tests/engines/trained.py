@@ -28,6 +28,7 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
     taken: list[Checkpoint] = []
 
     def keep(progress: Progress) -> bool:
+        assert progress.checkpoint
         taken.append(progress.checkpoint())
         return True
 

@@ -1,0 +1,217 @@
+"""Stable-Baselines3 as a script of one's own would use it: any of its learners, policies and arguments.
+
+    run → environments by Gymnasium alone, learner → its own `learn`, an update at a time → records
+
+Nothing is flattened, so that a policy may see pictures. The learner's whole state is not known here: a run is
+not resumed, and its policy is not stored.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from inspect import signature
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+
+from pneuma.algorithms import OPEN_LEARNERS
+from pneuma.config import Run, stream_seed
+from pneuma.engines.environment import slot_seeds
+from pneuma.engines.gymnasium_env import NAN, blamed, load_class, make_env
+from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
+from pneuma.engines.loop import Trainer
+from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, Row
+from pneuma.engines.sb3_learners import LEARNERS, learner_arguments
+from pneuma.errors import UserError
+
+OURS = ("env", "policy", "seed", "device", "learning_rate", "gamma", "tensorboard_log", "_init_setup_model")
+"""Arguments that follow from a run's fields, or write files."""
+LOGGED = {
+    "policy_loss": ("policy_gradient_loss", "policy_loss", "actor_loss"),
+    "value_loss": ("value_loss", "critic_loss", "loss"),
+    "approx_kl": ("approx_kl",),
+    "clip_fraction": ("clip_fraction",),
+    "explained_variance": ("explained_variance",),
+}
+"""Metrics, and the names by which learners log them."""
+
+
+def learner_class(run: Run) -> Any:
+    if run.algorithm in LEARNERS:
+        return LEARNERS[run.algorithm]
+    return load_class(OPEN_LEARNERS[run.algorithm])
+
+
+def check_learner(run: Run) -> None:
+    """Refuse arguments that the learner does not have, and spaces in which it or its policy cannot learn."""
+    known = signature(learner_class(run)).parameters
+    given = json.loads(run.algorithm_kwargs or "{}")
+    if wrong := [key for key in given if key not in known or key in OURS]:
+        allowed = ", ".join(key for key in known if key not in OURS)
+        raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
+    with closing(make_env(run)) as env:
+        seen = env.observation_space
+    if is_image_space(seen) and not run.policy:
+        fix = 'set policy = "CnnPolicy", or wrappers = ["FlattenObservation"]'
+        raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {fix}")
+    with closing(_environments(run, 1)) as environments:
+        _make_learner(run, environments, build=False)
+
+
+def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
+    """Return environments in slots, normalised if the run says so."""
+    made: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
+    made.seed(seed % 2**31)
+    if run.normalize_observations or run.normalize_rewards:
+        made = VecNormalize(
+            made, norm_obs=run.normalize_observations, norm_reward=run.normalize_rewards, gamma=run.gamma
+        )
+    return made
+
+
+def _make_learner(run: Run, env: VecEnv, build: bool = True) -> Any:
+    kind = learner_class(run)
+    arguments: dict[str, Any] = {"learning_rate": run.learning_rate, "gamma": run.gamma}
+    if run.algorithm in LEARNERS:
+        arguments |= learner_arguments(run, env.num_envs)
+    given = json.loads(run.algorithm_kwargs or "{}")
+    for_policy = {**arguments.get("policy_kwargs", {}), **given.pop("policy_kwargs", {})}
+    arguments |= {**given, "policy_kwargs": {key: _named(key, each) for key, each in for_policy.items()}}
+    if "_init_setup_model" in signature(kind).parameters:
+        arguments["_init_setup_model"] = build
+    known = signature(kind).parameters
+    with blamed(f"{run.algorithm} in {run.env}"):
+        return kind(
+            run.policy or "MlpPolicy",
+            env,
+            seed=stream_seed(run.stream, "weights") % 2**31,
+            device="cpu",
+            **{key: value for key, value in arguments.items() if key in known},
+        )
+
+
+def _named(key: str, value: Any) -> Any:
+    """Return a class of torch by its name, such as nn.ELU, where an argument of a policy takes a class."""
+    if not isinstance(value, str):
+        return value
+    places: dict[str, Any] = {"activation_fn": torch.nn, "optimizer_class": torch.optim}
+    found = getattr(places.get(key), value.rpartition(".")[2], None)
+    if key in places and not isinstance(found, type):
+        raise UserError(f"algorithm_kwargs: {key} = {value!r}: is no class of {places[key].__name__}")
+    return found or value
+
+
+class OpenTrainer(Trainer):
+    """Trains a run by its learner's own `learn`, for an update's steps at a time."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__(run)
+        torch.set_num_threads(1)
+        self._env = _environments(run, run.slots, slot_seeds(run)[0])
+        self._model = _make_learner(run, self._env)
+        self._model.set_logger(Logger(folder=None, output_formats=[]))
+        self._episodes = Episodes(run.slots)
+        self._callbacks: list[BaseCallback] = [self._episodes]
+        if run.callback:
+            with blamed(f"callback = {run.callback}"):
+                self._callbacks.append(load_class(run.callback)())
+        follow = self._model._update_current_progress_remaining
+        # schedules fall over the whole budget, of which `learn` is told a part at a time
+        self._model._update_current_progress_remaining = lambda steps, _: follow(steps, run.steps)
+        self._random = Evaluation(run).random
+        self._seed = stream_seed(run.stream, "evaluation")
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        raise ValueError("its learner's state is not stored")
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        model = self._model
+        with blamed(f"{self.run.algorithm} in {self.run.env}"):
+            left = after - model.num_timesteps
+            if left > 0:  # learners of replayed steps may have gone further
+                model.learn(left, callback=self._callbacks, reset_num_timesteps=False)
+        log = model.logger.name_to_value
+        told = {
+            name: float(next((log[f"train/{key}"] for key in keys if f"train/{key}" in log), NAN))
+            for name, keys in LOGGED.items()
+        }
+        records.metrics.append({**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, **told})
+        records.episodes.extend(self._episodes.take())
+        with torch.no_grad():
+            return all(bool(torch.isfinite(each).all()) for each in model.policy.parameters())
+
+    def evaluate(self, step: int) -> Row:
+        """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
+        drawn, lengths = self._play(self.run.evaluation_episodes, deterministic=False)
+        best, _ = self._play(BEST_EPISODES, deterministic=True)
+        return {
+            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
+            "step": step,
+            "episodes": self.run.evaluation_episodes,
+            "return": float(np.mean(drawn)),
+            "length": float(np.mean(lengths)),
+            "argmax_starts": BEST_EPISODES,
+            "argmax_return": float(np.mean(best)),
+            **self._random,
+        }
+
+    def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
+        generators = torch.get_rng_state(), np.random.get_state()
+        with closing(_environments(self.run, 1, self._seed)) as env, blamed(f"{self.run.env} in evaluation"):
+            if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
+                env.training, env.norm_reward = False, False
+                if self.run.normalize_observations:
+                    env.obs_rms = self._env.obs_rms
+            torch.manual_seed(self._seed % 2**63)
+            found: Any = evaluate_policy(
+                self._model, env, episodes, deterministic, return_episode_rewards=True
+            )
+        torch.set_rng_state(generators[0])
+        np.random.set_state(generators[1])
+        return found
+
+    def policy(self) -> None:
+        return None
+
+    def checkpoint(self, step: int, records: Records) -> Checkpoint:
+        raise NotImplementedError
+
+
+class Episodes(BaseCallback):
+    """Collects the episodes that end, from what `Monitor` tells."""
+
+    def __init__(self, slots: int) -> None:
+        super().__init__()
+        self._counts = [0] * slots
+        self._ended: list[Row] = []
+
+    def _on_step(self) -> bool:
+        for slot, info in enumerate(self.locals["infos"]):
+            if episode := info.get("episode"):
+                cut = info.get("TimeLimit.truncated", False)
+                self._ended.append(
+                    {
+                        "slot": slot,
+                        "episode": self._counts[slot],
+                        "step": self.num_timesteps,
+                        "return": float(episode["r"]),
+                        "length": int(episode["l"]),
+                        "kills": NAN,
+                        "hp": NAN,
+                        "ending": "truncated" if cut else "terminated",
+                    }
+                )
+                self._counts[slot] += 1
+        return True
+
+    def take(self) -> list[Row]:
+        taken, self._ended = self._ended, []
+        return taken
