@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pneuma.algorithms import VALUE_BASED
 from pneuma.errors import UserError
 
 DEFAULTS: dict[str, Any] = {
@@ -56,6 +57,8 @@ def own_fields(given: Mapping[str, Any]) -> dict[str, Any]:
             if name in fields:
                 raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
             fields[name], keys[name] = own, key
+    if fields.get("algorithm") in VALUE_BASED and keys.get("critic") == "policy_kwargs":
+        del fields["critic"]  # net_arch is of the one network that there is
     return fields
 
 
