@@ -1,0 +1,49 @@
+"""How many seeds an arm needs: against textbooks, and against simulated studies judged by the interval."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.intervals import difference_interval, incidence_difference_interval
+from pneuma.analysis.power import power_of_shares, seeds_for_means, seeds_for_shares
+
+
+@pytest.mark.parametrize(("effect", "seeds"), [(0.2, 394), (0.5, 64), (0.8, 26), (1.0, 17)])
+def test_equal_spreads_need_what_cohens_tables_say(effect: float, seeds: int) -> None:
+    """Cohen (1988), Table 2.4.1: two-sided, alpha 0.05, power 0.8."""
+    assert seeds_for_means(effect, 1, 1) == pytest.approx(seeds, abs=1)
+
+
+def test_simulated_studies_find_a_difference_that_often() -> None:
+    generator = np.random.default_rng(1)
+    seeds = seeds_for_means(0.05, 0.03, 0.06)
+    assert seeds
+    found = 0
+    for _ in range(2000):
+        ends = difference_interval(generator.normal(0.05, 0.03, seeds), generator.normal(0, 0.06, seeds))
+        found += ends.low > 0 or ends.high < 0
+    assert found / 2000 == pytest.approx(0.8, abs=0.03)
+
+
+def test_shares_are_summed_over_every_outcome() -> None:
+    seeds, found = 6, 0.0
+    for a in range(seeds + 1):
+        for b in range(seeds + 1):
+            ends = incidence_difference_interval(a, seeds, b, seeds)
+            chance = _chance(a, seeds, 0.9) * _chance(b, seeds, 0.1)
+            found += chance * (ends.low > 0 or ends.high < 0)
+    assert power_of_shares(0.9, 0.1, seeds) == pytest.approx(found)
+    fewest = seeds_for_shares(0.9, 0.1)
+    assert fewest and power_of_shares(0.9, 0.1, fewest) >= 0.8 > power_of_shares(0.9, 0.1, fewest - 1)
+
+
+def _chance(count: int, runs: int, share: float) -> float:
+    from math import comb
+
+    return comb(runs, count) * share**count * (1 - share) ** (runs - count)
+
+
+def test_no_number_of_seeds_finds_nothing() -> None:
+    assert seeds_for_means(0, 1, 1) is None
+    assert seeds_for_shares(0.5, 0.5) is None
