@@ -12,9 +12,10 @@ runs that the same process trained before.
 from __future__ import annotations
 
 import random
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
 from typing import Any
@@ -25,7 +26,7 @@ from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
 from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env.fields import own_rewards
+from pneuma.env.fields import ENVIRONMENTS, own_rewards
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -35,8 +36,10 @@ TRAINERS = {
 """The trainer of each of `pneuma.config.ENGINES`, imported when it trains, as most are heavy."""
 OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 
-EVALUATIONS = 20
-"""Evaluations per run."""
+EVALUATIONS, EPISODES = 20, 50
+"""Evaluations per run, and the episodes of each unless a run says otherwise."""
+SHORT_STEPS, SHORT_EPISODES = 100_000, 10
+"""Below so many steps a run in Pneuma's worlds has half as many evaluations, of so many episodes."""
 RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
 """What restoring a checkpoint raises that another engine, run or version wrote."""
 
@@ -52,6 +55,7 @@ class Progress:
     step: int
     records: Records
     checkpoint: Callable[[], Checkpoint] | None
+    evaluation_seconds: float = 0.0  # so far, of this call of `train_run`
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class Trainer(ABC):
 
     @cached_property
     def _evaluation(self) -> Any:
-        return make_evaluation(self.run)
+        return make_evaluation(replace(self.run, evaluation_episodes=evaluation_episodes(self.run)))
 
     def evaluate(self, step: int) -> Row:
         return self._evaluation.evaluate(self.policy(), step)
@@ -116,15 +120,17 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         if not begins_fork(run, checkpoint):
             records = checkpoint.records.copy()
-    judged = evaluation_updates(run)
+    judged, seconds = evaluation_updates(run), 0.0
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         before, step = step, update * run.steps_per_update
         if not trainer.update(before, step, records):
             return Result("diverged", step, records, None)
         if update in judged:
+            begun = time.perf_counter()
             records.evaluations.append(trainer.evaluate(step))
         checkpoint_now = partial(trainer.checkpoint, step, records) if resumes else None
-        if not on_update(Progress(step, records, checkpoint_now)):
+            seconds += time.perf_counter() - begun
+        if not on_update(Progress(step, records, checkpoint_now, seconds)):
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())
     return Result("done", step, records, trainer.policy())
@@ -149,9 +155,21 @@ def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
 def evaluation_updates(run: Run) -> set[int]:
     """Return the updates, counted from 1, after which a run is evaluated.
 
-    They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer.
+    They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer,
+    and a short one half as many: evaluations cost at most a fifth of a run's time.
     """
-    return _spread(run.updates, EVALUATIONS)
+    return _spread(run.updates, EVALUATIONS // 2 if _is_short(run) else EVALUATIONS)
+
+
+def evaluation_episodes(run: Run) -> int:
+    """Return how many episodes an evaluation plays with sampled actions."""
+    return (
+        SHORT_EPISODES if _is_short(run) and run.evaluation_episodes == EPISODES else run.evaluation_episodes
+    )
+
+
+def _is_short(run: Run) -> bool:
+    return run.env in ENVIRONMENTS and run.steps < SHORT_STEPS and run.updates > EVALUATIONS // 2
 
 
 def evaluation_steps(run: Run) -> dict[int, int]:

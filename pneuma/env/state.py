@@ -339,6 +339,7 @@ inlined_early: Any = njit(**_UNCOUNTED, inline="always")  # by numba before comp
 typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
+typed_void: Any = types.void
 
 
 @inlined_counted

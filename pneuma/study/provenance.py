@@ -38,10 +38,12 @@ class Attempt:
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
         self._begun = time.perf_counter()
         self._start = start
+        self._evaluating = 0.0
         self._first: tuple[float, float, int] | None = None  # both clocks and the step, programs compiled
 
-    def update(self, step: int) -> None:
-        """Note the time of the first update, before which programs are loaded and compiled."""
+    def update(self, step: int, evaluation_seconds: float = 0.0) -> None:
+        """Note the time of the first update, before which programs are compiled, and that of evaluations."""
+        self._evaluating = evaluation_seconds
         self._first = self._first or (time.perf_counter(), time.process_time(), step)
 
     def so_far(self, step: int) -> dict[str, Any]:
@@ -61,6 +63,7 @@ class Attempt:
             "started": self._started,
             "wall_seconds": round(now - self._begun, 3),
             "training_seconds": round(training, 3),
+            "evaluation_seconds": round(self._evaluating, 3),
             "processor_share": share,
             "step": step,
             "machine": machine(),
@@ -71,10 +74,13 @@ def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
     """Describe how a run was trained: the machine of the last attempt, and all attempts."""
     shares = [each["processor_share"] for each in attempts]
     known = [share for share in shares if share is not None]
+    seconds = sum(each["wall_seconds"] for each in attempts)
+    evaluating = sum(each.get("evaluation_seconds", 0.0) for each in attempts)
     return {
         "started": attempts[0]["started"],
-        "wall_seconds": round(sum(each["wall_seconds"] for each in attempts), 3),
+        "wall_seconds": round(seconds, 3),
         "training_seconds": round(sum(each["training_seconds"] for each in attempts), 3),
+        "evaluation_share": round(evaluating / max(seconds, 1e-9), 3),
         "processor_share": min(known) if len(known) == len(shares) else None,
         **attempts[-1]["machine"],
         "attempts": attempts,

@@ -180,7 +180,7 @@ def _train_once(
     reporter.send("status", name, text="begins")
 
     def update(progress: Progress) -> bool:
-        attempt.update(progress.step)
+        attempt.update(progress.step, progress.evaluation_seconds)
         reporter.step(name, progress.step)
         stopping = stop.is_set() or until <= progress.step < run.steps
         if log:

@@ -12,7 +12,7 @@ from pneuma.config import BASES, Run, make_run
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
-from pneuma.engines.loop import evaluation_updates
+from pneuma.engines.loop import evaluation_episodes, evaluation_updates
 from pneuma.engines.policy import Policy
 from pneuma.env.players import Hunter
 
@@ -76,12 +76,22 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
 
 
 def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
-    # 196 updates: after ceil(196 k / 20) = 10, 20, 30, 40, 49, … 196.
-    updates = sorted(evaluation_updates(run_of(steps=50_176)))
-    assert updates[:5] == [10, 20, 30, 40, 49]
-    assert updates[-1] == 196
+    # 392 updates: after ceil(392 k / 20) = 20, 40, 59, 79, 98, … 392.
+    updates = sorted(evaluation_updates(run_of(steps=100_352)))
+    assert updates[:5] == [20, 40, 59, 79, 98]
+    assert updates[-1] == 392
     assert len(updates) == 20
     assert evaluation_updates(run_of(steps=256 * 3)) == {1, 2, 3}
+
+
+def test_a_short_run_is_evaluated_at_half_as_many_points_by_fewer_episodes() -> None:
+    run = make_run({"steps": 50_176})  # 196 updates
+    points = sorted(evaluation_updates(run))
+    assert (len(points), points[0], points[-1]) == (10, 20, 196)
+    assert [evaluation_episodes(each) for each in (run, make_run({"steps": 100_352}))] == [10, 50]
+    assert evaluation_episodes(replace(run, evaluation_episodes=30)) == 30  # as the run says
+    few = make_run({"steps": 24_576, "horizon": 8192})
+    assert (evaluation_updates(few), evaluation_episodes(few)) == ({1, 2, 3}, 50)
 
 
 def test_evenness_is_the_entropy_of_the_players_shares() -> None:

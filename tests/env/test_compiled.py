@@ -18,17 +18,21 @@ CHOOSE = """
 import numpy as np
 from pneuma.config import env_config, make_run
 from pneuma.engines.batched import rollout
+from pneuma.engines.mlp import flat, room, sizes
 from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]
-weights = np.array([[0.0] * features + [1, 9, -9, 0, 0]], np.float32)  # one unit, tanh(1), then logits
+layers = (  # one unit, tanh(1), then logits
+    (np.zeros((features, 1), np.float32), np.ones(1, np.float32)),
+    (np.array([[9, -9]], np.float32), np.zeros(2, np.float32)),
+)
+weights, widths = flat(layers), sizes(layers)
 episodes = rollout.Episodes(
     np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_)
 )
 filled = rollout.empty_rollout(1, 1, features)
-draws, scratch = np.full(1, 0.5, np.float32), np.zeros((2, 1, features), np.float32)
+draws, scratch = np.full(1, 0.5, np.float32), room(widths, 1)
 chosen = np.zeros((1, 1), np.int64)
-widths = np.array([features, 1, 2])
 rollout._choose(worlds.handle, weights, widths, 0, draws, episodes, filled, 0, chosen, scratch)
 print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
@@ -61,7 +65,7 @@ def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) 
     """Action 0 has the logit 9 tanh(1), action 1 its negative."""
     assert said(CHOOSE, copy) == "0"
     assert said(CHOOSE, copy) == "0 1"  # from the cache
-    change(copy / "pneuma/engines/mlp.py", "math.tanh(x[j])", "-math.tanh(x[j])")
+    change(copy / "pneuma/engines/mlp.py", "= tanh(x[j])", "= -tanh(x[j])")
     assert said(CHOOSE, copy) == "1"
 
 

@@ -11,9 +11,9 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.rollout import Rollout, empty_rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.mlp import ACTIVATION_CODES, choose
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, sizes
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import Layers, flat, sizes
+from pneuma.engines.policy import Layers
 from pneuma.env import rules
 
 

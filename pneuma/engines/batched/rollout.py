@@ -16,8 +16,8 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.mlp import ACTIVATION_CODES, forward, sample
-from pneuma.engines.policy import Layers, flat, sizes
+from pneuma.engines.mlp import ACTIVATION_CODES, flat, forward, room, sample, sizes
+from pneuma.engines.policy import Layers
 from pneuma.env import rules
 from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, run_worlds
@@ -169,7 +169,7 @@ class Collector:
     ) -> int:  # fmt: skip
         """Do the same as `_play` step by step, because a user's reward is plain Python."""
         chosen = np.zeros(self.worlds.players.shape, np.int64)
-        scratch = np.zeros((2, len(episodes.idle), int(widths.max())), np.float32)
+        scratch = room(widths, len(episodes.idle))
         count = 0
         for step, draw in enumerate(draws):
             _choose(handle, weights, widths, activation, draw, episodes, rollout, step, chosen, scratch)
@@ -181,9 +181,9 @@ class Collector:
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
     widths, count = sizes(critic), len(observations)
-    scratch = np.zeros((2, count, int(widths.max())), np.float32)
-    scratch[0, :, : widths[0]] = observations
-    return np.array(forward(flat(critic)[0], widths, ACTIVATION_CODES[activation], count, scratch)[:, 0])
+    scratch = room(widths, count)
+    scratch[0, :count, : widths[0]] = observations
+    return np.array(forward(flat(critic)[0], widths, ACTIVATION_CODES[activation], count, scratch)[:count, 0])
 
 
 @kernel
@@ -194,7 +194,7 @@ def _play(
     """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
-    scratch = np.zeros((2, len(episodes.idle), widths.max()), np.float32)
+    scratch = room(widths, len(episodes.idle))
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], episodes, rollout, step, chosen, scratch)
@@ -219,11 +219,14 @@ def _choose(
     count = len(draws) // policies
     for own in range(policies):
         for k in range(count):
-            scratch[0, k, : widths[0]] = rollout.observations[own + k * policies, step]
+            for j in range(widths[0]):
+                scratch[0, k, j] = rollout.observations[own + k * policies, step, j]
         logits = forward(weights[own], widths, activation, count, scratch)
         for k in range(count):
             i = own + k * policies
-            chosen[i // players, i % players] = rollout.actions[i, step] = sample(logits[k], draws[i])
+            chosen[i // players, i % players] = rollout.actions[i, step] = sample(
+                logits[k, : widths[-1]], draws[i]
+            )
 
 
 @kernel

@@ -1,0 +1,112 @@
+"""The compiled forward pass: its functions beside double precision, and its sums beside plain loops."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from pneuma.engines import mlp
+from pneuma.engines.batched.rollout import value_of
+from pneuma.engines.policy import Layers, Policy
+
+WIDTHS = (60, 128, 40, 5)
+PRINT_BITS = """
+from tests.engines.test_mlp import outputs, networks
+print(outputs(networks(), 7).tobytes().hex())
+"""
+"""A program that prints what the network of `networks` gives."""
+
+
+def networks() -> Layers:
+    generator = np.random.default_rng(0)
+    return tuple(
+        (generator.normal(size=(n, m), scale=n**-0.5).astype("f4"), generator.normal(size=m).astype("f4"))
+        for n, m in zip(WIDTHS[:-1], WIDTHS[1:], strict=True)
+    )
+
+
+def observations(rows: int) -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(rows, WIDTHS[0])).astype("f4")
+
+
+def outputs(layers: Layers, rows: int) -> np.ndarray:
+    weights, widths = mlp.flat(layers)[0], mlp.sizes(layers)
+    scratch = mlp.room(widths, rows)
+    scratch[0, :rows, : widths[0]] = observations(rows)
+    return np.array(mlp.forward(weights, widths, mlp.ACTIVATION_CODES["tanh"], rows, scratch)[:rows, :5])
+
+
+def floats(low: float, high: float, every: int) -> np.ndarray:
+    """Return one in `every` of the float32 numbers between two positive ones."""
+    first, last = np.array([low, high], np.float32).view(np.int32)
+    return np.arange(first, last, every, dtype=np.int32).view(np.float32)
+
+
+def tanh(x: np.ndarray) -> np.ndarray:
+    result = x.copy()
+    mlp.activate(mlp.ACTIVATION_CODES["tanh"], result)
+    return result
+
+
+def units_off(found: np.ndarray, true: np.ndarray) -> float:
+    """Return the greatest error in units in the last place."""
+    return float((np.abs(found.astype("f8") - true) / np.spacing(true.astype("f4"))).max())
+
+
+def test_tanh_is_accurate_odd_and_monotone() -> None:
+    x = np.concatenate([floats(1e-30, 1e-4, 5003), floats(1e-4, 12, 61)])
+    found = tanh(x)
+    assert units_off(found, np.tanh(x.astype("f8"))) < 1.5
+    assert (np.diff(found) >= 0).all() and (tanh(-x) == -found).all()
+    seam = floats(0.62, 0.63, 1)
+    assert (np.diff(tanh(seam)) >= 0).all()
+    special = np.array([0, 10, np.inf, -np.inf, np.nan], np.float32)
+    assert np.array_equal(tanh(special), [0, 1, 1, -1, np.nan], equal_nan=True)
+
+
+def test_exp_is_accurate_and_monotone() -> None:
+    @numba.njit
+    def of_all(x: Any) -> None:
+        for i in range(len(x)):
+            x[i] = mlp.exp(x[i])
+
+    x = np.concatenate([-floats(1e-6, 87.3, 61)[::-1], floats(1e-6, 88, 61)])
+    found = x.copy()
+    of_all(found)
+    assert units_off(found, np.exp(x.astype("f8"))) < 1.5 and (np.diff(found) >= 0).all()
+    special = np.array([0, -200, -np.inf, np.nan], np.float32)
+    of_all(special)
+    assert np.array_equal(special, [1, 0, 0, np.nan], equal_nan=True)
+
+
+def test_a_row_has_the_same_bits_alone_in_company_and_summed_one_by_one() -> None:
+    layers, rows = networks(), observations(9)
+    expected = rows
+    for place, (weight, bias) in enumerate(layers):
+        sums = np.tile(bias, (len(rows), 1))
+        for factors, own in zip(weight, expected.T, strict=True):
+            sums = sums + own[:, None] * factors
+        expected = sums if place == len(layers) - 1 else tanh(sums.reshape(-1)).reshape(sums.shape)
+    for count in (1, 4, 9):
+        assert np.array_equal(outputs(layers, count), expected[:count])
+
+
+def test_bits_are_the_same_on_a_processor_without_wide_vectors(tmp_path: Path) -> None:
+    """This one may have fused multiply-adds too, which round otherwise."""
+    other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    told = subprocess.check_output([sys.executable, "-c", PRINT_BITS], env={**os.environ, **other}, text=True)
+    assert told.strip() == outputs(networks(), 7).tobytes().hex()
+
+
+def test_it_agrees_with_a_policy_that_was_loaded() -> None:
+    layers, rows = networks(), observations(9)
+    policy = Policy("tanh", layers, (*layers[:-1], (layers[-1][0][:, :1], layers[-1][1][:1])))
+    assert outputs(layers, 9) == pytest.approx(policy.logits(rows), abs=1e-5)
+    assert value_of(policy.critic, "tanh", rows) == pytest.approx(policy.values(rows), abs=1e-5)
