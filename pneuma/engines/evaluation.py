@@ -16,8 +16,8 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
-from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, sizes
-from pneuma.engines.policy import Policy
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat
+from pneuma.engines.policy import Policy, sizes
 from pneuma.env import rules
 from pneuma.env.fields import MOST_STEPS, own_rewards
 from pneuma.env.kernel import run_worlds

@@ -128,8 +128,8 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         if update in judged:
             begun = time.perf_counter()
             records.evaluations.append(trainer.evaluate(step))
-        checkpoint_now = partial(trainer.checkpoint, step, records) if resumes else None
             seconds += time.perf_counter() - begun
+        checkpoint_now = partial(trainer.checkpoint, step, records) if resumes else None
         if not on_update(Progress(step, records, checkpoint_now, seconds)):
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())

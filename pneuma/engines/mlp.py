@@ -1,6 +1,6 @@
 """The compiled forward pass of a policy, and the choice of actions by its logits.
 
-layers → `flat`, `sizes`; with observations → outputs, actions
+layers → `flat`; with observations → outputs, actions
 
 A row of observations gives the same bits however many other rows there are, and on every processor: each
 output is summed input by input, without fused multiply-adds, and tanh and exp are made of + - * / alone.
@@ -46,11 +46,6 @@ def flat(layers: Layers) -> np.ndarray:
     return np.concatenate(parts, axis=1)
 
 
-def sizes(layers: Layers) -> np.ndarray:
-    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
-    return np.array([layers[0][0].shape[-2], *(weight.shape[-1] for weight, _ in layers)], np.int64)
-
-
 # --- The forward pass ----------------------------------------------------------------------------
 
 
@@ -67,8 +62,8 @@ def room(widths: Any, count: int) -> Any:
 def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any) -> Any:
     """Return a network's outputs for `count` rows of `scratch[0]`, (count at least, outputs at least).
 
-    Weights and widths are those of `flat`, of one policy, and `sizes`. `scratch`, of `room`, is overwritten
-    and contains the outputs. `activation` is the code of the hidden layers' one.
+    Weights are those of `flat`, of one policy, and widths those of `pneuma.engines.policy.sizes`. `scratch`,
+    of `room`, is overwritten and contains the outputs. `activation` is the code of the hidden layers' one.
     """
     at = 0
     for layer in range(len(widths) - 1):

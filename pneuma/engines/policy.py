@@ -264,6 +264,11 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
             raise UserError(f"was trained on {trained} {what}; these settings make {asked}")
 
 
+def sizes(layers: Layers) -> np.ndarray:
+    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
+    return np.array([layers[0][0].shape[-2], *(weight.shape[-1] for weight, _ in layers)], np.int64)
+
+
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
     """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
     outputs = []

@@ -14,7 +14,7 @@ import pytest
 
 from pneuma.engines import mlp
 from pneuma.engines.batched.rollout import value_of
-from pneuma.engines.policy import Layers, Policy
+from pneuma.engines.policy import Layers, Policy, sizes
 
 WIDTHS = (60, 128, 40, 5)
 PRINT_BITS = """
@@ -37,7 +37,7 @@ def observations(rows: int) -> np.ndarray:
 
 
 def outputs(layers: Layers, rows: int) -> np.ndarray:
-    weights, widths = mlp.flat(layers)[0], mlp.sizes(layers)
+    weights, widths = mlp.flat(layers)[0], sizes(layers)
     scratch = mlp.room(widths, rows)
     scratch[0, :rows, : widths[0]] = observations(rows)
     return np.array(mlp.forward(weights, widths, mlp.ACTIVATION_CODES["tanh"], rows, scratch)[:rows, :5])

@@ -18,7 +18,8 @@ CHOOSE = """
 import numpy as np
 from pneuma.config import env_config, make_run
 from pneuma.engines.batched import rollout
-from pneuma.engines.mlp import flat, room, sizes
+from pneuma.engines.mlp import flat, room
+from pneuma.engines.policy import sizes
 from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]

@@ -11,6 +11,7 @@ import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import Run
+from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
 from pneuma.search.journal import best_number
@@ -21,6 +22,12 @@ from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store
 
 from .conftest import Formula, MakeTask, Told, height, record, solve, told_of
+
+
+@pytest.fixture(autouse=True)
+def twenty_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluate these short runs as often as long ones."""
+    monkeypatch.setattr(loop, "SHORT_STEPS", 0)
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii", "cmaes", "optuna.samplers:GPSampler"])

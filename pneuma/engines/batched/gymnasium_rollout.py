@@ -11,9 +11,9 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.rollout import Rollout, empty_rollout
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, sizes
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import Layers
+from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.mlp import ACTIVATION_CODES, flat, forward, room, sample, sizes
-from pneuma.engines.policy import Layers
+from pneuma.engines.mlp import ACTIVATION_CODES, flat, forward, room, sample
+from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
 from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, run_worlds
