@@ -29,6 +29,7 @@ from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, trusted_settings
+from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -300,7 +301,7 @@ def _selection(
     count, seeds = _count("steps", steps), plain(seeds)
     try:
         listed = seeds if seeds is None or isinstance(seeds, int) else plain([*seeds])
-        read = None if listed is None else spec.read_seeds(listed)
+        read = None if listed is None else read_seeds(listed)
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
     names = (conditions,) if isinstance(conditions, str) else tuple(conditions)

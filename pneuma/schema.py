@@ -44,7 +44,7 @@ DEEPEST = 50
 
 
 class Table(BaseModel):
-    """A table of a file, which has no other keys than its fields."""
+    """A table of a file, which has no other keys than its fields that are not excluded."""
 
     model_config = CONFIG
 
@@ -52,7 +52,7 @@ class Table(BaseModel):
     @classmethod
     def _only_known_keys(cls, data: Any) -> Any:
         if cls.model_config.get("extra") == "forbid":
-            refuse_unknown(data, cls.model_fields)
+            refuse_unknown(data, (name for name, field in cls.model_fields.items() if not field.exclude))
         return data
 
 

@@ -94,6 +94,16 @@ def shown_value(value: object) -> str:
     return "none" if value in (None, "") else str(value)
 
 
+def short(value: object) -> str:
+    """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]. Different values differ."""
+    if isinstance(value, float):
+        digits, _, power = f"{value:e}".partition("e")
+        scientific = f"{digits.rstrip('0').rstrip('.')}e{int(power)}"
+        text = min(f"{value:g}", scientific, key=len)
+        return text if float(text) == value else repr(value)
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
 def shown_settings(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 
@@ -112,6 +122,24 @@ def setting_words(settings: Mapping[str, Any]) -> list[str]:
 
 
 LONGEST_NAME = 100
+
+
+MOST_SEEDS = 10_000
+SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
+
+
+def read_seeds(value: object) -> tuple[int, ...]:
+    """Read seeds: a count n, for 0 … n - 1, or a list.
+
+    Raises:
+        ValueError: for anything else, including repeated seeds.
+    """
+    if type(value) is int and 1 <= value <= MOST_SEEDS:
+        return tuple(range(value))
+    seeds = tuple(value) if isinstance(value, list | tuple) else ()
+    if all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds) and 0 < len({*seeds}) == len(seeds):
+        return seeds
+    raise ValueError
 
 
 def shown_seeds(seeds: Iterable[int]) -> str:

@@ -68,7 +68,7 @@ def _run_ids() -> dict[str, str]:
 def _with_slots(study: Study) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the study as it is, and with one slot where its own file, not the world, says four."""
     yield "", {}
-    if study.shared.get("slots") == 4 and study.world != "godot":
+    if study.run.get("slots") == 4 and study.world != "godot":
         yield " slots=1", {"slots": 1}
 
 

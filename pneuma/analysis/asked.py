@@ -142,7 +142,8 @@ def _ask_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) 
     }
     for run_id, row in index.rows(index.entries[run_id] for run_id in listed).items():
         fields[listed[run_id][0]] = _without_amount(row.fields)
-    study = Study(name, None, listing["title"], "", name, listing["baseline"], every, worlds=(TEXT,))
+    baseline, title = listing["baseline"], listing["title"]
+    study = Study.without_file(name, title, every, baseline=baseline, worlds=(TEXT,))
     narrowed = picked.conditions if len(fields) < len(every) else ()
     return Asked(study, fields, listed=listed, narrowed=narrowed)
 

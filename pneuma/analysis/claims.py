@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -31,14 +31,13 @@ from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
 from pneuma.study.spec import (
     CLAIMS,
     CLAIMS_FILE,
-    SEEDS_ALLOWED,
+    Amount,
     Preset,
     Study,
     load_study,
-    read_seeds,
     studies_folder,
 )
-from pneuma.values import OneOf, Reads
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 from pneuma.worlds import WORLDS
 
 MINUS = " - "
@@ -414,10 +413,11 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
     every = {name: preset for each in found.values() for name, preset in each.items()}
     steps = steps or next(iter(found))
-    return replace(study, presets={**study.presets, CLAIMS: Preset((), steps, found.get(steps, every))})
+    preset = Preset.model_construct(seeds=(), steps=steps, conditions=found.get(steps, every))
+    return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
 
 
-def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
+def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
     """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
     if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
         return {}
@@ -430,7 +430,7 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Preset]]:
                 found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
     return {
         steps: {
-            name: Preset(tuple(sorted(seeds_of[name])), steps)
+            name: Amount.model_construct(seeds=tuple(sorted(seeds_of[name])), steps=steps)
             for name in study.conditions
             if name in seeds_of
         }

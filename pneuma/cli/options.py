@@ -31,9 +31,9 @@ from pneuma.study.executors.base import (
     load_executor,
 )
 from pneuma.study.plan import Selection
-from pneuma.study.spec import CLAIMS, MOST_SEEDS, PRESETS, SEEDS_ALLOWED, read_seeds
+from pneuma.study.spec import CLAIMS, PRESETS
 from pneuma.study.store import Store
-from pneuma.values import read_value, setting_words, shown_seeds
+from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:

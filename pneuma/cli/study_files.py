@@ -146,7 +146,7 @@ def table(
         if name not in THESIS_TABLES:
             raise unknown_name("table", name, THESIS_TABLES)
     from pneuma.bases import BASES
-    from pneuma.study.study_file import short
+    from pneuma.values import short
 
     heads = ["Hyperparameter", *(name.replace("table-6-", "Table 6.") for name in names or THESIS_TABLES)]
     rows = [

@@ -29,9 +29,9 @@ from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
 from pneuma.search.space import FIXABLE, Parameters, Space, named
-from pneuma.study.spec import PRESETS, SEEDS_ALLOWED, files_beside, find_file, read_seeds, studies_folder
-from pneuma.study.study_file import in_own_names
-from pneuma.values import OneOf, Reads
+from pneuma.study.identity import files_beside
+from pneuma.study.spec import PRESETS, find_file, in_own_names, studies_folder
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {

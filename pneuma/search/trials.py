@@ -232,16 +232,12 @@ def _to_train(part: Round, cells: Sequence[Cell]) -> dict[str, int]:
 def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     """Return the runs of trials as the plan of a study, which can be exported and drawn."""
     name = f"search-{task.search.label}"
-    study = Study(
-        name=name,
-        path=None,
-        title=task.search.title,
+    study = Study.without_file(
+        name,
+        task.search.title,
+        [cell.condition for cell in cells],
         section=task.search.spec.section,
         about=task.search.spec.about,
-        figure=name,
-        baseline=cells[0].condition,
-        base=task.search.space.base,
-        conditions={cell.condition: {} for cell in cells},
         world=task.search.world,
     )
     return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))

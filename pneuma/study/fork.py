@@ -120,8 +120,7 @@ def _plan(
     about = f"{about}, beside an unchanged control."
     env = conditions[CONTROL][0].env
     world = next((world for world, known in WORLDS.items() if known.env == env), TEXT)
-    named: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
-    study = Study(name, None, title, about, name, CONTROL, named, world=world)
+    study = Study.without_file(name, title, conditions, about=about, world=world)
     forks = [*product(range(len(conditions[CONTROL])), seeds)]
     places = tuple(seeds if len(conditions[CONTROL]) == 1 else range(len(forks)))
     cells = tuple(

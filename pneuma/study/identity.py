@@ -109,6 +109,34 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in named.items() if value}
 
 
+def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with the paths of a user's modules, level and characters that are beside a study's file.
+
+    What is not there is looked for when it is used: here, and modules among those that are installed.
+    """
+    over: dict[str, Any] = {}
+    for key, own in own_names(fields).items():
+        if isinstance(own, str):
+            over[key] = _beside(path.parent, key, own)
+        else:
+            over[key] = tuple(_beside(path.parent, key, one) if one in own else one for one in fields[key])
+    return {**fields, **over}
+
+
+CLASSES = ("reward", "wrappers", "callback")
+"""Fields that name something inside a module."""
+
+
+def _beside(folder: Path, key: str, name: str) -> str:
+    file, colon, inside = name.partition(":") if key in CLASSES else (name, "", "")
+    module = file.replace(".", "/")
+    is_there = Path.is_dir if key == "level" else Path.is_file
+    for each in (file, f"{module}.py", f"{module}/__init__.py"):
+        if is_there(beside := (folder / each).resolve()):
+            return f"{beside}{colon}{inside}"
+    return name
+
+
 def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     """Return what using untrusted fields would do beyond what is installed, by field; for messages.
 

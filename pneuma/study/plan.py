@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneuma.config import (
     ENGINES,
@@ -26,14 +26,20 @@ from pneuma.config import (
 from pneuma.env.fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
-from pneuma.study.identity import run_id
-from pneuma.study.spec import CLAIMS, Preset, Study, does_nothing, files_beside, unread_fields
-from pneuma.values import read_value, split_list
+from pneuma.study.identity import files_beside, run_id
+from pneuma.study.spec import CLAIMS, CONDITION, MOST_CONDITIONS, Preset, Study, does_nothing, unread_fields
+from pneuma.values import read_value, short, split_list
 
 Swept = Mapping[str, Mapping[str, Any]]
-"""The values of fields to sweep, by `key=value` as the user wrote it."""
-Variant = tuple[str, dict[str, Any]]
-"""A condition of the study's file, and the fields that are changed in it."""
+"""The values of each field to sweep, by what the user wrote."""
+
+
+class _Variant(NamedTuple):
+    """A condition of the study's file, the fields that are changed in it, and what was written of each."""
+
+    origin: str
+    fields: Mapping[str, Any]
+    levels: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -127,7 +133,7 @@ class Configurations:
         study: the study, whose conditions are crossed with the values of swept fields.
         runs: by condition; their seed and steps mean nothing.
         origins: the condition of the study's file that each one comes from.
-        same: groups of conditions that resolve to the same configuration; comparing them is A/A.
+        same: groups of conditions that resolve to the same configuration.
         engine_left_open: conditions that do not say which engine trains them.
     """
 
@@ -166,18 +172,25 @@ def configure(
             if (changed := _with_changes(study, name)) is None:
                 raise unknown_name(f"condition of study {study.name}", name, variants)
             variants[name] = changed
-    crossed = replace(
-        study,
-        conditions={
-            name: {**study.conditions[origin], **fields} for name, (origin, fields) in variants.items()
-        },
-        baseline=next(name for name, (origin, _) in variants.items() if origin == study.baseline),
-        settings=dict(settings),
+    levels = {
+        name: {**(study.levels.get(each.origin) or {CONDITION: each.origin}), **each.levels}
+        for name, each in variants.items()
+        if study.levels or swept
+    }
+    crossed = study.model_copy(
+        update={
+            "conditions": {
+                name: {**study.conditions[each.origin], **each.fields} for name, each in variants.items()
+            },
+            "levels": levels,
+            "baseline": next(name for name, each in variants.items() if each.origin == study.baseline),
+            "settings": dict(settings),
+        }
     )
     origins = {
-        name: origin
-        for name, (origin, _) in variants.items()
-        if not wanted or name in wanted or (swept and origin in wanted)
+        name: each.origin
+        for name, each in variants.items()
+        if not wanted or name in wanted or (swept and each.origin in wanted)
     }
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
     for key in unread_fields(runs.values(), settings):
@@ -209,8 +222,6 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
         one = {key: read_field(Run, key, value)}
         return (files_beside(study.path, one) if study.path else one)[key]
 
-    from pneuma.study.study_file import short
-
     players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
     single, swept = {}, {}
     for key, value in settings.items():
@@ -222,33 +233,33 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
             if not several or key not in Run.__dataclass_fields__:
                 raise
         if several and (key not in single or (key in OF_PLAYERS and {*players} == {1})):
-            swept[key] = {f"{key}={short(one)}": read(key, one) for one in values}
+            swept[key] = {short(one): read(key, one) for one in values}
             single.pop(key, None)
     return single, swept
 
 
-def _sweep(study: Study, swept: Swept) -> dict[str, Variant]:
+def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
     """Cross a study's conditions with the values of swept fields."""
-    from pneuma.study.study_file import MOST_CONDITIONS
-
     count = math.prod(map(len, [study.conditions, *swept.values()]))
     if swept and count > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     variants = {}
     for *chosen, origin in product(*swept.values(), study.conditions):
-        fields = {key: swept[key][said] for key, said in zip(swept, chosen, strict=True)}
-        variants[", ".join([origin, *chosen])] = origin, fields
+        levels = dict(zip(swept, chosen, strict=True))
+        name = ", ".join([origin, *(f"{key}={said}" for key, said in levels.items())])
+        fields = {key: swept[key][said] for key, said in levels.items()}
+        variants[name] = _Variant(origin, fields, levels)
     return variants
 
 
-def _with_changes(study: Study, name: str) -> Variant | None:
+def _with_changes(study: Study, name: str) -> _Variant | None:
     """Read the name of a condition with changed fields; None if it is not one."""
     for origin in sorted(study.conditions, key=len, reverse=True):
         parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
-        pairs = [part.partition("=") for part in parts[1:]]
         if name.startswith(f"{origin}, ") and not parts[0]:
-            settings = own_fields({key: read_value(value) for key, _, value in pairs})
-            return origin, _read_settings(study, settings)[0]
+            levels = dict(part.split("=", 1) for part in parts[1:])
+            settings = own_fields({key: read_value(value) for key, value in levels.items()})
+            return _Variant(origin, _read_settings(study, settings)[0], levels)
     return None
 
 
@@ -278,7 +289,7 @@ def _notes(asked: Configurations, runs: Mapping[str, Run], steps: Mapping[str, i
     """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
     yield from rounding_notes((steps[name], run) for name, run in runs.items())
     for names in asked.same:
-        yield f"{', '.join(names)} resolve to the same configuration: comparing them is A/A"
+        yield f"{', '.join(names)} have identical settings: a comparison shows noise"
     for name in asked.engine_left_open:
         if runs[name].engine != ENGINES[0]:
             reason = beyond_engine(runs[name]) or "such actions"

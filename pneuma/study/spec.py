@@ -1,27 +1,39 @@
 """Studies: named conditions that differ in the fields they set, and the worlds that they run in.
 
-A study is a TOML file: a title, a base of fields, what all conditions share, and what each changes.
+A study is a TOML file:
 
-file → Study (checked by `study_file.py`), here → Plan (`plan.py`). A study owns no results.
+    [run]                        what all conditions share
+    [factors]                    what every condition is crossed with
+    reward = ["thesis", "kills"]
+    [conditions.tanh]            what one condition changes
+
+gives the conditions `reward=thesis, tanh` and `reward=kills, tanh`. A study with factors needs no conditions.
+
+file → Study, checked here → Plan (`plan.py`). A study owns no results.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from importlib import import_module
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pneuma.config import BASES, Run, fields_read
-from pneuma.env.fields import ENVIRONMENT_SLOTS
+from annotated_types import Interval, MinLen
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, fields_read, make_run
+from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
-from pneuma.study.identity import own_names
-from pneuma.values import setting_words
+from pneuma.sb3_names import own_fields
+from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
+from pneuma.study.identity import files_beside
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
 from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
@@ -30,69 +42,155 @@ CLAIMS = "claims"
 CLAIMS_FILE = "claims.toml"
 """The file of claims, in the folder of studies."""
 
-MOST_SEEDS = 10_000
-SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
+MOST_CONDITIONS = 1000
+CONDITION = "condition"
+"""In a crossed study, the factor whose values are the file's conditions."""
+PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
+    FORK_FIELDS, "`pneuma run fork`"
+)
+"""Fields of a run that a study does not set, and what sets them."""
 
 
-@dataclass(frozen=True)
-class Preset:
-    """How much of a study to run: seeds, and agent steps of each run.
+# --- What the file may hold ------------------------------------------------------------------------
 
-    Attributes:
-        seeds, steps: of every condition; without seeds, of those in `conditions` alone.
-        conditions: exceptions for single conditions, such as large networks.
+
+def _named_values(factors: Any) -> Any:
+    """Name the values of a factor that is a field of the run, as those of other factors are."""
+    if not isinstance(factors, Mapping):
+        return factors
+    named = {}
+    for factor, values in factors.items():
+        refused = f"{factor} = {shown(values)} is not allowed: "
+        if factor == CONDITION:
+            raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
+        if not isinstance(values, tuple | Mapping) or len(values) < 2:
+            raise wrong(f"{refused}a list of two values or more, or a table of named ones", factor)
+        if isinstance(values, tuple) and any(value in values[:place] for place, value in enumerate(values)):
+            raise wrong(f"{refused}a list of different values", factor)
+        table = isinstance(values, Mapping)
+        named[factor] = values if table else {f"{factor}={short(value)}": {factor: value} for value in values}
+    return named
+
+
+def in_own_names(table: Any) -> Any:
+    """Return a table's fields by Pneuma's names; refuse a value by the name that it has in the file."""
+    if not isinstance(table, Mapping):
+        return table
+    key = ""
+    try:
+        for key, value in table.items():
+            for name, own in own_fields({key: value}).items():
+                if name not in (*table, *PLANNED):
+                    read_field(Run, name, own)
+        return own_fields(table)
+    except UserError as error:
+        named = str(error).split()[0].strip(":")
+        raise wrong(str(error), named) if named in table else wrong(f"{key}: {error}", key) from None
+
+
+Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
+"""The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
+Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED), BeforeValidator(in_own_names)]
+Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
+
+
+class Amount(Table):
+    """[presets.NAME.conditions.NAME]: seeds and steps of one condition; the preset's where it says none."""
+
+    seeds: Seeds = ()
+    steps: Steps = 0
+
+
+class Preset(Amount):
+    """[presets.NAME]: seeds and steps of every condition but those of `conditions`, which say their own.
+
+    The preset of claims has no seeds: it is of its `conditions` alone.
     """
 
-    seeds: tuple[int, ...]
-    steps: int
-    conditions: Mapping[str, Preset] = field(default_factory=dict)
+    seeds: Seeds
+    steps: Steps
+    conditions: Mapping[str, Amount] = {}
+
+    @field_validator("conditions")
+    @classmethod
+    def _spread(cls, conditions: Mapping[str, Amount], info: ValidationInfo) -> Mapping[str, Amount]:
+        """Fill in the preset's own seeds and steps."""
+        return {
+            name: Amount.model_construct(**{**info.data, **each.model_dump(exclude_unset=True)})
+            for name, each in conditions.items()
+        }
 
 
-@dataclass(frozen=True)
-class Study:
-    """A comparison: named conditions that differ in what they set.
+class Study(Table):
+    """A comparison: named conditions that differ in what they set. Its file has no keys for the last five.
 
     Attributes:
-        path: the file; None for a study without a file, such as a fork.
         title, section, about: shown to users.
         figure: file stem of its figure.
+        base: name of the fields to start from.
         baseline: the condition that the others are compared with.
         outcomes: what it asks about, in place of the usual ones.
-        base: name of the fields to start from.
-        shared: fields of every condition on top of the base.
-        conditions: what each condition sets on top.
-        labels: what conditions are called in figures, where not by their names.
         keep_checkpoints: number of checkpoints kept of each run for forks, evenly spread, besides that of its
             first update.
-        levels: for each condition of a crossed study, its value of each factor.
-        world: one of `WORLDS`.
         worlds: those of `WORLDS` in which it can be run.
+        run: fields of every condition on top of the base.
+        factors: what each value of each factor sets.
+        conditions: what each condition sets on top; once it is read, crossed with the factors.
+        labels: what conditions are called in figures, where not by their names.
+        levels: for each condition of a crossed study, its value of each factor.
+        path: the file; None for a study without a file, such as a fork.
+        world: one of `WORLDS`.
         settings: fields that `--set` changed in every condition.
     """
 
-    name: str
-    path: Path | None
-    title: str
-    about: str
-    figure: str
-    baseline: str
-    conditions: Mapping[str, Mapping[str, Any]]
+    title: Annotated[str, MinLen(1)]
     section: str = ""
-    base: str = ""
-    shared: Mapping[str, Any] = field(default_factory=dict)
-    labels: Mapping[str, str] = field(default_factory=dict)
-    presets: Mapping[str, Preset] = field(default_factory=dict)
-    keep_checkpoints: int = 0
-    levels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    world: str = TEXT
-    worlds: tuple[str, ...] = tuple(WORLDS)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
+    figure: Annotated[str, matching(r"([\w-][\w.-]*)?", "a file name without folders and ending")] = ""
+    base: Annotated[str, OneOf(tuple(BASES))]
+    baseline: str = ""
     outcomes: tuple[str, ...] = ()
+    keep_checkpoints: Annotated[int, Interval(ge=0, le=1000)] = 0
+    worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] = ()
+    run: Fields = {}
+    factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
+    conditions: dict[Name, Fields] = {}
+    labels: dict[str, Annotated[str, MinLen(1)]] = {}
+    presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Preset], MinLen(1)]
+
+    name: str = Field("", exclude=True)
+    path: Path | None = Field(None, exclude=True)
+    levels: Mapping[str, Mapping[str, str]] = Field({}, exclude=True)
+    world: str = Field(TEXT, exclude=True)
+    settings: Mapping[str, Any] = Field({}, exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _spread_budget(cls, data: Any) -> Any:
+        """Take `n_timesteps` of [run] as the steps of presets that say none."""
+        run, presets = data.get("run"), data.get("presets")
+        if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
+            return data
+        run, presets = {**run}, {**presets}
+        try:
+            steps = read_field(Run, "steps", run.pop("n_timesteps"))
+        except UserError as error:
+            raise wrong(f"[run] n_timesteps: {error}", "run") from None
+        for name, table in presets.items():
+            presets[name] = {"steps": steps, **table} if isinstance(table, Mapping) else table
+        return {**data, "presets": presets, "run": run}
+
+    @classmethod
+    def without_file(cls, name: str, title: str, conditions: Iterable[str], **more: Any) -> Study:
+        """Return a study whose runs are listed or forked; the first condition is the baseline."""
+        named: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
+        usual = {"baseline": next(iter(named)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
+        return cls.model_construct(name=name, title=title, conditions=named, **{**usual, **more})
 
     def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""
-        set_by_itself = {*self.shared, *(key for fields in self.conditions.values() for key in fields)}
-        shared = {**self.shared, **world_fields(self.world, set_by_itself)}
+        set_by_itself = {*self.run, *(key for fields in self.conditions.values() for key in fields)}
+        shared = {**self.run, **world_fields(self.world, set_by_itself)}
         return join_fields(self.base, {**shared, **self.conditions[condition], **(over or {})})
 
     def in_world(self, world: str) -> Study:
@@ -103,7 +201,7 @@ class Study:
         if world not in self.worlds:
             known = ", ".join(self.worlds)
             raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
-        return replace(self, world=world)
+        return self.model_copy(update={"world": world})
 
     @property
     def variant(self) -> str:
@@ -125,49 +223,111 @@ def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     return {**BASES[base], **slots, **fields}
 
 
-def read_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a count n, for 0 … n - 1, or a list.
+# --- Reading ---------------------------------------------------------------------------------------
 
-    Raises:
-        ValueError: for anything else, including repeated seeds.
+
+def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) -> Study:
+    """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
+
+    Its usual world is the arena, if it is run in it. A mistyped name may mean one of `others`.
     """
-    if type(value) is int and 1 <= value <= MOST_SEEDS:
-        return tuple(range(value))
-    seeds = tuple(value) if isinstance(value, list | tuple) else ()
-    if all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds) and 0 < len({*seeds}) == len(seeds):
-        return seeds
-    raise ValueError
+    study = _read_study(find_file("study", name, studies_folder(), others))
+    return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
-def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields with the paths of a user's modules, level and characters that are beside a study's file.
+def _read_study(path: Path) -> Study:
+    """Read a study's file and check that its conditions make valid runs in each of its worlds."""
+    file = read_toml(path)
+    study = _crossed(file, read_model(Study, file))
+    conditions = study.conditions
+    if not conditions:
+        raise file.mistake((), "a study needs at least one condition", "conditions")
+    baseline = study.baseline or next(iter(conditions))
+    mentioned = [((), "baseline", baseline), *((("labels",), name, name) for name in study.labels)]
+    mentioned += [
+        (("presets", preset, "conditions"), name, name)
+        for preset, amounts in study.presets.items()
+        for name in amounts.conditions
+    ]
+    for where, key, name in mentioned:
+        if name not in conditions:
+            said = "baseline: " if key == "baseline" else ""
+            raise file.mistake(where, f"{said}{unknown_name('condition', name, conditions)}", key)
+    env = study.run.get("env", ENVIRONMENTS[0])
+    fixed = env != ENVIRONMENTS[0] or any("env" in fields for fields in conditions.values())
+    alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
+    usual = (alike or [TEXT]) if fixed else [*WORLDS]
+    figure, usual_figure = study.figure, f"study-{path.stem}"
+    own = path.resolve().parent != studies_folder().resolve()
+    if own and any(read_head(name).get("figure") == figure for name in list_studies()):
+        figure = usual_figure  # so that the shipped study's figure stays
+    study = study.model_copy(
+        update={
+            "name": path.stem,
+            "path": path,
+            "figure": figure or usual_figure,
+            "baseline": baseline,
+            "run": files_beside(path, study.run),
+            "conditions": {name: files_beside(path, fields) for name, fields in conditions.items()},
+            "worlds": tuple(dict.fromkeys(study.worlds or usual)),
+        }
+    )
+    for world in study.worlds:
+        _check_runs(file, study.in_world(world))
+    return study
 
-    What is not there is looked for when it is used: here, and modules among those that are installed.
-    """
-    over: dict[str, Any] = {}
-    for key, own in own_names(fields).items():
-        if isinstance(own, str):
-            over[key] = _beside(path.parent, key, own)
-        else:
-            over[key] = tuple(_beside(path.parent, key, one) if one in own else one for one in fields[key])
-    return {**fields, **over}
+
+def _crossed(file: TomlFile, study: Study) -> Study:
+    """Return a study with its conditions crossed with its factors."""
+    factors = {**study.factors, **({CONDITION: study.conditions} if study.conditions else {})}
+    if not study.factors:
+        return study
+    if (count := math.prod(map(len, factors.values()))) > MOST_CONDITIONS:
+        message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise file.mistake((), message, "factors")
+    crossed: dict[str, dict[str, Any]] = {}
+    levels: dict[str, dict[str, str]] = {}
+    baseline = study.baseline
+    for names in product(*factors.values()):
+        fields: dict[str, Any] = {}
+        for factor, name in zip(factors, names, strict=True):
+            if twice := fields.keys() & factors[factor][name].keys():
+                message = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
+                raise file.mistake(("factors",), message, factor)
+            fields |= factors[factor][name]
+        joined = ", ".join(names)
+        if joined in crossed:
+            message = f"two combinations are both called {joined}; name their values otherwise"
+            raise file.mistake(("factors",), message)
+        baseline = joined if baseline in names else baseline
+        pairs = zip(factors, names, strict=True)
+        crossed[joined] = fields
+        levels[joined] = {factor: name.removeprefix(f"{factor}=") for factor, name in pairs}
+    return study.model_copy(update={"conditions": crossed, "levels": levels, "baseline": baseline})
 
 
-CLASSES = ("reward", "wrappers", "callback")
-"""Fields that name something inside a module."""
+def _check_runs(file: TomlFile, study: Study) -> None:
+    """Refuse conditions that make no valid run, and fields that do nothing."""
+    runs: list[Run] = []
+    for name, fields in study.conditions.items():
+        try:
+            runs.append(make_run(study.fields(name)))
+            for key in unread_fields(runs[-1:], fields):
+                raise UserError(does_nothing(key, runs[-1:]))
+        except UserError as error:
+            raise _mistake_in(file, study, name, str(error)) from None
+    for key in unread_fields(runs, study.run):
+        raise file.mistake(("run",), does_nothing(key, runs), key)
 
 
-def _beside(folder: Path, key: str, name: str) -> str:
-    file, colon, inside = name.partition(":") if key in CLASSES else (name, "", "")
-    module = file.replace(".", "/")
-    is_there = Path.is_dir if key == "level" else Path.is_file
-    for each in (file, f"{module}.py", f"{module}/__init__.py"):
-        if is_there(beside := (folder / each).resolve()):
-            return f"{beside}{colon}{inside}"
-    return name
-
-
-# --- Fields that do nothing ------------------------------------------------------------------------
+def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
+    """Return an error that points at the field it begins with, or else at the condition."""
+    key = next((key for key in study.fields(name) if message.startswith(f"{key} ")), "")
+    if key in study.run and key not in study.conditions[name]:
+        return file.mistake(("run",), message, key)
+    if study.levels:
+        return file.mistake(("factors",), f"{message} (in {name})", key)
+    return file.mistake(("conditions", name), message, key)
 
 
 def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
@@ -199,16 +359,6 @@ def list_studies() -> list[str]:
 def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) -> Study:
-    """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
-
-    Its usual world is the arena, if it is run in it. A mistyped name may mean one of `others`.
-    """
-    path = find_file("study", name, studies_folder(), others)
-    study: Study = import_module("pneuma.study.study_file").read_study(path)
-    return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
 def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:

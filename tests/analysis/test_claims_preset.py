@@ -10,7 +10,7 @@ import pytest
 from pneuma.analysis.claims import with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import Preset, Study, load_study
+from pneuma.study.spec import Amount, Study, load_study
 
 CLAIMS = """\
 [defaults]
@@ -68,21 +68,25 @@ def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
     return load_study(str(folder / "mine.toml"), world)
 
 
-def _preset(study: Study, steps: int | None = None) -> Mapping[str, Preset]:
+def _preset(study: Study, steps: int | None = None) -> Mapping[str, Amount]:
     return with_claims(study, steps).presets["claims"].conditions
+
+
+def _amount(*seeds: int) -> Amount:
+    return Amount.model_construct(seeds=seeds, steps=1024)
 
 
 def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
     assert _preset(_study(tmp_path)) == {
-        "low": Preset((0, 1, 7), 1024),
-        "middle": Preset((0, 1), 1024),
-        "high": Preset((0, 1, 2, 3), 1024),
+        "low": _amount(0, 1, 7),
+        "middle": _amount(0, 1),
+        "high": _amount(0, 1, 2, 3),
     }
 
 
 def test_a_world_has_what_claims_about_it_fix(tmp_path: Path) -> None:
     there = _preset(_study(tmp_path, world="godot"))
-    assert there == dict.fromkeys(("low", "middle", "high"), Preset((0, 1), 1024))
+    assert there == dict.fromkeys(("low", "middle", "high"), _amount(0, 1))
 
 
 def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:

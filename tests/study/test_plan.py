@@ -48,9 +48,9 @@ def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
     assert plan.conditions == ("adam", "sgd", "also-adam")
 
 
-def test_conditions_of_one_configuration_are_named_as_a_a(study: Study) -> None:
+def test_conditions_of_one_configuration_are_named_as_equal(study: Study) -> None:
     plan = make_plan(study, Selection())
-    assert [note for note in plan.notes if "A/A" in note and "adam, also-adam" in note]
+    assert [note for note in plan.notes if "identical settings" in note and "adam, also-adam" in note]
     first, _, third = plan.cells[:3]
     assert first.run_id == third.run_id
 

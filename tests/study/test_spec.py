@@ -102,7 +102,7 @@ def test_every_combination_is_a_condition_with_a_name_that_tells_it(tmp_path: Pa
         "activation": "relu",
     }  # fmt: skip
     assert study.levels[name] == {
-        "learning_rate": "learning_rate=1e-3", "reward": "reward=kills", "betas": "fast", "condition": "relu",
+        "learning_rate": "1e-3", "reward": "kills", "betas": "fast", "condition": "relu",
     }  # fmt: skip
     assert study.fields(name)["epochs"] == 5
     assert next(iter(study.conditions)) == "learning_rate=3e-4, reward=thesis, stationary, tanh"
