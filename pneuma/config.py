@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Annotated, Any
 
 from annotated_types import Interval, Len
@@ -283,20 +284,33 @@ def make_run(given: Mapping[str, object]) -> Run:
     """
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, with_environment(env, given))
-    values = {key: value for key, value in read.items() if value is not None or key not in _LEFT_OPEN}
+    usual = {item.name: item.default for item in fields(Run)}
+    values = {key: value for key, value in read.items() if value is not None or usual[key] is not None}
     values = _resolve_learner(values if is_gymnasium_id(env) else resolve_world(values))
-    values["engine"] = _engine(values)
-    run = Run(**values)
+    run = Run(**{**values, "engine": ENGINES[0]})
+    run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
     whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
     return run if whole == run.steps else replace(run, steps=whole)
 
 
-def fields_read(run: Run) -> frozenset[str]:
+def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle = {"slow_factor": not run.slow, "dampening": not run.momentum, "clip": run.gradient_limit is None}
     idle |= {key: not getattr(run, key) for key in OF_OPEN_LEARNERS}
     return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
+
+
+@cache
+def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
+    read = {*ALGORITHM_FIELDS[algorithm]}
+    if algorithm not in TABULAR:
+        read |= {*OF_OPEN_LEARNERS, *(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
+        read |= set() if algorithm in OPEN_LEARNERS else {*OPTIMIZER_FIELDS[optimizer]}
+    if algorithm in VALUE_BASED:
+        read -= {*NORMALIZING}  # what is replayed was seen otherwise
+    by_some = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
+    return frozenset({item.name for item in fields(Run)} - by_some | read)
 
 
 def is_open(run: Run) -> bool:
@@ -313,16 +327,14 @@ def beyond_engine(run: Run) -> str:
     return "" if run.value_baseline else "advantages without a baseline"
 
 
-def _engine(values: Mapping[str, Any]) -> str:
-    """Return a run's engine: the one it names, or the first one that can train it."""
-    run = Run(**{**values, "engine": ENGINES[0]})
+def _engine(run: Run, asked: str) -> str:
+    """Return the engine that was asked for, or the first one that can train a run."""
     reason = beyond_engine(run)
     able = [name for name in ALGORITHM_ENGINES[run.algorithm] if not reason or name != ENGINES[0]]
-    engine = str(values.get("engine", able[0]))
-    if engine not in able:
+    if asked and asked not in able:
         cannot = f"it cannot train {reason or f'the algorithm {run.algorithm}'}; {' and '.join(able)} can"
-        raise UserError(f'engine = "{engine}" is not allowed: {cannot}')
-    return engine
+        raise UserError(f'engine = "{asked}" is not allowed: {cannot}')
+    return asked or able[0]
 
 
 def _check_learner(run: Run) -> None:
@@ -352,34 +364,16 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"held_out_levels = {run.held_out_levels} is not allowed: {wrong}")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
-    if run.fork_reset == "critic" and "critic" not in fields_read(run):
+    if run.fork_reset == "critic" and "critic" not in reads(run):
         raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
     if run.fork_reset == "xp" and is_gymnasium_id(run.env):
         raise UserError(f"fork_reset = xp is not allowed: {run.env} has no XP")
 
 
-def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
-    of_algorithm = ALGORITHM_FIELDS[algorithm]
-    if algorithm in OPEN_LEARNERS:
-        return frozenset((*of_algorithm, *OF_OPEN_LEARNERS, *OF_GYMNASIUM)) | _READ_BY_ALL
-    if algorithm in TABULAR:
-        return frozenset(of_algorithm) | _READ_BY_ALL
-    of_env = OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS
-    unread = NORMALIZING if algorithm in VALUE_BASED else ()  # what is replayed was seen otherwise
-    read = (*of_algorithm, *OPTIMIZER_FIELDS[optimizer], *OF_OPEN_LEARNERS, *of_env)
-    return (frozenset(read) | _READ_BY_ALL) - {*unread}
-
-
-_LEFT_OPEN = {*OPTIMIZER_DEFAULTS, *(key for each in ALGORITHM_DEFAULTS.values() for key in each)}
-"""Fields for which None means the default."""
-_READ_BY_SOME = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
-_READ_BY_ALL = frozenset(item.name for item in fields(Run)) - _READ_BY_SOME
-
-
 def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
     """Fill in the defaults of the algorithm and optimizer, and drop fields that are not read."""
-    algorithm, optimizer = values.get("algorithm", "ppo"), values.get("optimizer", "adam")
-    read = _read_by(values.get("env", ENVIRONMENTS[0]), algorithm, optimizer)
+    named = Run(**{key: values[key] for key in ("env", "algorithm", "optimizer") if key in values})
+    read, algorithm = _read_by(named.env, named.algorithm, named.optimizer), named.algorithm
     if values.get("learners") == LEARNERS[1] and "learners" not in read:
         raise UserError(
             f"learners = independent is not allowed: {algorithm} trains one policy for all players"

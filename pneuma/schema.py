@@ -13,24 +13,21 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from functools import cache
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
-    GetCoreSchemaHandler,
     TypeAdapter,
     ValidationError,
     model_validator,
-    with_config,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
-from typing_extensions import TypedDict
+from pydantic_core import PydanticCustomError
 
 from pneuma.errors import UserError, nearest_name, unknown_name
 from pneuma.files import read_text
@@ -113,45 +110,25 @@ def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
 # --- Fields of a dataclass -------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FieldsOf:
-    """For `Annotated`: a dictionary of some fields of a dataclass, each of its type.
-
-    `elsewhere` has fields that are set in another place, and where.
-    """
-
-    owner: type
-    elsewhere: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(one.name for one in fields(self.owner) if one.name not in self.elsewhere)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        hints = get_type_hints(self.owner, include_extras=True)
-        table = TypedDict(self.owner.__name__, {key: hints[key] for key in self.names}, total=False)  # type: ignore[misc]
-        schema = handler.generate_schema(with_config(CONFIG)(table))
-        return core_schema.no_info_before_validator_function(self._refuse_others, schema)
-
-    def _refuse_others(self, data: Any) -> Any:
-        for key in data if isinstance(data, Mapping) else ():
-            if key in self.elsewhere:
-                raise wrong(f"{key} is set by {self.elsewhere[key]}, not here", key)
-        refuse_unknown(data, self.names)
-        return data
-
-
-def read_dataclass_fields(owner: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Check some fields of a dataclass and return each in its type."""
+def read_field(owner: type, key: str, value: Any) -> Any:
+    """Check the value of a field of a dataclass and return it in its type."""
+    if key not in _hints(owner):
+        raise unknown_name("key", key, _hints(owner))
+    given = plain({key: value})
     try:
-        return _fields_adapter(owner).validate_python(plain(values))
+        return _adapter(owner, key).validate_python(given[key])
     except ValidationError as error:
-        raise UserError(complaint(error, values)[2]) from None
+        raise UserError(complaint(error, given, (key,))[2]) from None
 
 
 @cache
-def _fields_adapter(owner: type) -> TypeAdapter[dict[str, Any]]:
-    return TypeAdapter(Annotated[dict[str, Any], FieldsOf(owner)])
+def _hints(owner: type) -> dict[str, Any]:
+    return get_type_hints(owner, include_extras=True)
+
+
+@cache
+def _adapter(owner: type, key: str) -> TypeAdapter[Any]:
+    return TypeAdapter(_hints(owner)[key], config=CONFIG)
 
 
 # --- Files -----------------------------------------------------------------------------------------
@@ -219,9 +196,11 @@ PLAINER = {
 """Words of Pydantic's messages, and those used here."""
 
 
-def complaint(error: ValidationError, data: Mapping[str, Any]) -> tuple[Where, str, str]:
-    """Return the first mistake in some data: the table it is in, its key there, and what is wrong."""
-    errors = error.errors(include_url=False, include_input=False)
+def complaint(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -> tuple[Where, str, str]:
+    """Return the first mistake in some data, or `at` a place of it: its table, its key, and what is wrong."""
+    errors = [
+        one | {"loc": (*at, *one["loc"])} for one in error.errors(include_url=False, include_input=False)
+    ]
     alike = [one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]]
     first = max(alike, key=lambda one: len(one["loc"]))  # a table tells more than that it is no number
     kind, context = first["type"], first.get("ctx", {})

@@ -19,7 +19,7 @@ from pneuma.config import Run
 from pneuma.study.executors import local
 from pneuma.study.executors.base import ExecutorConfig, OnEvent
 from pneuma.study.store import Store
-from pneuma.study.worker import Job, Reporter, train_group
+from pneuma.study.worker import Reporter, Worker
 
 
 class _Told(io.StringIO):
@@ -39,7 +39,7 @@ def _train_groups(
 ) -> None:
     """Train groups of runs one after another."""
     for runs in groups:
-        train_group(Job(store, runs, how), Reporter(_Told(on_event)), threading.Event())
+        Worker(store, Reporter(_Told(on_event)), threading.Event(), how).train(runs)
 
 
 @contextmanager

@@ -107,9 +107,9 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
-            from pneuma.study.documents import sound_listing  # pydantic: not for `--help`
+            from pneuma.study.documents import checked_listing
 
-            listing = sound_listing(self.tables[name].about.get("listing"), name)
+            listing = checked_listing(self.tables[name].about.get("listing"), name)
         return listing
 
     def listings(self) -> list[str]:

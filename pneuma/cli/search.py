@@ -246,8 +246,8 @@ def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **
     from pneuma.search.task import Task
 
     for key in (over := own_fields(over)):
-        if key not in FIXABLE.names:
-            raise unknown_name("key of --set", key, FIXABLE.names)
+        if key not in FIXABLE:
+            raise unknown_name("key of --set", key, FIXABLE)
     over = {key: read_field(Run, key, value) for key, value in over.items()}
     search = load_search(name, world)
     presets = search.spec.presets

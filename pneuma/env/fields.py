@@ -275,14 +275,13 @@ def own_rewards(names: Iterable[str]) -> list[str]:
 
 def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
     """Check fields of a configuration and return each in its final type."""
-    from pneuma.schema import read_dataclass_fields
-
-    return read_dataclass_fields(config, values)
+    return {key: read_field(config, key, value) for key, value in values.items()}
 
 
 def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
-    """Check one field of a configuration; see `read_fields`."""
-    return read_fields(config, {key: value})[key]
+    from pneuma import schema  # pydantic: not for `import pneuma`
+
+    return schema.read_field(config, key, value)
 
 
 # --- Told ----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from annotated_types import MinLen
@@ -17,17 +17,17 @@ from optuna import Trial
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from pneuma.config import FORK_FIELDS, Run, as_fields, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import FieldsOf, Table, shown, wrong
+from pneuma.schema import Table, shown, wrong
 from pneuma.study.identity import describe_user_code
-from pneuma.study.spec import does_nothing, join_fields, unread_fields
+from pneuma.study.spec import PLANNED, does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
-FIXABLE = FieldsOf(Run, {"seed": "a preset", "steps": "a preset"} | dict.fromkeys(FORK_FIELDS, "`run fork`"))
+FIXABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED)
 """Fields that a search may fix for all its trials."""
-SEARCHABLE = tuple(name for name in FIXABLE.names if name != "engine")
+SEARCHABLE = tuple(name for name in FIXABLE if name != "engine")
 """Fields that a search may vary."""
 CORNERS = 256
 """Trials with which a space is checked before any training."""

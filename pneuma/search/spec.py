@@ -28,9 +28,9 @@ from pneuma.errors import UserError
 from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
-from pneuma.search.space import FIXABLE, Parameters, Space, named
+from pneuma.search.space import Parameters, Space, named
 from pneuma.study.identity import files_beside
-from pneuma.study.spec import PRESETS, find_file, in_own_names, studies_folder
+from pneuma.study.spec import PRESETS, Fields, find_file, studies_folder
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
@@ -80,7 +80,7 @@ class SearchFile(Table):
     """The search begins with a trial of each."""
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
     """Number of trials that are suggested before their results are reported."""
-    run: Annotated[dict[str, Any], FIXABLE, BeforeValidator(in_own_names)] = {}
+    run: Fields = {}
     """Fields of all trials."""
     objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
     """Several for a search of the Pareto front."""

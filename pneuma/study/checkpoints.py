@@ -32,7 +32,7 @@ from pneuma.engines.records import (
 )
 from pneuma.errors import UserError
 from pneuma.files import SCHEMA, checksum, read_whole
-from pneuma.study.documents import History, matches_schema
+from pneuma.study.documents import History, checked
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
@@ -171,8 +171,8 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
     named = checkpoint.step == file.step and of_run == file.path.parent.parent.name
-    whole = named and matches_schema(history, History)
-    return (checkpoint, history.get("attempts", [])) if whole else None
+    history = checked(history, History) if named else None
+    return None if history is None else (checkpoint, history.get("attempts", []))
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> bytes:

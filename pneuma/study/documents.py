@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, NotRequired
 
@@ -10,13 +9,11 @@ from annotated_types import MinLen
 from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from pneuma.study.store import STATUSES
-
 
 class Manifest(TypedDict):
     """A run's status.json."""
 
-    status: Literal[STATUSES]  # type: ignore[valid-type]
+    status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
     step: int
     files: dict[str, str]
     config_id: NotRequired[str]
@@ -37,6 +34,7 @@ class Listing(TypedDict):
     title: str
     baseline: str
     runs: Annotated[list[_Listed], MinLen(1)]
+    source: NotRequired[str]
 
 
 class _Attempt(TypedDict):
@@ -53,20 +51,18 @@ class History(TypedDict):
     attempts: NotRequired[list[_Attempt]]
 
 
-def matches_schema(document: Mapping[str, Any], kind: type) -> bool:
-    """Return whether a document has the structure of `kind`: `Manifest`, `Listing` or `History`."""
+def checked(document: object, kind: type) -> Any:
+    """Return a document if it has the structure of `Manifest`, `Listing` or `History`; None if not."""
     try:
-        _adapter(kind).validate_python(document, strict=True)
+        return _adapter(kind).validate_python(document, strict=True)
     except ValidationError:
-        return False
-    return True
+        return None
 
 
-def sound_listing(document: Mapping[str, Any] | None, study: str) -> dict[str, Any] | None:
+def checked_listing(document: object, study: str) -> Any:
     """Return a document if it is the record of this study; None if not."""
-    if document and matches_schema(document, Listing) and document["study"] == study:
-        return dict(document)
-    return None
+    listing = checked(document, Listing)
+    return listing if listing and listing["study"] == study else None
 
 
 _adapter = cache(TypeAdapter)

@@ -13,7 +13,7 @@ from typing import Any
 from pneuma.algorithms import OF_OPEN_LEARNERS
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
-from pneuma.study.executors.base import SLURM, Event, ExecutorConfig, load_executor
+from pneuma.study.executors.base import Event, ExecutorConfig, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
 
@@ -90,7 +90,7 @@ def execute(
         for cell in cells[event["run_id"]]:
             on_progress(cell, event)
 
-    if todo or how.executor == SLURM:  # Slurm jobs may have ended whose files must be cleared away
+    if todo:
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
     return cell_results(plan, store, todo, ended)
 

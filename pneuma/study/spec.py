@@ -26,12 +26,12 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, fields_read, make_run
+from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
 from pneuma.sb3_names import own_fields
-from pneuma.schema import FieldsOf, Table, TomlFile, read_model, read_toml, shown, wrong
+from pneuma.schema import Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.identity import files_beside
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
 from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
@@ -72,25 +72,28 @@ def _named_values(factors: Any) -> Any:
     return named
 
 
-def in_own_names(table: Any) -> Any:
-    """Return a table's fields by Pneuma's names; refuse a value by the name that it has in the file."""
+def _read_fields(table: Any) -> Any:
+    """Read a table of a run's fields, by the names of Stable-Baselines3 too; return them by Pneuma's."""
     if not isinstance(table, Mapping):
         return table
-    key = ""
+    key, fields = "", dict[str, Any]()
     try:
+        own_fields(table)  # no two keys are one field
         for key, value in table.items():
             for name, own in own_fields({key: value}).items():
-                if name not in (*table, *PLANNED):
-                    read_field(Run, name, own)
-        return own_fields(table)
+                if name in PLANNED:
+                    raise UserError(f"{name} is set by {PLANNED[name]}, not here")
+                fields[name] = read_field(Run, name, own)
     except UserError as error:
-        named = str(error).split()[0].strip(":")
-        raise wrong(str(error), named) if named in table else wrong(f"{key}: {error}", key) from None
+        told = str(error)
+        key = key or told.split()[0].strip(":")
+        raise wrong(told if key in told else f"{key}: {told}", key) from None
+    return fields
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
-Fields = Annotated[dict[str, Any], FieldsOf(Run, PLANNED), BeforeValidator(in_own_names)]
+Fields = Annotated[dict[str, Any], BeforeValidator(_read_fields)]
 Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
 
 
@@ -331,7 +334,7 @@ def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserEr
 
 
 def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
-    read = {key for run in runs for key in fields_read(run)}
+    read = {key for run in runs for key in reads(run)}
     return [key for key in keys if key not in read]
 
 

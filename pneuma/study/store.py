@@ -45,9 +45,10 @@ from pneuma.files import (
     shipped_folder,
     to_json,
 )
+from pneuma.study.documents import Manifest, checked, checked_listing
+from pneuma.study.identity import config_id
 from pneuma.study.locks import is_held, remove_lock, run_lock
 
-STATUSES = ("planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged")
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
 
@@ -249,10 +250,10 @@ class Store:
         return files
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        manifest = load_checksummed(self.run_folder(run_id) / "status.json")
-        from pneuma.study.documents import Manifest, matches_schema  # pydantic: not for `--help`
-
-        return manifest if manifest and matches_schema(manifest, Manifest) else None
+        manifest: dict[str, Any] | None = checked(
+            load_checksummed(self.run_folder(run_id) / "status.json"), Manifest
+        )
+        return manifest
 
     # --- Studies without a file, and published tables ------------------------------------------
 
@@ -261,9 +262,8 @@ class Store:
 
     def listing(self, study: str) -> dict[str, Any] | None:
         """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        from pneuma.study.documents import sound_listing
-
-        return sound_listing(load_checksummed(self.listing_path(study)), study)
+        listing: dict[str, Any] | None = checked_listing(load_checksummed(self.listing_path(study)), study)
+        return listing
 
     def listing_path(self, study: str) -> Path:
         return self.root / "studies" / f"{study}.json"
@@ -344,8 +344,6 @@ def shipped_tables() -> Path:
 
 
 def run_identity(run: Run) -> Identity:
-    from pneuma.study.identity import config_id
-
     return Identity(config_id(run), run.seed, run.steps)
 
 

@@ -20,9 +20,10 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -33,10 +34,9 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, read_job
 from pneuma.study.identity import run_id
-from pneuma.study.job import read_job
-from pneuma.study.live import LiveLog
+from pneuma.study.live import open_log
 from pneuma.study.locks import remove_lock
 from pneuma.study.measure import cells_of_files
 from pneuma.study.provenance import Attempt, finished_provenance
@@ -44,21 +44,6 @@ from pneuma.study.rows import encode_row
 from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
 
 REPORT_SECONDS = 0.25
-
-
-@dataclass(frozen=True)
-class Job:
-    """The job of a worker.
-
-    Attributes:
-        runs: by id; of equal shapes, so that they share compiled programs.
-        last_try: whether a crash is final and stored.
-    """
-
-    store: Store
-    runs: Mapping[str, Run]
-    how: ExecutorConfig = LOCAL_CONFIG
-    last_try: bool = True
 
 
 def main() -> int:
@@ -76,7 +61,7 @@ def main() -> int:
     os.dup2(2, 1)  # what libraries print is no event
     job = read_job(asked.job)
     runs = {name: run for name, run in job.runs(asked.index).items() if name in asked.only or not asked.only}
-    return train_group(Job(job.store, runs, job.how, asked.last_try), Reporter(events), stop)
+    return Worker(job.store, Reporter(events), stop, job.how, asked.last_try).train(runs)
 
 
 class Reporter:
@@ -96,119 +81,122 @@ class Reporter:
     def send(self, event: str, name: str, **about: Any) -> None:
         self._events.write(json.dumps({"event": event, "run_id": name, **about}) + "\n")
 
+    def note(self, name: str, text: str) -> None:
+        self.send("note", name, text=text)
+
     def end(self, name: str, status: Status, trained: bool = True, **about: Any) -> None:
         self.send("end", name, status=status.name, step=status.step, trained=trained, **about)
 
 
-def train_group(job: Job, reporter: Reporter, stop: threading.Event) -> int:
-    """Train runs one after another; return the exit code.
+@dataclass
+class Worker:
+    """Trains runs of equal shapes, one after another; with `last_try` a crash is final and stored."""
 
-    Runs that another process holds, or has finished meanwhile, are left out.
-    """
-    code = 0
-    with ExitStack() as locks:
-        for name, run in _take_locks(job, reporter, locks).items():
-            if stop.is_set():
-                reporter.end(name, Status("stopped"))
-                continue
+    store: Store
+    reporter: Reporter
+    stop: threading.Event
+    how: ExecutorConfig = LOCAL_CONFIG
+    last_try: bool = True
+
+    def train(self, runs: Mapping[str, Run]) -> int:
+        """Train runs, without those that another process holds or has finished; return the exit code."""
+        code = 0
+        with ExitStack() as locks:
+            for name, run in self._take_locks(runs, locks).items():
+                if self.stop.is_set():
+                    self.reporter.end(name, Status("stopped"))
+                    continue
+                try:
+                    self._train(name, run)
+                except Exception as error:
+                    self._end_crashed(name, run, error)
+                    code = 1
+        return code
+
+    def _take_locks(self, runs: Mapping[str, Run], locks: ExitStack) -> dict[str, Run]:
+        """Lock and return the runs that this worker can train, and report the others as busy."""
+        mine = {}
+        for name, run in runs.items():
             try:
-                _train(job, name, run, reporter, stop)
-            except Exception as error:
-                _end_crashed(job, name, run, reporter, error)
-                code = 1
-    return code
+                free = locks.enter_context(self.store.lock(name))
+            except OSError as error:
+                reason = f"{self.store.run_folder(name)}: cannot be written ({error.strerror})"
+                self.reporter.end(name, Status("crashed"), reason=reason)
+                continue
+            if not free:
+                self.reporter.send("busy", name)
+            elif (status := self.store.status(name)).finished:
+                remove_lock(self.store.run_folder(name))
+                self.reporter.end(name, status, trained=False)
+            else:
+                mine[name] = run
+        return mine
 
+    def _train(self, name: str, run: Run) -> None:
+        """Train a run to its end, discarding checkpoints that its engine cannot use.
 
-def _take_locks(job: Job, reporter: Reporter, locks: ExitStack) -> dict[str, Run]:
-    """Lock and return the runs that this worker can train, and report the others as busy."""
-    mine = {}
-    for name, run in job.runs.items():
-        try:
-            free = locks.enter_context(job.store.lock(name))
-        except OSError as error:
-            reason = f"{job.store.run_folder(name)}: cannot be written ({error.strerror})"
-            reporter.end(name, Status("crashed"), reason=reason)
-            continue
-        if not free:
-            reporter.send("busy", name)
-        elif (status := job.store.status(name)).finished:
-            remove_lock(job.store.run_folder(name))
-            reporter.end(name, status, trained=False)
-        else:
-            mine[name] = run
-    return mine
+        Raises:
+            CheckpointError: when there is no checkpoint left to discard.
+        """
+        if run_id(run) != name:
+            raise RuntimeError(
+                "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
+            )
+        say = partial(self.reporter.note, name)
+        checkpoints = RunCheckpoints(self.store, name, run, self.how, say)
+        while True:
+            try:
+                with _warnings(say) as warned:
+                    return self._train_once(name, run, checkpoints, warned)
+            except CheckpointError as error:
+                if not checkpoints.give_up(error):
+                    raise
 
+    def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warned: Sequence[str]) -> None:
+        """Train a run, from its latest checkpoint if there is one, and store its end."""
+        start = checkpoints.latest()
+        first = start.step if start else 0
+        until = self.how.until.get(name) or run.steps
+        if until <= first < run.steps:
+            return self.reporter.end(name, Status("stopped", first))
+        attempt, log = Attempt(first), open_log(self.how.logs.get(name), first)
+        self.reporter.send("step", name, step=first)
+        self.reporter.send("status", name, text="begins")
 
-def _train(job: Job, name: str, run: Run, reporter: Reporter, stop: threading.Event) -> None:
-    """Train a run to its end, discarding checkpoints that its engine cannot use.
+        def update(progress: Progress) -> bool:
+            attempt.update(progress.step, progress.evaluation_seconds)
+            self.reporter.step(name, progress.step)
+            stopping = self.stop.is_set() or until <= progress.step < run.steps
+            log.update(progress)
+            checkpoints.update(progress, attempt, stopping)
+            return not stopping
 
-    Raises:
-        CheckpointError: when there is no checkpoint left to discard.
-    """
-    if run_id(run) != name:
-        raise RuntimeError(
-            "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
-        )
-
-    def say(text: str) -> None:
-        reporter.send("note", name, text=text)
-
-    checkpoints = RunCheckpoints(job.store, name, run, job.how, say)
-    while True:
-        try:
-            return _train_once(job, name, run, checkpoints, reporter, stop)
-        except CheckpointError as error:
-            if not checkpoints.give_up(error):
-                raise
-
-
-def _train_once(
-    job: Job, name: str, run: Run, checkpoints: RunCheckpoints, reporter: Reporter, stop: threading.Event
-) -> None:
-    """Train a run, from its latest checkpoint if there is one, and store its end."""
-    start = checkpoints.latest()
-    first = start.step if start else 0
-    until = job.how.until.get(name) or run.steps
-    if until <= first < run.steps:
-        return reporter.end(name, Status("stopped", first))
-    attempt = Attempt(first)
-    log = None
-    if name in job.how.logs:
-        with suppress(OSError, ImportError):  # no such folder, or no tensorboard, here: training goes on
-            log = LiveLog(job.how.logs[name], first)
-    reporter.send("step", name, step=first)
-    reporter.send("status", name, text="begins")
-
-    def update(progress: Progress) -> bool:
-        attempt.update(progress.step, progress.evaluation_seconds)
-        reporter.step(name, progress.step)
-        stopping = stop.is_set() or until <= progress.step < run.steps
-        if log:
-            with suppress(OSError):  # a full disk: training goes on
-                log.update(progress)
-        checkpoints.update(progress, attempt, stopping)
-        return not stopping
-
-    try:
-        with _warnings(lambda text: reporter.send("note", name, text=text)) as warned:
+        with closing(log):
             result = train_run(run, update, start)
-    finally:
-        if log:
-            with suppress(OSError):
-                log.close()
-    status = Status(result.status, result.step)
-    if status.name != "stopped":
-        status = replace(status, identity=run_identity(run))
-        about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
-        about |= {"warning": warned[0]} if warned else {}
-        files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
-        files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
-        if result.policy is not None:
-            files[POLICY_FILE] = result.policy.to_bytes()
-        files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
-        job.store.save_run(name, status, files)
-        checkpoints.finish()
-    reporter.end(name, status)
+        status = Status(result.status, result.step)
+        if status.name != "stopped":
+            status = replace(status, identity=run_identity(run))
+            about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
+            about |= {"warning": warned[0]} if warned else {}
+            files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
+            files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
+            if result.policy is not None:
+                files[POLICY_FILE] = result.policy.to_bytes()
+            files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
+            self.store.save_run(name, status, files)
+            checkpoints.finish()
+        self.reporter.end(name, status)
+
+    def _end_crashed(self, name: str, run: Run, error: Exception) -> None:
+        """Report a run's crash, and store it if the run is not tried again."""
+        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        final = self.last_try or isinstance(error, OwnCodeError)
+        if final:
+            try:
+                self.store.save_failure(name, run, "crashed", traceback.format_exc())
+            except UserError as unwritten:
+                reason = str(unwritten)
+        self.reporter.end(name, Status("crashed"), reason=reason, final=final)
 
 
 @contextmanager
@@ -228,18 +216,6 @@ def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
         warnings.showwarning = collect  # type: ignore[assignment]
         warnings.simplefilter("always", RunWarning)
         yield told
-
-
-def _end_crashed(job: Job, name: str, run: Run, reporter: Reporter, error: Exception) -> None:
-    """Report a run's crash, and store it if the run is not tried again."""
-    reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
-    final = job.last_try or isinstance(error, OwnCodeError)
-    if final:
-        try:
-            job.store.save_failure(name, run, "crashed", traceback.format_exc())
-        except UserError as unwritten:
-            reason = str(unwritten)
-    reporter.end(name, Status("crashed"), reason=reason, final=final)
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

@@ -219,33 +219,13 @@ def test_two_parts_make_a_formula_and_none_leaves_its_space(
 
 # --- Files of one's own reward, which are part of a run's id --------------------------------------
 
-BODY = "def reward(events, players, stats):\n    return events['xp_gained']\n"
 
-
-def files(folder: Path, **sources: str) -> dict[str, Path]:
-    """Write files, with __ for a folder's slash, and return their paths."""
-    paths = {name: folder / (name.replace("__", "/") + ".py") for name in sources}
-    for name, path in paths.items():
+def test_a_module_is_its_file_and_a_package_all_of_its_files(tmp_path: Path) -> None:
+    names = ("mine.py", "own/__init__.py", "own/deep/inner.py", "own/other.py")
+    paths = [tmp_path / name for name in names]
+    for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(sources[name])
-    return paths
-
-
-def test_imports_are_followed_beside_the_module_and_no_further(tmp_path: Path) -> None:
-    paths = files(
-        tmp_path,
-        mine="import json, numpy, pneuma.env\nfrom helper import f\ndef g():\n    import late\n",
-        helper="from tools.deep import x\n",
-        late="import mine\n",
-        tools__deep="from . import near\nfrom .. import nothing\n",
-        tools__near="from bare.inner import y\n",
-        bare__inner__y="",
-        other="",
-        pneuma__env="",
-    )
-    package = tmp_path / "tools" / "__init__.py"
-    package.write_text("")  # `bare` has none, nor has `inner`
-    found = module_files(str(paths["mine"]))
-    assert found[0] == paths["mine"]
-    expected = {path for name, path in paths.items() if name not in ("other", "pneuma__env")} | {package}
-    assert set(found) == expected and found[1:] == sorted(found[1:])
+        path.write_text("import os\n")
+    assert module_files(str(paths[0])) == paths[:1]
+    assert module_files(str(paths[1])) == paths[1:]
+    assert module_files(str(paths[3])) == paths[3:]

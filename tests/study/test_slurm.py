@@ -103,6 +103,7 @@ def test_jobs_leave_what_local_leaves_and_none_is_submitted_twice(
     with training_here():
         local.run_groups(groups, beside, HOW, lambda event: None)
     assert outcome(store.root) == outcome(beside.root)
+    assert not folders(store)
 
 
 def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Queue, store: Store) -> None:
@@ -123,46 +124,6 @@ def test_a_run_whose_job_went_is_told_and_submitted_by_the_next_command(queue: Q
     with pytest.raises(Detached, match="1 job"):
         train([{lost: runs[lost]}], store, DETACHED)
     assert len(queue.submitted) == 2
-
-
-def test_a_run_that_another_command_s_job_paused_is_told_so(
-    queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its job was not lost: it was asked for no more than 250 steps, by a search's first round."""
-    runs = group(7)
-    (run,) = runs
-    with pytest.raises(Detached):
-        train([runs], store, replace(DETACHED, until={run: 250}))
-    monkeypatch.setattr(Store, "status", lambda *_: Status("partial", 250))
-    looks = iter((False, True))
-    ask = queue.ask
-
-    def ask_once(*command: str) -> list[str]:
-        queue.gone = next(looks, True)
-        return ask(*command)
-
-    monkeypatch.setattr(slurm, "_ask", ask_once)
-    events: list[Event] = []
-    slurm._watch({run}, store, events.append, LOCAL_CONFIG)
-    assert ends(events) == {run: "partial"}
-    assert events[-1]["reason"].startswith("another command's job paused it at step 250; the same command")
-
-
-def test_a_command_beside_keeps_the_record_of_jobs_that_are_being_submitted(
-    queue: Queue, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    submit = queue.submit
-
-    def slowly(command: Sequence[str], script: str) -> list[str]:
-        slurm._watch(
-            set(), store, lambda event: None, LOCAL_CONFIG
-        )  # it clears away what is not in the queue
-        return submit(command, script)
-
-    monkeypatch.setattr(queue, "submit", slowly)
-    with pytest.raises(Detached):
-        train([group(6)], store, DETACHED)
-    assert slurm.queued(store).keys() == group(6).keys()
 
 
 def test_a_job_asks_for_what_people_say_and_may_always_be_requeued(tmp_path: Path) -> None:
@@ -194,8 +155,7 @@ _JOB = """
 import os, signal, sys, threading, time
 from pathlib import Path
 from pneuma.study.executors import slurm
-from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.job import write_job
+from pneuma.study.executors.base import ExecutorConfig, write_job
 from pneuma.study.store import Store
 from tests.study.test_slurm import group
 from tests.study.storm import children

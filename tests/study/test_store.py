@@ -166,7 +166,7 @@ def test_the_runs_of_a_study_without_a_file_come_back_unless_its_record_is_damag
     store.save_listing("one", {**LISTING, "title": "first"})
     store.save_listing("two", LISTING)
     store.save_listing("one", LISTING)
-    assert store.listing("one") == {"schema": 1, "study": "one", **LISTING}
+    assert store.listing("one") == {"study": "one", **LISTING}
     assert store.listings() == ["one", "two"]
     assert store.listing("activation") is None and Store(store.root / "nowhere").listings() == []
     whole = store.listing_path("two").read_bytes()

@@ -19,10 +19,9 @@ from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, write_job
 from pneuma.study.executors.local import worker_environment
 from pneuma.study.identity import run_id
-from pneuma.study.job import write_job
 from pneuma.study.rows import decode_row
 from pneuma.study.store import Status, Store, run_identity
 from pneuma.study.tables import from_parquet
@@ -56,8 +55,8 @@ def _train(
 ) -> tuple[int, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
-    what = worker.Job(store, {run_id(run): run for run in RUNS}, how)
-    code = worker.train_group(what, worker.Reporter(events), threading.Event())
+    trains = worker.Worker(store, worker.Reporter(events), threading.Event(), how)
+    code = trains.train({run_id(run): run for run in RUNS})
     return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
 
@@ -100,7 +99,7 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
 def test_a_machine_without_tensorboard_trains_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "tensorboard.summary.writer.event_file_writer", None)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     how = ExecutorConfig(logs={FIRST: str(tmp_path / "logs")})
     code, store, _ = _train(_Engine(), tmp_path, monkeypatch, how)
     assert code == 0 and store.status(FIRST) == Status("done", 512)

@@ -1,6 +1,8 @@
 """The interface of executors, which train groups of runs somewhere and store the results in one store.
 
-study's plan → groups of runs → executor → store
+study's plan → groups of runs → a job, a file of JSON → executor → workers, each of a group → store
+
+    {"results": "…", "how": {…}, "groups": [{"RUN_ID": {FIELDS}, …}, …]}
 
 Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements.
 All of them guarantee:
@@ -20,13 +22,16 @@ All of them guarantee:
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
-from pneuma.config import Run
+from pneuma.config import Run, as_fields, make_run
+from pneuma.files import create_whole
 from pneuma.study.store import Status, Store
 
 Event = Mapping[str, Any]
@@ -65,8 +70,34 @@ class ExecutorConfig:
 
 
 LOCAL_CONFIG = ExecutorConfig()
-AGAIN = "the same command submits it again"
-"""What is to be done for a run whose job has gone."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as it is read; `groups` have the fields of runs, by their ids."""
+
+    path: Path
+    store: Store
+    how: ExecutorConfig
+    groups: Sequence[Mapping[str, Mapping[str, Any]]]
+
+    def runs(self, index: int) -> dict[str, Run]:
+        """Return the runs of a group, by id."""
+        return {name: make_run(fields) for name, fields in self.groups[index].items()}
+
+
+def write_job(path: Path, groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> Job:
+    fields = [{name: as_fields(run) for name, run in group.items()} for group in groups]
+    document = {"results": str(store.root.resolve()), "how": asdict(how), "groups": fields}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    create_whole(path, json.dumps(document).encode())
+    return Job(path, store, how, fields)
+
+
+def read_job(path: Path) -> Job:
+    document = json.loads(path.read_bytes())
+    how = document["how"] | {"slurm": tuple(map(tuple, document["how"]["slurm"]))}
+    return Job(path, Store(document["results"]), ExecutorConfig(**how), document["groups"])
 
 
 class Detached(KeyboardInterrupt):
@@ -104,18 +135,12 @@ class Executor(Protocol):
         """
 
 
-class Job(NamedTuple):
-    """A job that trains runs on another machine.
-
-    Attributes:
-        where: its node, or why it has none.
-        until: the step at which it pauses a run; 0 is the end.
-    """
+class Queued(NamedTuple):
+    """Where a run is that trains on another machine; `where` is its node, or why it has none."""
 
     state: str
     id: str = ""
     where: str = ""
-    until: int = 0
 
     def __str__(self) -> str:
         return " ".join(filter(None, ("job", self.id, "is", self.state.lower(), self.where)))
@@ -125,33 +150,27 @@ def watch(
     left: set[str],
     store: Store,
     on_event: OnEvent,
-    live: Callable[[], Mapping[str, Job]],
+    live: Callable[[], Mapping[str, Queued]],
     seconds: float,
     lost: str,
     until: Mapping[str, int],
 ) -> None:
     """Report events of runs in jobs until all runs have ended; ended ones are removed from `left`.
 
-    `live` returns the remaining jobs, by the ids of their runs, and is asked every `seconds`. `lost` is
-    the reason for a run whose job has ended without results; `until` has the steps at which runs pause.
+    `live` returns where the remaining runs are, by their ids, and is asked every `seconds`. `lost` is the
+    reason for a run that is nowhere and has no result; `until` has the steps at which runs pause.
     """
-    jobs: Mapping[str, Job] = dict.fromkeys(left, Job("SUBMITTED"))
-    last = {**jobs}
+    jobs: Mapping[str, Queued] = dict.fromkeys(left, Queued("SUBMITTED"))
     while left:
         before, jobs = jobs, live()
-        last |= jobs
         for name in sorted(left):
             status, job = store.status(name), jobs.get(name, before.get(name))
             if status.finished or job is None:
                 left.discard(name)
                 ended = status.finished or status.failed or status.name == "killed"
-                reason = ""
-                if not ended and not 0 < until.get(name, 0) <= status.step:
-                    if 0 < last[name].until <= status.step:
-                        reason = f"another command's job paused it at step {status.step:,}; {AGAIN}"
-                    else:
-                        status, reason = Status("killed", status.step), lost
-                on_event({**end_event(name, status), "reason": reason})
+                ended = ended or 0 < until.get(name, 0) <= status.step
+                told = status if ended else Status("killed", status.step)
+                on_event({**end_event(name, told), "reason": "" if ended else lost})
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
             elif job != before.get(name):

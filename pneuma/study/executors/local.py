@@ -20,25 +20,25 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import IO
+from typing import IO, Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
-from pneuma.study.executors.base import Event, ExecutorConfig, OnEvent, end_event
-from pneuma.study.job import JobFile, write_job
+from pneuma.study.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event, write_job
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import SOURCE, available_cores, machine
 from pneuma.study.store import Status, Store
 
 TRIES = 2
 """Attempts after which a crash counts as the run's failure."""
-BUSY_SECONDS = 1.0
-"""Seconds until a run that another process holds is tried again."""
+LOOK_SECONDS = 0.5
+"""Seconds between two looks at signals, and at runs that other processes hold. A signal does not interrupt
+the wait for events where the kernel gives it to a thread of a mathematical library."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
 """Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
@@ -77,7 +77,7 @@ def run_groups(
 
 
 class Interrupts:
-    """Collects signals within a `with` block instead of letting them end it; of the main thread alone.
+    """Collects signals within a `with` block instead of letting them end it; in the main thread alone.
 
     Args:
         most: how many of them are counted.
@@ -85,38 +85,26 @@ class Interrupts:
     Attributes:
         seen: the signals that came, with at most one SIGHUP, which the shell of a closed terminal sends
             again.
-        wakeup: a file descriptor, for a selector, that becomes readable when a signal comes.
     """
 
     def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
         self.seen: list[int] = []
         self._signals, self._most = signals, most
-        self._at_end = ExitStack()
+        self._before: dict[int, Any] = {}
 
     @property
     def count(self) -> int:
         return min(len(self.seen), self._most)
 
     def __enter__(self) -> Interrupts:
-        """Begin to collect.
-
-        The kernel may deliver a signal to a thread of a mathematical library, which does not interrupt the
-        main thread's wait. The interpreter's own wake-up does.
-        """
-        self.wakeup, writer = os.pipe()
-        os.set_blocking(writer, False)
-        for descriptor in (self.wakeup, writer):
-            self._at_end.callback(os.close, descriptor)
         if threading.current_thread() is threading.main_thread():
-            for number in self._signals:
-                if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` lets SIGHUP be
-                    self._at_end.callback(signal.signal, number, signal.signal(number, self._note))
-            before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-            self._at_end.callback(signal.set_wakeup_fd, before)
-        return self
+            heard = [number for number in self._signals if signal.getsignal(number) != signal.SIG_IGN]
+            self._before = {number: signal.signal(number, self._note) for number in heard}
+        return self  # what was ignored still is, as `nohup` lets SIGHUP be
 
     def __exit__(self, *_: object) -> None:
-        self._at_end.close()
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGHUP or not self.seen:
@@ -149,7 +137,7 @@ class Supervisor:
 
     def __init__(
         self,
-        job: JobFile,
+        job: Job,
         indices: Iterable[int],
         workers: int,
         on_event: OnEvent,
@@ -164,15 +152,13 @@ class Supervisor:
         self._job, self._store, self._workers_at_once, self._on_event = job, job.store, workers, on_event
         self._interrupts, self._heeded = interrupts, 0
         self._selector = selectors.DefaultSelector()
-        self._selector.register(interrupts.wakeup, selectors.EVENT_READ, None)
 
     def work(self) -> None:
         try:
             while self._tasks or self._workers():
                 self._start_pending()
-                waits = self._tasks and len(self._workers()) < self._workers_at_once
-                for key, _ in self._selector.select(BUSY_SECONDS if waits else None):
-                    self._read(key.data) if key.data else os.read(self._interrupts.wakeup, 4096)
+                for key, _ in self._selector.select(LOOK_SECONDS):
+                    self._read(key.data)
                 self._heed_interrupts()
         finally:
             for worker in self._workers():
@@ -181,7 +167,7 @@ class Supervisor:
             self._selector.close()
 
     def _workers(self) -> list[_Worker]:
-        return [key.data for key in self._selector.get_map().values() if key.data is not None]
+        return [key.data for key in self._selector.get_map().values()]
 
     def _heed_interrupts(self) -> None:
         count = self._interrupts.count
@@ -289,7 +275,7 @@ class _Worker:
         events: its lines.
     """
 
-    def __init__(self, task: _Task, job: JobFile) -> None:
+    def __init__(self, task: _Task, job: Job) -> None:
         self.task = task
         self.ended, self.busy = set[str](), set[str]()
         self.crashed: dict[str, Event] = {}

@@ -22,9 +22,8 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, watch
+from pneuma.study.executors.base import ExecutorConfig, OnEvent, Queued, read_job, watch, write_job
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
-from pneuma.study.job import read_job, write_job
 from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.study.store import Store
 from pneuma.study.worker import die_with
@@ -69,7 +68,7 @@ def run_groups(
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
         tasks: dict[Any, Mapping[str, Run]] = {}
 
-        def live() -> dict[str, Job]:
+        def live() -> dict[str, Queued]:
             """Return the runs of tasks that have not ended, and keep those tasks."""
             while waiting and len(tasks) < how.workers:
                 index, group = waiting.pop(0)
@@ -80,9 +79,10 @@ def run_groups(
             if interrupts.count:
                 _stop([*tasks], interrupts)
                 raise KeyboardInterrupt
-            groups = [(Job("WAITING"), group) for _, group in waiting]
-            groups += [(Job("IN THE CLUSTER"), group) for group in tasks.values()]
-            return {name: job for job, group in groups for name in group}
+            return {
+                **{name: Queued("WAITING") for _, group in waiting for name in group},
+                **{name: Queued("IN THE CLUSTER") for group in tasks.values() for name in group},
+            }
 
         try:
             watch(left, store, on_event, live, LOOK_SECONDS, "its node was lost twice", how.until)

@@ -4,9 +4,10 @@
     this command ← what the queue tells of jobs, and the results folder of runs
 
 The command only submits and watches. It can be left at any moment, and jobs go on. The same command watches
-them again, and submits none twice, because a folder beside the results records what was submitted:
+them again, and submits none twice, because a folder beside the results records what was submitted, until all
+its runs are finished:
 
-    RESULTS-slurm/NAME/job.json   the groups of runs of the array of that name, and where each run pauses
+    RESULTS-slurm/NAME/job.json   the groups of runs of the array of that name
                        *.out      what its jobs printed
 """
 
@@ -22,15 +23,12 @@ import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 from pneuma.config import Run
 from pneuma.errors import UserError, counted
-from pneuma.study.executors.base import AGAIN, Detached, ExecutorConfig, Job, OnEvent, watch
+from pneuma.study.executors.base import Detached, ExecutorConfig, OnEvent, Queued, read_job, watch, write_job
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node
-from pneuma.study.job import read_job, write_job
-from pneuma.study.locks import is_held, run_lock
 from pneuma.study.provenance import SOURCE
 from pneuma.study.store import Store
 
@@ -72,16 +70,21 @@ def run_groups(
     wanted = [dict(group) for group in groups]
     left, asked = {name for group in wanted for name in group}, how.detach
     try:
-        if wanted:
-            _submit(wanted, store, how)
-        if not asked or not wanted:
+        _submit(wanted, store, how)
+        if not asked:
             return _watch(left, store, on_event, how)
     except KeyboardInterrupt:
         asked = False
-    jobs = [name for name, groups in _noted(store).items() for group in groups if not left.isdisjoint(group)]
+    jobs = {  # of a run that was submitted again, the last
+        run: (note.parent.name, place)
+        for note in _notes(store)
+        for place, group in enumerate(read_job(note).groups)
+        for run in left.intersection(group)
+    }
+    names = ",".join(sorted({name for name, _ in jobs.values()}))
     raise Detached(
-        f"Left. {counted(len(jobs), 'job')} in Slurm's queue will go on: `pneuma study status` shows them, "
-        f"the same command watches them again, `scancel --name={','.join(sorted({*jobs}))}` stops them.",
+        f"Left. {counted(len({*jobs.values()}), 'job')} in Slurm's queue will go on: `pneuma study status` "
+        f"shows them, the same command watches them again, `scancel --name={names}` stops them.",
         asked,
     )
 
@@ -100,6 +103,7 @@ def main() -> None:
     cores = int(os.environ.get("SLURM_CPUS_PER_TASK", "1"))
     with Interrupts(SIGNALS, most=1) as interrupts:
         Supervisor(job, [index], cores, lambda event: None, interrupts, shares=cores).work()
+    _clear_finished(job.store)
     if signal.SIGUSR2 in interrupts.seen and int(os.environ.get("SLURM_RESTART_COUNT", "0")) < MOST_REQUEUES:
         place = f"{os.environ['SLURM_ARRAY_JOB_ID']}_{index}"  # the id of one may be that of the whole array
         subprocess.run(["scontrol", "requeue", place], check=False)
@@ -112,15 +116,14 @@ def main() -> None:
 
 def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> None:
     """Submit groups, without runs that are in the queue already."""
-    live = _put_away(store)
+    live = queued(store)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     fresh = [group for group in fresh if group]
     for array in (fresh[first : first + MOST_IN_ARRAY] for first in range(0, len(fresh), MOST_IN_ARRAY)):
         folder = _folder(store) / f"pneuma-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:6]}"
         try:
-            with run_lock(folder):
-                write_job(folder / NOTE, array, store, how)  # before, so that none is forgotten
-                _ask(*_sbatch(folder, len(array), how), text=_script(folder, how), seconds=SUBMIT_SECONDS)
+            write_job(folder / NOTE, array, store, how)  # before, so that none is forgotten
+            _ask(*_sbatch(folder, len(array), how), text=_script(folder, how), seconds=SUBMIT_SECONDS)
         except (UserError, OSError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(f"{error}; no job of these is submitted") from None
@@ -168,18 +171,16 @@ def _script(folder: Path, how: ExecutorConfig) -> str:
 
 
 def _watch(left: set[str], store: Store, on_event: OnEvent, how: ExecutorConfig) -> None:
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, Queued] = {}
 
-    def live() -> dict[str, Job]:
+    def live() -> dict[str, Queued]:
         nonlocal jobs
         with suppress(UserError):  # a busy controller, say: it is asked again
             jobs = queued(store)
         return jobs
 
-    printed = f"what it printed lies in {_folder(store)}, {AGAIN}"
-    watch(left, store, on_event, live, LOOK_SECONDS, f"its job is gone; {printed}", how.until)
-    with suppress(UserError):  # remaining files are removed next time
-        _put_away(store)
+    lost = f"its job is gone; what it printed lies in {_folder(store)}, the same command submits it again"
+    watch(left, store, on_event, live, LOOK_SECONDS, lost, how.until)
 
 
 # --- The queue, and what was submitted to it ----------------------------------------------------------
@@ -190,48 +191,34 @@ def _folder(store: Store) -> Path:
     return root.parent / f"{root.name}-slurm"
 
 
-def _noted(store: Store) -> dict[str, list[dict[str, int]]]:
-    """Return the runs of all submitted jobs that were not cleared away yet, by the name of their array.
-
-    Each run has the step at which its job pauses it; 0 is the end.
-    """
-    noted = {}
-    for note in sorted(_folder(store).glob(f"*/{NOTE}")):
-        with suppress(FileNotFoundError):  # another command has cleared it away
-            noted[note.parent.name] = _pauses(note)
-    return noted
+def _notes(store: Store) -> list[Path]:
+    """Return the job files of all arrays of which runs are not finished."""
+    return sorted(_folder(store).glob(f"*/{NOTE}"))
 
 
-@cache
-def _pauses(note: Path) -> list[dict[str, int]]:
-    job = read_job(note)
-    return [{run: job.how.until.get(run, 0) for run in group} for group in job.groups]
+def _clear_finished(store: Store) -> None:
+    """Remove what is noted of arrays whose runs are all finished; the output of failed runs stays."""
+    for note in _notes(store):
+        with suppress(FileNotFoundError):  # another job has cleared it away
+            if all(
+                store.status(run, quick=True).finished for group in read_job(note).groups for run in group
+            ):
+                shutil.rmtree(note.parent, ignore_errors=True)
 
 
-def _put_away(store: Store) -> dict[str, Job]:
-    """Clear away submissions that are not in the queue, which is returned; output of failed runs stays."""
-    before = {name: runs for name, runs in _noted(store).items() if not is_held(_folder(store) / name)}
-    live = queued(store)  # asked afterwards: what others submit meanwhile stays
-    for name, groups in before.items():
-        runs = {run for group in groups for run in group}
-        if runs.isdisjoint(live):
-            (_folder(store) / name / NOTE).unlink(missing_ok=True)
-            if all(store.status(run).finished for run in runs):
-                shutil.rmtree(_folder(store) / name, ignore_errors=True)
-    return live
-
-
-def queued(store: Store) -> dict[str, Job]:
-    """Return the queued and running jobs, by the ids of their runs."""
-    noted = _noted(store)
-    if not noted:
+def queued(store: Store) -> dict[str, Queued]:
+    """Return where the runs are that are in the queue, by their ids."""
+    notes = {note.parent.name: note for note in _notes(store)}
+    if not notes:
         return {}
-    jobs: dict[str, Job] = {}
-    names = f"--name={','.join(noted)}"
-    for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
+    runs: dict[str, Queued] = {}
+    for line in _ask(
+        "squeue", "--noheader", "--array", f"--name={','.join(notes)}", "--format=%j|%K|%T|%i|%R"
+    ):
         name, place, state, job, where = line.split("|", 4)
-        jobs |= {run: Job(state, job, where, until) for run, until in noted[name][int(place)].items()}
-    return jobs
+        with suppress(FileNotFoundError):  # it has just ended, and was cleared away
+            runs |= dict.fromkeys(read_job(notes[name]).groups[int(place)], Queued(state, job, where))
+    return runs
 
 
 def _ask(*command: str, text: str = "", seconds: float = ANSWER_SECONDS) -> list[str]:
