@@ -32,9 +32,8 @@ from pneuma.engines.records import (
 )
 from pneuma.errors import UserError
 from pneuma.files import SCHEMA, checksum, read_whole
-from pneuma.study.documents import History, checked
 from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.provenance import Attempt
+from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
@@ -167,12 +166,13 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)
-        of_run, history = about["run_id"], about["history"]
+        attempts = [*about["history"].get("attempts", [])]
+        if attempts:
+            finished_provenance(attempts)  # which reads what is in them
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
-    named = checkpoint.step == file.step and of_run == file.path.parent.parent.name
-    history = checked(history, History) if named else None
-    return None if history is None else (checkpoint, history.get("attempts", []))
+    named = checkpoint.step == file.step and about["run_id"] == file.path.parent.parent.name
+    return (checkpoint, attempts) if named else None
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> bytes:

@@ -37,22 +37,8 @@ class Listing(TypedDict):
     source: NotRequired[str]
 
 
-class _Attempt(TypedDict):
-    started: str
-    wall_seconds: float
-    training_seconds: float
-    processor_share: float | None
-    machine: dict[str, Any]
-
-
-class History(TypedDict):
-    """The provenance that a checkpoint carries."""
-
-    attempts: NotRequired[list[_Attempt]]
-
-
 def checked(document: object, kind: type) -> Any:
-    """Return a document if it has the structure of `Manifest`, `Listing` or `History`; None if not."""
+    """Return a document if it has the structure of `Manifest` or `Listing`; None if not."""
     try:
         return _adapter(kind).validate_python(document, strict=True)
     except ValidationError:

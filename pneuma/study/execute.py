@@ -29,7 +29,7 @@ class CellResult:
 
 
 OnProgress = Callable[[Cell, Event], None]
-"""Called with each event of a cell's run; `executors.base.Executor` lists the events."""
+"""Called with each event of a cell's run; `executors.base` lists the events."""
 
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",

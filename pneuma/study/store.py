@@ -19,7 +19,6 @@ nothing in it is ever run.
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 import shutil
@@ -137,15 +136,9 @@ class Store:
         return self.root / "runs" / run_id
 
     def lock(self, run_id: str) -> AbstractContextManager[bool]:
-        """Return the lock that a process must hold to train the run.
-
-        Raises:
-            OSError: when the run's folder is a link, which may lead elsewhere.
-        """
+        """Return the lock that a process must hold to train the run."""
         folder = self.run_folder(run_id)
-        for part in (folder, folder / CHECKPOINTS):
-            if part.is_symlink():
-                raise OSError(errno.ELOOP, f"{part.name} is a link; remove it")
+        self._check_within(folder / CHECKPOINTS)
         return run_lock(folder)
 
     def runs(self) -> list[str]:

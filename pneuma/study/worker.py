@@ -119,8 +119,10 @@ class Worker:
         for name, run in runs.items():
             try:
                 free = locks.enter_context(self.store.lock(name))
-            except OSError as error:
-                reason = f"{self.store.run_folder(name)}: cannot be written ({error.strerror})"
+            except (OSError, UserError) as error:
+                reason = str(error)
+                if isinstance(error, OSError):
+                    reason = f"{self.store.run_folder(name)}: cannot be written ({error.strerror})"
                 self.reporter.end(name, Status("crashed"), reason=reason)
                 continue
             if not free:

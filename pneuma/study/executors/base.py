@@ -4,7 +4,15 @@ study's plan → groups of runs → a job, a file of JSON → executor → worke
 
     {"results": "…", "how": {…}, "groups": [{"RUN_ID": {FIELDS}, …}, …]}
 
-Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements.
+Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
+
+    most_workers(how)    how many runs train at once unless the user says otherwise; it fails within ten seconds
+                         if the place cannot be reached or cannot train
+    run_groups(groups, store, how, on_event)
+                         trains all groups of runs and passes on their events: {"event": "step" | "note" |
+                         "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
+                         end a `status`, a `step` and `trained`; one that could not be stored a `reason`
+
 All of them guarantee:
 
 - A run leaves the same files in the store as with `local`, except for its provenance. While it trains, its
@@ -14,9 +22,9 @@ All of them guarantee:
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
 - A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless a
   user's own code has raised. Slurm requeues jobs whose node is lost.
-- After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. The same
-  command resumes, with this executor or another, and ends with the same bits. If jobs outlive the command, as
-  in Slurm's queue, it raises `Detached`.
+- After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. When all have
+  ended it raises KeyboardInterrupt; if jobs outlive the command, as in Slurm's queue, `Detached`. The same
+  command resumes, with this executor or another, and ends with the same bits.
 - Nothing pickled is ever written to the results folder.
 """
 
@@ -24,11 +32,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, cast
+from types import ModuleType
+from typing import Any, NamedTuple
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.files import create_whole
@@ -112,29 +121,6 @@ class Detached(KeyboardInterrupt):
         self.asked = asked
 
 
-class Executor(Protocol):
-    """The functions of an executor's module."""
-
-    def most_workers(self, how: ExecutorConfig) -> int:
-        """Return how many runs train at once unless the user says otherwise.
-
-        It fails within ten seconds if the place cannot be reached or cannot train.
-        """
-
-    def run_groups(
-        self, groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
-    ) -> None:
-        """Train all groups of runs and pass their events to `on_event`.
-
-        Events are `{"event": "step" | "note" | "status" | "end", "run_id", …}`: a step has a `step`, a
-        note and a status a `text`, an end a `status`, a `step` and `trained`, whether it was trained
-        here; one that could not be stored a `reason`.
-
-        Raises:
-            KeyboardInterrupt: after Ctrl-C, when all workers have ended; `Detached` if they go on.
-        """
-
-
 class Queued(NamedTuple):
     """Where a run is that trains on another machine; `where` is its node, or why it has none."""
 
@@ -182,5 +168,5 @@ def end_event(name: str, status: Status) -> Event:
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 
-def load_executor(how: ExecutorConfig) -> Executor:
-    return cast(Executor, import_module(EXECUTORS[how.executor]))
+def load_executor(how: ExecutorConfig) -> ModuleType:
+    return import_module(EXECUTORS[how.executor])

@@ -65,7 +65,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs in a process of its own; see `base.Executor`."""
+    """Train each group of runs in a process of its own; see `base`."""
     with Interrupts() as interrupts, tempfile.TemporaryDirectory() as folder:
         job = write_job(Path(folder) / "job.json", [*groups], store, how)
         Supervisor(job, range(len(job.groups)), how.workers, on_event, interrupts).work()

@@ -53,7 +53,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs on a node; see `base.Executor`. Raises UserError if one cannot train them."""
+    """Train each group of runs on a node; see `base`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
     waiting, shared = [*enumerate(groups)], TemporaryDirectory(dir=store.root, prefix=".shared-")
     left = {name for _, group in waiting for name in group}

@@ -66,7 +66,7 @@ def most_workers(how: ExecutorConfig) -> int:
 def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
-    """Train each group of runs in a job of its own; see `base.Executor`. Refused jobs are a UserError."""
+    """Train each group of runs in a job of its own; see `base`. Refused jobs are a UserError."""
     wanted = [dict(group) for group in groups]
     left, asked = {name for group in wanted for name in group}, how.detach
     try:
