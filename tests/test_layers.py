@@ -34,7 +34,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "pneuma.files": ("pneuma.errors",),
     "pneuma.own_modules": (),
     "pneuma.bases": ("pneuma.sb3_names",),
-    "pneuma.sb3_names": ("pneuma.errors",),
+    "pneuma.sb3_names": ("pneuma.algorithms", "pneuma.errors"),
     "pneuma.schema": ("pneuma.errors", "pneuma.files"),
     "pneuma.values": (),
     "pneuma.worlds": ("pneuma.errors",),

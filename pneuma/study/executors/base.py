@@ -6,8 +6,8 @@ study's plan → groups of runs → a job, a file of JSON → executor → worke
 
 Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
 
-    most_workers(how)    how many runs train at once unless the user says otherwise; it fails within ten seconds
-                         if the place cannot be reached or cannot train
+    most_workers(how)    how many runs train at once unless the user says otherwise; it fails within
+                         ten seconds if the place cannot be reached or cannot train
     run_groups(groups, store, how, on_event)
                          trains all groups of runs and passes on their events: {"event": "step" | "note" |
                          "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
