@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from os import PathLike, fspath
@@ -48,8 +48,10 @@ class Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _only_known_keys(cls, data: Any) -> Any:
-        if cls.model_config.get("extra") == "forbid":
-            refuse_unknown(data, (name for name, field in cls.model_fields.items() if not field.exclude))
+        names = [name for name, field in cls.model_fields.items() if not field.exclude]
+        for key in data if isinstance(data, Mapping) else ():
+            if key not in names:
+                raise wrong(str(unknown_name("key", key, names)), key)
         return data
 
 
@@ -62,14 +64,6 @@ Model = TypeVar("Model", bound=BaseModel)
 def wrong(message: str, key: str = "") -> PydanticCustomError:
     """Return an error for a validator to raise: a message, and the key of the table that it is about."""
     return PydanticCustomError("wrong", "{message}", {"message": message, "key": key})
-
-
-def refuse_unknown(data: Any, known: Iterable[str]) -> None:
-    """Refuse the first key of a table that is not known."""
-    names = tuple(known)
-    for key in data if isinstance(data, Mapping) else ():
-        if key not in names:
-            raise wrong(str(unknown_name("key", key, names)), key)
 
 
 def passes(check: Callable[[Any], object]) -> AfterValidator:
@@ -207,10 +201,6 @@ def complaint(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -
     if kind == "missing":
         (*where, key) = map(str, first["loc"])
         return tuple(where), "", f"the key {key!r} is missing"
-    if kind in ("union_tag_not_found", "union_tag_invalid"):  # of tables like [sampler], told by their name
-        known = re.findall(r"'([^']*)'", context.get("expected_tags", ""))
-        message = str(unknown_name("name", context["tag"], known)) if known else "the key 'name' is missing"
-        return tuple(map(str, first["loc"])), "name", message
     path: Where = ()
     value: Any = data
     for step in first["loc"]:  # a list is not looked into; which of several models it was is no key

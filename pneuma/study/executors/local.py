@@ -204,40 +204,37 @@ class Supervisor:
         except (ValueError, KeyError, TypeError):
             worker.kill()  # it sends invalid events; reading on finds its end
             return
-        if kind == "busy":
-            worker.busy.add(name)
-            if not worker.task.busy:
-                lock = self._store.run_folder(name) / ".lock"
-                self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
-        elif kind == "end" and event["status"] == "crashed":  # judged after the worker has released its lock
-            worker.crashed[name] = event
-        else:
-            if kind == "end":
-                worker.ended.add(name)
+        if kind in ("busy", "end"):
+            worker.outcome[name] = event
+        if kind == "busy" and not worker.task.busy:
+            lock = self._store.run_folder(name) / ".lock"
+            self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
+        elif kind != "busy" and event.get("status") != "crashed":  # that is judged when its lock is released
             self._on_event(event)
 
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
         code, words = worker.wait_and_read_stderr()
-        index, group, tries = worker.task.index, worker.task.group, worker.task.tries
-        silent = [name for name in group if name not in {*worker.ended, *worker.busy, *worker.crashed}]
-        begun = {*silent[:1], *worker.crashed}  # groups are trained in order
-        if not self._interrupts.count:
-            self._tasks += [_Task(index, {name: group[name]}, tries, busy=True) for name in worker.busy]
-        for name in (*silent, *worker.crashed):
-            crash = worker.crashed.get(name)
-            if self._interrupts.count:
-                self._on_event(crash or end_event(name, Status("stopped")))
-            elif name not in begun:
-                self._tasks.append(_Task(index, {name: group[name]}, tries))
-            elif tries < TRIES and not (crash and crash.get("final")):  # alone, to affect no other run
-                self._tasks.append(_Task(index, {name: group[name]}, tries + 1))
-                why = f"crashed ({crash['reason']})" if crash else _reason(code)
+        task, stopped = worker.task, self._interrupts.count
+        silent = [name for name in task.group if name not in worker.outcome]
+        for name, run in task.group.items():
+            event, alone = worker.outcome.get(name), {name: run}  # alone, to affect no other run
+            if event and event["event"] == "busy":
+                self._tasks += [] if stopped else [_Task(task.index, alone, task.tries, busy=True)]
+            elif event and event["status"] != "crashed":
+                continue
+            elif stopped:
+                self._on_event(event or end_event(name, Status("stopped")))
+            elif not event and name != silent[0]:  # groups are trained in order: it had not begun
+                self._tasks.append(_Task(task.index, alone, task.tries))
+            elif task.tries < TRIES and not (event and event.get("final")):
+                self._tasks.append(_Task(task.index, alone, task.tries + 1))
+                why = f"crashed ({event['reason']})" if event else _reason(code)
                 self._note(name, f"{why}; tried once more")
-            elif crash:
-                self._on_event(crash)
+            elif event:
+                self._on_event(event)
             else:
-                self._end_lost(name, group[name], code, words)
+                self._end_lost(name, run, code, words)
 
     def _end_lost(self, name: str, run: Run, code: int, words: bytes) -> None:
         """Store and report the end of a run whose worker died, unless another process trains it now."""
@@ -271,14 +268,13 @@ class _Worker:
 
     Attributes:
         task: the group of runs that it trains.
-        ended, crashed, busy: runs for which it sent such an event.
+        outcome: the last event of each run that has ended, or that another process trains.
         events: its lines.
     """
 
     def __init__(self, task: _Task, job: Job) -> None:
         self.task = task
-        self.ended, self.busy = set[str](), set[str]()
-        self.crashed: dict[str, Event] = {}
+        self.outcome: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
         last_try = ["--last-try"] * (task.tries == TRIES)
         command = [sys.executable, "-P", "-m", "pneuma.study.worker", str(job.path), str(task.index)]

@@ -23,6 +23,7 @@ import time
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from pneuma.config import Run
@@ -77,8 +78,8 @@ def run_groups(
         asked = False
     jobs = {  # of a run that was submitted again, the last
         run: (note.parent.name, place)
-        for note in _notes(store)
-        for place, group in enumerate(read_job(note).groups)
+        for note, groups in _submitted(store).items()
+        for place, group in enumerate(groups)
         for run in left.intersection(group)
     }
     names = ",".join(sorted({name for name, _ in jobs.values()}))
@@ -191,33 +192,37 @@ def _folder(store: Store) -> Path:
     return root.parent / f"{root.name}-slurm"
 
 
-def _notes(store: Store) -> list[Path]:
-    """Return the job files of all arrays of which runs are not finished."""
-    return sorted(_folder(store).glob(f"*/{NOTE}"))
+@cache
+def _read_groups(note: Path) -> list[list[str]]:
+    return [[*group] for group in read_job(note).groups]
+
+
+def _submitted(store: Store) -> dict[Path, list[list[str]]]:
+    """Return the runs of each job of all arrays of which runs are not finished, by the array's file."""
+    found = {}
+    for note in sorted(_folder(store).glob(f"*/{NOTE}")):
+        with suppress(FileNotFoundError):  # a job has just cleared it away
+            found[note] = _read_groups(note)
+    return found
 
 
 def _clear_finished(store: Store) -> None:
     """Remove what is noted of arrays whose runs are all finished; the output of failed runs stays."""
-    for note in _notes(store):
-        with suppress(FileNotFoundError):  # another job has cleared it away
-            if all(
-                store.status(run, quick=True).finished for group in read_job(note).groups for run in group
-            ):
-                shutil.rmtree(note.parent, ignore_errors=True)
+    for note, groups in _submitted(store).items():
+        if all(store.status(run, quick=True).finished for group in groups for run in group):
+            shutil.rmtree(note.parent, ignore_errors=True)
 
 
 def queued(store: Store) -> dict[str, Queued]:
     """Return where the runs are that are in the queue, by their ids."""
-    notes = {note.parent.name: note for note in _notes(store)}
-    if not notes:
+    arrays = {note.parent.name: groups for note, groups in _submitted(store).items()}
+    if not arrays:
         return {}
     runs: dict[str, Queued] = {}
-    for line in _ask(
-        "squeue", "--noheader", "--array", f"--name={','.join(notes)}", "--format=%j|%K|%T|%i|%R"
-    ):
+    names = f"--name={','.join(arrays)}"
+    for line in _ask("squeue", "--noheader", "--array", names, "--format=%j|%K|%T|%i|%R"):
         name, place, state, job, where = line.split("|", 4)
-        with suppress(FileNotFoundError):  # it has just ended, and was cleared away
-            runs |= dict.fromkeys(read_job(notes[name]).groups[int(place)], Queued(state, job, where))
+        runs |= dict.fromkeys(arrays[name][int(place)], Queued(state, job, where))
     return runs
 
 
