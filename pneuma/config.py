@@ -2,8 +2,7 @@
 
 A `Run` is one training, complete and frozen: the environment's fields, the learner's, a budget and a seed.
 Studies resolve to runs, engines train them, the store is keyed by them. The environment's part is in
-`env/fields.py`, that of algorithms and optimizers in `algorithms.py`. Nothing heavy is imported, so that
-every command can read it.
+`env/fields.py`, that of algorithms and optimizers in `algorithms.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 from annotated_types import Interval, Len
 
@@ -37,6 +36,7 @@ from pneuma.algorithms import (
 from pneuma.bases import BASES as BASES
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
+from pneuma.schema import plain
 from pneuma.values import OneOf, Reads, Share, matching
 
 RULES_VERSION = 3
@@ -57,7 +57,6 @@ ANNEALED = ("learning_rate", "clip_range")
 FORK_RESETS = ("optimizer", "xp", "critic")
 """What a fork may reset: the optimizer's moments, the players' XP, or the critic's weights."""
 FORK_FIELDS = ("parent", "fork_step", "fork_reset")
-MAX_SLOTS = 1024
 
 
 # --- The configuration ---------------------------------------------------------------------------
@@ -116,8 +115,6 @@ def _read_arguments(value: Any) -> str:
         raise ValueError
     if not table:
         return ""
-    from pneuma.schema import plain  # pydantic: not for `--help`
-
     return json.dumps(plain(table, whole=False), sort_keys=True, allow_nan=False)
 
 
@@ -172,7 +169,7 @@ class Run(EnvConfig):
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = 50_000
     """Budget in agent steps, summed over slots."""
-    slots: Annotated[int, Interval(ge=1, le=MAX_SLOTS)] = 1
+    slots: Annotated[int, Interval(ge=1, le=1024)] = 1
     """Worlds that collect a rollout in parallel."""
     learners: Annotated[str, OneOf(LEARNERS)] = LEARNERS[0]
     """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
@@ -286,8 +283,15 @@ def make_run(given: Mapping[str, object]) -> Run:
     read = read_fields(Run, with_environment(env, given))
     usual = {item.name: item.default for item in fields(Run)}
     values = {key: value for key, value in read.items() if value is not None or usual[key] is not None}
-    values = _resolve_learner(values if is_gymnasium_id(env) else resolve_world(values))
-    run = Run(**{**values, "engine": ENGINES[0]})
+    values = values if is_gymnasium_id(env) else resolve_world(values)
+    named = Run(**{key: values[key] for key in ("env", "algorithm", "optimizer") if key in values})
+    known = _read_by(named.env, named.algorithm, named.optimizer)
+    if values.get("learners") == LEARNERS[1] and "learners" not in known:
+        _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
+    defaults = {**ALGORITHM_DEFAULTS.get(named.algorithm, {}), **OPTIMIZER_DEFAULTS}
+    defaults = {key: value for key, value in defaults.items() if key in known}
+    run = Run(**{**defaults, **{key: values[key] for key in values.keys() & known}})
+    run = Run(**{**defaults, **{key: values[key] for key in values.keys() & reads(run)}})
     run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
     whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
@@ -297,7 +301,7 @@ def make_run(given: Mapping[str, object]) -> Run:
 def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle = {"slow_factor": not run.slow, "dampening": not run.momentum, "clip": run.gradient_limit is None}
-    idle |= {key: not getattr(run, key) for key in OF_OPEN_LEARNERS}
+    idle |= {"learners": run.players == 1, **{key: not getattr(run, key) for key in OF_OPEN_LEARNERS}}
     return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
 
 
@@ -337,6 +341,10 @@ def _engine(run: Run, asked: str) -> str:
     return asked or able[0]
 
 
+def _refuse(said: str, why: str) -> NoReturn:
+    raise UserError(f"{said} is not allowed: {why}")
+
+
 def _check_learner(run: Run) -> None:
     """Refuse combinations of environment, algorithm and sizes that do not work together."""
     if (run.algorithm in TABULAR) != (run.env == MAILMAN):
@@ -348,45 +356,22 @@ def _check_learner(run: Run) -> None:
         given = next((key for key in OF_OPEN_LEARNERS if getattr(run, key)), f"algorithm = {run.algorithm}")
         raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:
-        raise UserError(
-            f"learners = independent is not allowed: {run.engine} trains one policy for all players"
-        )
+        _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     if run.optimizer == "upgd" and run.engine != ENGINES[0]:
-        other = f"the engine {run.engine} has no UPGD; choose another, or engine = {ENGINES[0]} with ppo"
-        raise UserError(f"optimizer = upgd is not allowed: {other}")
+        other = f"choose another, or engine = {ENGINES[0]} with ppo"
+        _refuse("optimizer = upgd", f"the engine {run.engine} has no UPGD; {other}")
     if run.train_every and run.horizon % run.train_every:
-        whole = f"horizon = {run.horizon} is no multiple of it"
-        raise UserError(f"train_every = {run.train_every} is not allowed: {whole}")
+        _refuse(f"train_every = {run.train_every}", f"horizon = {run.horizon} is no multiple of it")
     if run.learning_rate > 1 and run.algorithm in TABULAR:
-        raise UserError(f"learning_rate = {run.learning_rate:g} is not allowed: a table's is at most 1")
+        _refuse(f"learning_rate = {run.learning_rate:g}", "a table's is at most 1")
     if run.held_out_levels and not run.level.startswith("random:train:"):
-        wrong = f"{run.level} is not of random:train:"
-        raise UserError(f"held_out_levels = {run.held_out_levels} is not allowed: {wrong}")
+        _refuse(f"held_out_levels = {run.held_out_levels}", f"{run.level} is not of random:train:")
     if run.parent and run.algorithm in TABULAR:
         raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
     if run.fork_reset == "critic" and "critic" not in reads(run):
-        raise UserError(f"fork_reset = critic is not allowed: {run.algorithm} has no critic")
+        _refuse("fork_reset = critic", f"{run.algorithm} has no critic")
     if run.fork_reset == "xp" and is_gymnasium_id(run.env):
-        raise UserError(f"fork_reset = xp is not allowed: {run.env} has no XP")
-
-
-def _resolve_learner(values: dict[str, Any]) -> dict[str, Any]:
-    """Fill in the defaults of the algorithm and optimizer, and drop fields that are not read."""
-    named = Run(**{key: values[key] for key in ("env", "algorithm", "optimizer") if key in values})
-    read, algorithm = _read_by(named.env, named.algorithm, named.optimizer), named.algorithm
-    if values.get("learners") == LEARNERS[1] and "learners" not in read:
-        raise UserError(
-            f"learners = independent is not allowed: {algorithm} trains one policy for all players"
-        )
-    defaults = {**ALGORITHM_DEFAULTS.get(algorithm, {}), **OPTIMIZER_DEFAULTS}
-    values = {key: value for key, value in {**defaults, **values}.items() if key in read}
-    if values.get("players", 1) == 1:
-        values.pop("learners", None)  # one player alone has but one policy
-    if values.get("momentum") == 0 and values.get("dampening") is not None:
-        values["dampening"] = 0.0  # torch reads it only beside a momentum
-    if values.get("gradient_limit", 0.5) is None:
-        values.pop("clip", None)  # nothing is clipped either way
-    return values
+        _refuse("fork_reset = xp", f"{run.env} has no XP")
 
 
 def env_config(run: Run) -> EnvConfig:

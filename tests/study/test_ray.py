@@ -81,7 +81,7 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        ray.train_here("/shared/results/.shared-1/job.json", 0, ray.versions(), "", str(tmp_path))
+        ray.train_here("/shared/results/.shared-1/job.json", 0, ray.versions(), str(tmp_path))
 
 
 # --- A node is lost: last, because the others need both ------------------------------------------------

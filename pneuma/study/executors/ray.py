@@ -64,7 +64,7 @@ def run_groups(
         import ray
 
         job = write_job(Path(folder).resolve() / "job.json", [group for _, group in waiting], store, how)
-        told = versions(), code(), os.getcwd()
+        told = versions(), os.getcwd()
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
         tasks: dict[Any, Mapping[str, Run]] = {}
 
@@ -131,36 +131,34 @@ def join(address: str | None) -> None:
 
     if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
         worker.print_to_stdstream = lambda *_, **__: None
-    code: dict[str, Any]
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        code = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
+        sent: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
         with chdir(SOURCE):  # Ray lets its processes import from the current folder
-            ray.init("local", include_dashboard=False, runtime_env=code, **resources, **quiet)
-    else:
-        host, _, port = address.rpartition(":")
-        try:  # or Ray would try for minutes
-            socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
-            code = {"py_modules": [str(SOURCE / "pneuma")], "excludes": ["__pycache__"]}
-            with chdir(SOURCE):
-                ray.init(address, runtime_env=code, **quiet)
-        except Exception as error:  # Ray raises many kinds of errors
-            raise UserError(
-                f"--address {address}: no cluster can be joined there ({error}); give the address that "
-                "`ray start --head` printed, on a machine of the cluster"
-            ) from None
+            ray.init("local", include_dashboard=False, runtime_env=sent, **resources, **quiet)
+        return
+    host, _, port = address.rpartition(":")
+    try:  # or Ray would try for minutes
+        socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
+        sent = {"py_modules": [str(SOURCE / "pneuma")], "excludes": ["__pycache__"]}
+        with chdir(SOURCE):
+            ray.init(address, runtime_env={**sent, "env_vars": {CARRIED_CODE: code()}}, **quiet)
+    except Exception as error:  # Ray raises many kinds of errors
+        raise UserError(
+            f"--address {address}: no cluster can be joined there ({error}); give the address that "
+            "`ray start --head` printed, on a machine of the cluster"
+        ) from None
 
 
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-def train_here(path: str, index: int, wanted: Mapping[str, str], source: str, folder: str) -> None:
+def train_here(path: str, index: int, wanted: Mapping[str, str], folder: str) -> None:
     """Train a group of a job on the node that Ray calls this on, if it has the `wanted` versions.
 
-    `source` is the version of the code that was sent, and `folder` the command's current one, from which
-    users' rewards and levels are read.
+    Users' rewards and levels are read from `folder`, the command's current one.
     """
     installed, node = versions(), socket.gethostname()
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]
@@ -170,7 +168,6 @@ def train_here(path: str, index: int, wanted: Mapping[str, str], source: str, fo
         results = Path(path).parent.parent
         raise UserError(f"--executor ray: the node {node} does not see {results}: all must share that folder")
     die_with(os.getppid())  # Ray's own process here
-    os.environ[CARRIED_CODE] = source
     with suppress(OSError):
         os.chdir(folder)
     prepare_node()
