@@ -169,22 +169,11 @@ def as_tuple(value: Any) -> Any:
 
 def read_value(text: str) -> Any:
     """Read a value as TOML would, also without a list's brackets, a word's quotes, or a 0 before a point."""
-    try:
-        return _read_value(text)
-    except (ValueError, RecursionError):
-        return text
-
-
-def _read_value(text: str) -> Any:
-    with suppress(ValueError, RecursionError):
-        return tomllib.loads(f"value = {text}")["value"]
-    if re.fullmatch(r"[+-]?\.\d+(e[+-]?\d+)?", text, re.IGNORECASE):
-        return float(text)
-    if len(parts := split_list(text)) > 1:
-        return [_read_value(part) for part in parts]
-    if text[:1] + text[-1:] != "[]":
-        raise ValueError
-    return [read_value(part) for part in split_list(text[1:-1])]
+    numbers = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
+    for form in (text, f"[{text}]", numbers, f"[{numbers}]") if text else ():
+        with suppress(ValueError, RecursionError):
+            return tomllib.loads(f"value = {form}")["value"]
+    return [*map(read_value, split_list(text[1:-1]))] if text[:1] + text[-1:] == "[]" else text
 
 
 def split_list(text: str) -> list[str]:
