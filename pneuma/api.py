@@ -182,14 +182,11 @@ def promote(
         quiet: show no progress.
 
     Returns:
-        a row for each winner and objective: its value in the search, on the fresh seeds and that of its base,
-        the difference of means with its 95 % interval, and how much of the value was luck.
+        The frame of `pneuma.search.promote.gains`: a row for each winner and objective.
 
     Raises:
         UserError: for an unknown search, one without a complete trial, or when a run crashed or was killed.
     """
-    import pandas as pd
-
     from pneuma.search import promote as promotion
 
     selection = _selection(seeds, steps, (), None)
@@ -199,12 +196,7 @@ def promote(
     promoted.plan(_store(results))
     path = promoted.path(_store(results))
     data = run_study(path, results, seeds=promoted.seeds, steps=promoted.steps, workers=workers, quiet=quiet)
-    rows = [
-        {"search": winner.name, "trial": winner.trial.number, "objective": objective, **asdict(gain)}
-        for winner in promoted.winners
-        for objective, gain in promotion.gains(winner, data).items()
-    ]
-    return pd.DataFrame(rows)
+    return promotion.gains(promoted.winners, data)
 
 
 def load_policy(

@@ -37,8 +37,8 @@ from pneuma.figures.origin import read_origin
 from pneuma.figures.search import draw_search, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
-from pneuma.search.journal import read_record
 from pneuma.search.promote import find_winners
+from pneuma.search.record import read_record
 from pneuma.search.spec import load_search
 from pneuma.study.plan import Selection
 from pneuma.study.provenance import available_cores

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +15,11 @@ from pneuma.cli.output import (
     check_file,
     command,
     draw_files,
+    frame_table,
     keep_files,
     listed_result,
     read_formats,
+    rows_of,
     say,
     write_file,
     wrote,
@@ -29,19 +31,46 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
+from pneuma.values import setting_words
 
 if TYPE_CHECKING:
+    import pandas as pd
     from optuna.trial import FrozenTrial
 
-    from pneuma.search.journal import RecordedSearch
-    from pneuma.search.promote import Gain, Winner
-    from pneuma.search.spec import Search
-    from pneuma.search.task import Task
+    from pneuma.search.record import Record
 
 app = opt.Commands(
     "Find hyperparameters over several seeds, and confirm them on fresh ones.",
     short_help="Find hyperparameters, and confirm them on fresh seeds.",
 )
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Which search a command reads: options that its name goes with."""
+
+    set_: opt.SeveralRead = opt.SETTINGS
+    world: opt.Text = opt.WORLD
+    results: Path = opt.RESULTS
+
+    @property
+    def store(self) -> Store:
+        return Store(self.results)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return dict(self.set_ or ())
+
+    def read(self, name: str) -> Record:
+        from pneuma.search.record import read_record
+
+        return read_record(self.store, name, self.world, self.settings)
+
+    def words(self, *names: str) -> list[object]:
+        """Return these options, after names, as words of a command."""
+        world = ["--world", self.world] if self.world else []
+        return [*names, *setting_words(self.settings), *world, "--results", self.results]
+
 
 SEARCH = opt.argument("NAME", "A search's name, or the path of a search file (….toml).")
 
@@ -57,123 +86,73 @@ def list_() -> Result:
 
 @app.command()
 def show(name: str = SEARCH, world: opt.Text = opt.WORLD) -> Result:
-    """Show what a search varies, what it seeks, and its presets."""
+    """Show a search's file: what it varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
-    search = load_search(name, world)
-    document = {
-        "search": search.name,
-        "world": search.world,
-        **search.spec.model_dump(),
-        "title": search.title,
-        "run": search.space.fixed,
-        "space": {parameter.name: parameter.written for parameter in search.space.parameters},
-        "objectives": {each.name: each.model_dump(exclude={"name"}) for each in search.objectives},
-    }
-    return Result(document, _show(search))
-
-
-def _show(search: Search) -> Iterator[str | Table]:
-    yield search.title + (f" (thesis section {search.spec.section})" if search.spec.section else "")
-    yield from search.spec.about.splitlines()
-    yield ""
-    yield "Space:"
-    yield Table(("", ""), [(f"  {parameter.name}", str(parameter)) for parameter in search.space.parameters])
-    yield ""
-    yield "Objectives:"
-    for objective in search.objectives:
-        yield f"  {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
-    yield ""
-    start = f"; the first trials are {', '.join(search.spec.start)}" if search.spec.start else ""
-    yield f"Base: {search.space.base}{start}"
-    yield f"All trials: {_pairs(search.space.fixed) or 'as the base'}"
-    for head, chosen in (("Sampler", search.spec.sampler), ("Pruner", search.spec.pruner)):
-        arguments = _pairs(chosen.arguments)
-        yield f"{head}: {chosen.name or 'none'}" + (f" ({arguments})" if arguments else "")
-    yield f"Suggested together: {counted(search.spec.generation, 'trial')}"
-    yield ""
-    yield "Presets:"
-    for preset, budget in search.spec.presets.items():
-        trials, seeds = counted(budget.trials, "trial"), counted(len(budget.seeds), "seed")
-        yield f"  {preset:<9} {trials}, {seeds} each, {budget.steps:,} steps a run"
-
-
-def _pairs(values: Mapping[str, Any]) -> str:
-    from pneuma.schema import shown  # pydantic: not for `--help`
-
-    words = {key: shown("none" if value is None else value) for key, value in values.items()}
-    return ", ".join(f"{key} = {word}" for key, word in words.items())
+    search = load_search(name, world)  # which checks it
+    document = {"search": search.name, "world": search.world, **search.file.data, "run": search.space.fixed}
+    return Result(document, [str(search.file.path), *search.file.text.splitlines()], search.title)
 
 
 @app.command()
-def status(name: str = SEARCH, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
+def status(asked: Asked, name: str = SEARCH) -> Result:
     """Show how far a search is, and its best trials."""
-    from pneuma.search.journal import published_log, read_record
-
-    searched = read_record(store := Store(results), name, world)
-    label = searched.task.search.label
-    budget = searched.task.budget
-    amount = {"seeds": budget.seeds, "steps": budget.steps, "trials_asked": budget.trials}
-    document = {**_document(searched.task, searched.trials), **amount}
-    shown = [*_status(searched, _asked_words(name, world, results))]
-    trials = f"search-{label}"
-    if searched.published:
-        shown.insert(0, f"Published in {searched.published}, without its runs.")
-    elif other := published_log(store, label):
-        shown.append(f"A published search is in {other}; --results with an empty folder shows it.")
-    if searched.running and not searched.published and store.listing_path(trials).exists():
-        runs = command("study", "status", trials, "--results", results)
-        shown.append(f"Other trials have not ended. See their runs with: {runs}")
-    return Result(document, shown)
+    found = asked.read(name)
+    return Result(found.document(), _status(found, asked.store, asked.words(name)))
 
 
-def _asked_words(name: str, world: str | None, results: Path) -> list[object]:
-    return [name, *(["--world", world] if world else []), "--results", results]
+def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | Table]:
+    from pneuma.search.record import STATES, published_log
 
-
-def _status(searched: RecordedSearch, asked: Sequence[object]) -> Iterator[str | Table]:
-    from pneuma.search.journal import STATES
-
-    budget, best = searched.task.budget, searched.best
-    yield f"{len(searched.trials)} of {budget.trials} trials, {counted(len(budget.seeds), 'seed')} each"
-    for objective in searched.task.search.objectives:
+    search, budget, best = found.task.search, found.task.budget, found.best
+    yield (
+        f"Published in {found.journal.path}, without its runs."
+        if found.published
+        else f"Optuna's log: {found.journal.path}"
+    )
+    amount = f"{counted(len(budget.seeds), 'seed')} each, {found.task.steps:,} steps a run"
+    yield f"{len(found.trials)} of {budget.trials} trials, {amount}"
+    for objective in search.objectives:
         yield f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
     among, rows = best if isinstance(best, list) else [best], []
-    for trial in searched.trials:
+    for trial in found.trials:
         params = ", ".join(
             f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
-            for key, value in searched.task.search.space.named(trial.params).items()
+            for key, value in search.space.named(trial.params).items()
         )
-        mark = "*" if trial.number in among else ""
-        note = str(trial.user_attrs.get("note", ""))
+        mark, note = "*" if trial.number in among else "", str(trial.user_attrs.get("note", ""))
         rows.append((f"{mark:>3}", trial.number, STATES[trial.state], _value(trial), params, note))
     yield Table(("", "trial", "", "value", "", ""), rows)
-    if best is None:
-        yield "No trial is complete yet."
-    elif isinstance(best, int):
+    if isinstance(best, int):
         yield f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *asked)}"
     else:
-        yield f"Pareto front (*): trials {', '.join(map(str, best)) or 'none yet'}."
+        front = ", ".join(map(str, best or ()))
+        yield f"Pareto front (*): trials {front}." if front else "No trial is complete yet."
     yield f"Look closer with: {command('search', 'plot', *asked)}"
+    if found.published:
+        return
+    if other := published_log(store, search.label):
+        yield f"A published search is in {other}; --results with an empty folder shows it."
+    if found.under_way and store.listing_path(trials := f"search-{search.label}").exists():
+        runs = command("study", "status", trials, "--results", store.root)
+        yield f"Other trials have not ended. See their runs with: {runs}"
 
 
 @app.command(short_help="Draw a search.")
 def plot(
+    asked: Asked,
     name: str = SEARCH,
     out: Path | None = opt.PLOT_FOLDER,
-    world: opt.Text = opt.WORLD,
     format: opt.SeveralRead = opt.FORMATS,
-    results: Path = opt.RESULTS,
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
-    formats, store = read_formats(format, out), Store(results)
+    formats = read_formats(format, out)
     from pneuma.figures.search import draw_search
-    from pneuma.search.journal import read_record
 
-    searched = read_record(store, name, world)
+    found = asked.read(name)
     formats_asked = (word for each in formats for word in ("--format", each))
-    again = command("search", "plot", *_asked_words(name, world, results), *formats_asked)
-    files = keep_files(store, out, lambda folder: draw_search(searched, folder, formats, again))
+    again = command("search", "plot", *asked.words(name), *formats_asked)
+    files = keep_files(asked.store, out, lambda folder: draw_search(found, folder, formats, again))
     if not files:
         say("Note: nothing is drawn before a trial is complete.", aside=True)
     return Result({"figures": files}, wrote(files))
@@ -184,6 +163,7 @@ def plot(
 
 @app.command(short_help="Search for hyperparameters, or go on with a search.")
 def run(
+    asked: Asked,
     place: opt.Place,
     name: str = SEARCH,
     preset: str = opt.option("--preset", "|".join(spec.PRESETS), "How much to search.", default="quick"),
@@ -192,35 +172,38 @@ def run(
         "--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED
     ),
     steps: Any = opt.STEPS,
-    set_: opt.SeveralRead = opt.SETTINGS,
-    world: opt.Text = opt.WORLD,
     retry_failed: bool = opt.RETRY_FAILED,
-    results: Path = opt.RESULTS,
     quiet: bool = opt.QUIET,
 ) -> Result:
-    """Search for hyperparameters, going on where the search was stopped."""
-    from pneuma.search.journal import STATES, best_number
+    """Search for hyperparameters, going on where it was stopped; several processes share the work."""
+    from pneuma.search.record import STATES, Task
+    from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
 
-    store = Store(results)
-    task = _task(name, world, preset, dict(set_ or ()), trials=trials, seeds=seeds, steps=steps)
-    how = place.config()
-    ended_trials: list[FrozenTrial] = []
-    report = partial(say, aside=True, quiet=quiet)
-    train_trials = partial(train, store=store, how=how, retry_failed=retry_failed, quiet=quiet, noted=set())
-    code = 0
+    store, tell = asked.store, partial(say, aside=True, quiet=quiet)
+    search = load_search(name, asked.world, asked.settings)
+    if preset not in (presets := search.spec.presets):
+        raise unknown_name(f"preset of search {search.name}", preset, presets)
+    amount = {"trials": trials, "seeds": seeds, "steps": steps}
+    given = {key: value for key, value in amount.items() if value is not None}
+    task = Task(search, presets[preset].model_copy(update=given))
+    train_trials = partial(
+        train, store=store, how=place.config(), retry_failed=retry_failed, quiet=quiet, noted=set()
+    )
+    document: dict[str, Any] = {"search": task.search.name, "trials": [], "best": None}
+    told, code = set[int](), 0
     try:
-        for ended in run_search(task, store, train_trials, report):
-            for trial in ended[len(ended_trials) :]:
-                note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
-                state = STATES[trial.state]
-                say(f"trial {trial.number}: {state}, {_value(trial)}{note}", aside=True, quiet=quiet)
-            ended_trials = [*ended]
-            best = best_number(ended_trials, task.search)
-            found = f"front: {best}" if best else "none complete yet"
+        for found in run_search(task, store, train_trials, tell):
+            for trial in found.trials:
+                if trial.number not in told:
+                    note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
+                    tell(f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}{note}")
+                    told.add(trial.number)
+            document, best = found.document(), found.best
+            words = f"front: {best}" if best else "none complete yet"
             if isinstance(best, int):
-                found = f"best {_value(ended_trials[best])}, trial {best}"
-            say(f"{len(ended_trials)}/{task.budget.trials} trials; {found}", aside=True, quiet=quiet)
+                words = f"best {_value(found.begun[best])}, trial {best}"
+            tell(f"{len(told)}/{task.budget.trials} trials; {words}")
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
         code = 1
@@ -228,33 +211,11 @@ def run(
         stopped = str(left) if isinstance(left, Detached) else "Stopped."
         say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
         code = 130
-    asked = _asked_words(name, world, results)
     shown = [
-        f"See its trials with: {command('search', 'status', *asked)}",
-        f"Draw it with: {command('search', 'plot', *asked)}",
+        f"See its trials with: {command('search', 'status', *asked.words(name))}",
+        f"Draw it with: {command('search', 'plot', *asked.words(name))}",
     ]
-    return Result(_document(task, ended_trials), [] if code or quiet else shown, code=code)
-
-
-def _task(name: str, world: str | None, preset: str, over: Mapping[str, Any], **amount: Any) -> Task:
-    """Return a search with overridden fields, and its preset's budget with the given amounts."""
-    from pneuma.config import Run
-    from pneuma.env.fields import read_field
-    from pneuma.sb3_names import own_fields
-    from pneuma.search.space import FIXABLE
-    from pneuma.search.spec import load_search
-    from pneuma.search.task import Task
-
-    for key in (over := own_fields(over)):
-        if key not in FIXABLE:
-            raise unknown_name("key of --set", key, FIXABLE)
-    over = {key: read_field(Run, key, value) for key, value in over.items()}
-    search = load_search(name, world)
-    presets = search.spec.presets
-    if preset not in presets:
-        raise unknown_name(f"preset of search {search.name}", preset, presets)
-    given = {key: value for key, value in amount.items() if value is not None}
-    return Task(search.with_settings(over, over), presets[preset].model_copy(update=given), over)
+    return Result(document, [] if code or quiet else shown, code=code)
 
 
 def train(
@@ -288,16 +249,6 @@ def train(
             raise Unfinished(f"{what}{why}{again}")
 
 
-def _document(task: Task, trials: Sequence[FrozenTrial]) -> dict[str, Any]:
-    from pneuma.search.journal import best_number, trial_document
-
-    return {
-        "search": task.search.name,
-        "trials": [trial_document(trial, task.search) for trial in trials],
-        "best": best_number(trials, task.search),
-    }
-
-
 def _value(trial: FrozenTrial) -> str:
     return ", ".join(f"{value:.4g}" for value in trial.values or ()) or "no value"
 
@@ -307,82 +258,66 @@ def _value(trial: FrozenTrial) -> str:
 
 @app.command(short_help="Train winners of searches on fresh seeds.")
 def promote(
+    asked: Asked,
     names: list[str] = opt.argument("NAME", "Searches, or their files; several must be tuned alike."),
     seeds: Any = opt.seeds_of_runs("10"),
     steps: Any = opt.STEPS,
     trial: int | None = opt.number("--trial", "Which trial (default: the best)."),
     out: Path | None = opt.option("--out", "FILE", "Write the study to a .toml file; train nothing."),
-    world: opt.Text = opt.WORLD,
     workers: Any = opt.WORKERS,
-    results: Path = opt.RESULTS,
     quiet: bool = opt.QUIET,
 ) -> Result:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search import promote as promotion
 
-    store = Store(results)
-    promoted = promotion.promote(store, names, seeds, steps, trial, world)
-    chosen: list[dict[str, Any]] = [
-        {
-            "search": winner.searched.task.search.name,
-            "trial": winner.trial.number,
-            "params": winner.trial.params,
-            "is_base": winner.is_base,
-        }
-        for winner in promoted.winners
-    ]
-    if trial is None and out is None and all(each["is_base"] for each in chosen):
+    promoted = promotion.promote(
+        store := asked.store, names, seeds, steps, trial, asked.world, asked.settings
+    )
+    document: dict[str, Any] = {"winners": promoted.rows()}
+    if trial is None and out is None and all(each["is_base"] for each in document["winners"]):
         said = "the search found nothing better than its base"
-        return Result({"winners": chosen}, [f"{each['search']}: {said}" for each in chosen])
+        return Result(document, [f"{each['search']}: {said}" for each in document["winners"]])
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():
             raise UserError(f"--out {out}: is there already; name another, or remove it first")
         write_file(out, promoted.text.encode())
-        train_with = f"Train it with: {command('study', 'run', out, '--results', results)}"
-        return Result({"study": out, "winners": chosen}, notes=[f"wrote {out}", train_with])
+        train_with = f"Train it with: {command('study', 'run', out, '--results', store.root)}"
+        return Result({"study": out, **document}, notes=[f"wrote {out}", train_with])
     planned, path = promoted.plan(store), promoted.path(store)
-    say(f"wrote {path}", aside=True, quiet=quiet)
+    for line in (f"wrote {path}", promoted.budgets):
+        say(line, aside=True, quiet=quiet)
     how = ExecutorConfig(workers=opt.most_workers(workers))
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
-    ends = {arm: [c.run_id for c in planned.cells if c.condition == arm] for arm in planned.conditions}
-    diverged = {arm: sum(store.status(i).name == "diverged" for i in ids) for arm, ids in ends.items()}
-    document = {"study": path, "seeds": seeds, "run_ids": ends, "diverged": diverged, "winners": chosen}
+    ids = {
+        arm: [cell.run_id for cell in planned.cells if cell.condition == arm] for arm in planned.conditions
+    }
+    document |= {"study": path, "seeds": seeds, "steps": promoted.steps, "run_ids": ids}
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
         return Result(document, notes=trained.notes, code=trained.code)
-
     from pneuma.figures.search import winners_page
 
-    data, shown = promoted.data(store), list[str | Table]()
-    for winner, row in zip(promoted.winners, chosen, strict=True):
-        row["objectives"] = promotion.gains(winner, data)
-        shown += _show_gains(winner, row["objectives"], len(seeds))
-    given = ["--seeds", ",".join(map(str, seeds)), "--steps", promoted.steps, "--results", results]
-    given += ["--trial", trial] * (trial is not None) + ["--world", world] * (world is not None)
+    frame = promotion.gains(promoted.winners, data := promoted.data(store))
+    given = ["--seeds", ",".join(map(str, seeds)), "--steps", promoted.steps]
+    given += ["--trial", trial] * (trial is not None)
+    again = command("search", "promote", *names, *given, *asked.words())
     page = winners_page(promoted.name, promoted.winners, data)
-    again = command("search", "promote", *names, *given)
-    document["figures"] = draw_files(store, None, read_formats(None, None), [(page, again)])
-    shown += wrote(document["figures"])
-    shown += [
-        f"{count} of {arm}'s {len(seeds)} runs diverged, and count as in a search"
-        for arm, count in diverged.items()
-        if count
-    ]
-    return Result(document, shown, notes=trained.notes)
+    files = draw_files(store, None, read_formats(None, None), [(page, again)])
+    document |= {"gains": rows_of(frame), "figures": files}
+    return Result(document, [*_gained(frame), promoted.budgets, *wrote(files)], notes=trained.notes)
 
 
-def _show_gains(winner: Winner, gains: Mapping[str, Gain], seeds: int) -> Iterator[str | Table]:
-    search = winner.searched.task.search
-    yield f"Trial {winner.trial.number} of search {search.name} on {seeds} fresh seeds:"
-    heads = ("", "in the search", "on fresh seeds", "base", "difference of means", "95 % interval", "luck")
-    rows = []
-    for objective in search.objectives:
-        gain = gains[objective.name]
-        values = (f"{value:.4f}" for value in (gain.seen, gain.fresh, gain.fresh_baseline))
-        interval = " to ".join(f"{end:+.4f}" for end in gain.interval)
-        gained = f"{gain.difference:+.4f}", interval, f"{gain.luck:+.4f}"
-        shown = ("–" if "nan" in text else text for text in (*values, *gained))
-        rows.append((f"{objective.over_seeds} of {objective.outcome}", *shown))
-    yield Table(heads, rows)
-    yield "Luck: by how much the search's seeds had flattered it; unknown (–) with other steps."
+def _gained(frame: pd.DataFrame) -> Iterator[str | Table]:
+    """Yield gains with four digits; what is unknown is a dash."""
+    shown = frame.drop(columns=["objective", "diverged", "base_diverged"])
+    yield frame_table(
+        shown.map(lambda cell: f"{cell:.4f}" if isinstance(cell, float) else cell).replace("nan", "–")
+    )
+    yield "low, high: the 95 % interval of the difference of means."
+    yield "luck: by how much the search's seeds had flattered the winner; unknown (–) with other steps."
+    for who in ("", "base_"):
+        for name, count in zip(frame["search"], frame[f"{who}diverged"], strict=True):
+            if count:
+                runs = f"{counted(count, 'run')} of {name}'s {'base' if who else 'winner'}"
+                yield f"{runs} diverged, and count as in a search"

@@ -1,6 +1,6 @@
 """The figures of a search: Optuna's pictures of its trials, and how its winner does on fresh seeds.
 
-RecordedSearch → Optuna's axes in our style, the thesis's values marked → files
+Record → Optuna's axes in our style, the thesis's values marked → files
 winners, their runs → Page (`grid.py`)
 """
 
@@ -32,9 +32,8 @@ from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import Origin, sample, samples_of
 from pneuma.figures.style import COLOURS, GREY, INK, WIDTH
 from pneuma.figures.words import capital, headline_of, notes_of
-from pneuma.search.journal import RecordedSearch
-from pneuma.search.promote import Gain, Winner, gains
-from pneuma.search.values import counted_outcome
+from pneuma.search.promote import Winner, fresh_values, gains
+from pneuma.search.record import Record
 
 TABLES = {"table-6-1": ":", "table-6-2": "--"}
 """Bases whose values are marked: the thesis's, and the lines that mark them."""
@@ -44,7 +43,7 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 
 
 def draw_search(
-    searched: RecordedSearch,
+    searched: Record,
     folder: Path,
     formats: Sequence[str],
     command: str = "",
@@ -101,7 +100,7 @@ Picture = tuple[str, Callable[[], Any]]
 """Its title, and what draws it."""
 
 
-def _pictures(searched: RecordedSearch, complete: Sequence[FrozenTrial]) -> dict[str, Picture]:
+def _pictures(searched: Record, complete: Sequence[FrozenTrial]) -> dict[str, Picture]:
     """Return each picture by name, in the first of the objectives, unless it shows both."""
     study, (first, *others) = searched.study, searched.task.search.objectives
     words = [
@@ -128,7 +127,7 @@ def _pictures(searched: RecordedSearch, complete: Sequence[FrozenTrial]) -> dict
     return drawn
 
 
-def _amount(searched: RecordedSearch) -> str:
+def _amount(searched: Record) -> str:
     budget, states = searched.task.budget, [trial.state for trial in searched.trials]
     whole, pruned, failed = map(states.count, (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL))
     words = [f"{pruned} stopped early"] * (pruned > 0) + [f"{failed} failed"] * (failed > 0)
@@ -136,7 +135,7 @@ def _amount(searched: RecordedSearch) -> str:
     return f"{trials}; {counted(len(budget.seeds), 'seed')}, {budget.steps:,} steps each"
 
 
-def _history(searched: RecordedSearch, of_first: dict[str, Any]) -> Axes:
+def _history(searched: Record, of_first: dict[str, Any]) -> Axes:
     """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
     axes: Axes = pictures.plot_optimization_history(searched.study, **of_first)
     trials = {trial.number: trial for trial in searched.trials if trial.values}
@@ -148,7 +147,7 @@ def _history(searched: RecordedSearch, of_first: dict[str, Any]) -> Axes:
     return axes
 
 
-def _slices(searched: RecordedSearch, of_first: dict[str, Any]) -> Any:
+def _slices(searched: Record, of_first: dict[str, Any]) -> Any:
     """Draw trials over the values of each parameter, in rows, with the values of the thesis's tables."""
     search = searched.task.search
     slices: Any = np.ravel(np.array(pictures.plot_slice(searched.study, **of_first)))
@@ -185,66 +184,61 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     A row for each: its base, the winner with the interval of its gain, and what the search had seen of it.
     """
     objective = winners[0].searched.task.search.objectives[0]
-    measured, seeds = find_outcome(objective.outcome), len(data.of_condition(winners[0].tuned))
-    words = capital(measured.words)
-    found = {winner.name: gains(winner, data)[objective.name] for winner in winners}
-    means = objective.over_seeds == "mean"
-    sign = -1 if objective.direction == "maximize" else 1
-    ranked = dict(sorted(found.items(), key=lambda pair: sign * pair[1].fresh))
-    share = measured.unit == "share"
-    runs = {
-        winner.name: tuple(
-            np.array(
-                [
-                    counted_outcome(winner.searched.task.search, data, run, objective.outcome)
-                    for run in data.of_condition(name)
-                ]
-            )
-            for name in (winner.name, winner.tuned)
-        )
-        for winner in winners
-    }
+    found = gains(winners, data).query("objective == @objective.name")
+    arms = {winner.name: fresh_values(winner, objective, data) for winner in winners}
+    found = found.sort_values("fresh", ascending=objective.direction == "minimize", kind="stable")
+    measured, means = find_outcome(objective.outcome), objective.over_seeds == "mean"
+    words, share = capital(measured.words), measured.unit == "share"
+    rows, names = found.to_dict("records"), [*found["search"]]
+    x = words if means else f"{words}, {objective.over_seeds} of seeds"
+    ticks = grid.shares if share else grid.few
     panels = [
-        Panel(
-            partial(_draw_gains, found=ranked, runs=runs, from_zero=share),
-            x=words if means else f"{words}, {objective.over_seeds} of seeds",
-            x_ticks=grid.shares if share else grid.few,
-            rows=[*ranked],
-        )
+        Panel(partial(_draw_values, rows=rows, arms=arms, from_zero=share), x=x, x_ticks=ticks, rows=names)
     ]
-    if shown := means and any(np.isfinite(gain.interval).all() for gain in found.values()):
-        draw = partial(_draw_differences, found=[*ranked.values()])
-        panels.append(Panel(draw, x="Tuned less untuned", x_ticks=grid.points if share else grid.few,
-                            rows=[""] * len(ranked)))  # fmt: skip
-    inches = max(grid.ROW_INCHES * len(ranked) + 0.7, 1.4)
-    title = headline_of(data, f"{counted(seeds, 'fresh seed')}, {data.budget:,} steps")
+    if shown := means and bool(np.isfinite(found["low"]).any()):
+        ticks = grid.points if share else grid.few
+        differences = partial(_draw_differences, rows=rows)
+        panels.append(Panel(differences, x="Tuned less untuned", x_ticks=ticks, rows=[""] * len(rows)))
+    inches = max(grid.ROW_INCHES * len(rows) + 0.7, 1.4)
+    seeds = counted(len(data.of_condition(winners[0].tuned)), "fresh seed")
+    title = headline_of(data, f"{seeds}, {data.budget:,} steps")
     caption = [*notes_of(data), "Dots: runs. Right: the difference of means with its 95 % interval." * shown]
     widths = [2, 1] if shown else None
     return Page(basename, [panels], inches, title, samples_of(data), caption=caption, widths=widths)
 
 
-def _draw_gains(
-    axes: Axes, found: Mapping[str, Gain], runs: Mapping[str, tuple[np.ndarray, ...]], from_zero: bool
+def _draw_values(
+    axes: Axes,
+    rows: Sequence[Mapping[Any, Any]],
+    arms: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    from_zero: bool,
 ) -> None:
-    """Draw a row for each gain: the runs of both conditions, and their values over seeds."""
-    for place, (name, gain) in enumerate(found.items()):
-        for values, colour in zip(runs[name], COLOURS[:2], strict=True):
+    """Draw a row for each winner: the runs of both conditions, and their values over seeds."""
+    base, tuned = COLOURS[:2]
+    looks: dict[str, tuple[str, dict[str, Any]]] = {
+        "untuned": ("base", {"marker": "o", "color": base}),
+        "tuned": ("fresh", {"marker": "D", "color": INK, "markerfacecolor": tuned}),
+        "tuned, as its search saw it": ("seen", {"marker": "o", "color": base, "markerfacecolor": "white"}),
+    }
+    for place, row in enumerate(rows):
+        for values, colour in zip(arms[row["search"]], (tuned, base), strict=True):
             axes.plot(values, [place + 0.22] * len(values), "o", color=colour, markersize=2.2, alpha=0.6)
-        look: Any = {"markersize": 4.5, "linestyle": "", "color": COLOURS[0], "zorder": 2.6}
-        axes.plot([gain.fresh], [place], marker="D", **{**look, "color": INK, "markerfacecolor": COLOURS[1]})
-        axes.plot([gain.seen], [place], marker="o", markerfacecolor="white", **look)
-        axes.plot([gain.fresh_baseline], [place], marker="o", **look)
-    shown: Any = {"color": COLOURS[0], "marker": "o", "linestyle": "", "markersize": 4.5}
-    axes.plot([], [], label="untuned", **shown)
-    axes.plot([], [], label="tuned", **{**shown, "marker": "D", "color": INK, "markerfacecolor": COLOURS[1]})
-    axes.plot([], [], label="tuned, as its search saw it", markerfacecolor="white", **shown)
+    for label, (key, look) in looks.items():
+        axes.plot(
+            [row[key] for row in rows],
+            range(len(rows)),
+            label=label,
+            linestyle="",
+            markersize=4.5,
+            zorder=2.6,
+            **look,
+        )
     if from_zero:
         axes.set_xlim(left=0)
 
 
-def _draw_differences(axes: Axes, found: Sequence[Gain]) -> None:
+def _draw_differences(axes: Axes, rows: Sequence[Mapping[Any, Any]]) -> None:
     axes.axvline(0, color=GREY, linewidth=0.8)
-    for place, gain in enumerate(found):
-        low, high = gain.interval
-        row = {"value": gain.difference, "low": low, "high": high}
-        grid.draw_interval(axes, place, row, markerfacecolor=COLOURS[1])
+    for place, row in enumerate(rows):
+        drawn = {"value": row["difference"], "low": row["low"], "high": row["high"]}
+        grid.draw_interval(axes, place, drawn, markerfacecolor=COLOURS[1])

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.analysis.asked import open_study
@@ -22,21 +23,25 @@ from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import difference_interval
 from pneuma.analysis.run_index import RunIndex
 from pneuma.config import OF_WORLDS
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.schema import shown
-from pneuma.search.journal import RecordedSearch, read_record
+from pneuma.search.record import Record, common_steps, read_record
 from pneuma.search.space import Space
+from pneuma.search.spec import Objective
 from pneuma.search.values import counted_outcome, objective_value
 from pneuma.study.plan import Plan, Selection, differing_fields, make_plan
 from pneuma.study.spec import load_study, unread_fields
 from pneuma.study.store import Store
+
+LEAST_SEEDS = 5
+"""Fewest fresh seeds: the interval of a gain over fewer would tell nothing."""
 
 
 @dataclass(frozen=True)
 class Winner:
     """A trial to promote. Its conditions are `name`, the search's base, and `tuned`, the trial."""
 
-    searched: RecordedSearch
+    searched: Record
     trial: FrozenTrial
     name: str
 
@@ -48,18 +53,6 @@ class Winner:
     def is_base(self) -> bool:
         space = self.searched.task.search.space
         return space.make_run(self.trial.params) == space.make_run({})
-
-
-@dataclass(frozen=True)
-class Gain:
-    """The gain of a winner over its base in one objective."""
-
-    seen: float  # the winner's value in the search
-    fresh: float  # that over the fresh seeds
-    fresh_baseline: float  # the base's
-    difference: float  # of the means over the fresh seeds; NaN if a run has no finite value
-    interval: tuple[float, float]  # its 95 % interval; NaN in the same case, and with too few seeds
-    luck: float  # how much better the winner was on the search's seeds; NaN if unknown
 
 
 @dataclass(frozen=True)
@@ -75,13 +68,29 @@ class Promotion:
         return "-".join(["promoted", *(winner.searched.task.search.label for winner in self.winners)])
 
     @property
-    def selection(self) -> Selection:
-        return Selection(seeds=self.seeds, steps=self.steps)
-
-    @property
     def text(self) -> str:
         """Return the study's file."""
         return winners_study(self.winners, self.seeds, self.steps)
+
+    @property
+    def budgets(self) -> str:
+        """Say what was searched with, and what the winners and their bases are trained with."""
+        task = self.winners[0].searched.task
+        seen = f"{counted(task.budget.trials, 'trial')} of {counted(len(task.budget.seeds), 'seed')}"
+        fresh = f"{counted(len(self.seeds), 'fresh seed')}, {self.steps:,} steps each"
+        return f"searched: {seen}, {task.steps:,} steps each; now: winner and base alike, {fresh}"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return each winner as JSON."""
+        return [
+            {
+                "search": winner.searched.task.search.name,
+                "trial": winner.trial.number,
+                "params": winner.trial.params,
+                "is_base": winner.is_base,
+            }
+            for winner in self.winners
+        ]
 
     def path(self, store: Store) -> Path:
         return store.root / "searches" / f"{self.name}.toml"
@@ -90,11 +99,15 @@ class Promotion:
         """Write the study's file into the results folder, and return its runs."""
         store.check_writable()
         store.write(self.path(store), self.text.encode())
-        return make_plan(load_study(str(self.path(store))), self.selection)
+        return make_plan(load_study(str(self.path(store))), self._selection)
 
     def data(self, store: Store) -> StudyData:
         """Return the study's runs once they are trained."""
-        return open_study(RunIndex(store), str(self.path(store)), self.selection)
+        return open_study(RunIndex(store), str(self.path(store)), self._selection)
+
+    @property
+    def _selection(self) -> Selection:
+        return Selection(seeds=self.seeds, steps=self.steps)
 
 
 def promote(
@@ -104,18 +117,27 @@ def promote(
     steps: int | None = None,
     trial: int | None = None,
     world: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Promotion:
-    """Promote the best trial of each search, or `trial` of a single one; `steps` are usually the search's."""
+    """Promote the best trial of each search, or `trial` of a single one; `steps` are usually the search's.
+
+    They are rounded up to whole updates of all winners and bases, so that all are trained alike.
+    """
     if trial is not None and len(names) > 1:
         raise UserError(f"--trial {trial} requires a single search: name one")
-    searches = [read_record(store, name, world) for name in names]
+    if len(seeds) < LEAST_SEEDS:
+        raise UserError(f"--seeds: {counted(len(seeds), 'seed')} cannot tell gain from luck; give 5 at least")
+    searches = [read_record(store, name, world, settings) for name in names]
     winners = find_winners(searches, trial, seeds)
-    return Promotion(winners, tuple(seeds), steps or searches[0].task.budget.steps)
+    runs = [
+        winner.searched.task.search.space.make_run(params)
+        for winner in winners
+        for params in ({}, winner.trial.params)
+    ]
+    return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.steps))
 
 
-def find_winners(
-    searches: Sequence[RecordedSearch], number: int | None, seeds: Sequence[int]
-) -> list[Winner]:
+def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence[int]) -> list[Winner]:
     """Return the trials to promote: the best of each search, or a given one of a single search.
 
     Searches must have been tuned alike, and on none of these seeds.
@@ -140,7 +162,7 @@ def find_winners(
     ]
 
 
-def _trial(searched: RecordedSearch, number: int | None) -> FrozenTrial:
+def _trial(searched: Record, number: int | None) -> FrozenTrial:
     search, best = searched.task.search, searched.best
     if number is None and best and isinstance(best, list):
         front = ", ".join(map(str, best))
@@ -155,7 +177,7 @@ def _trial(searched: RecordedSearch, number: int | None) -> FrozenTrial:
     raise UserError(f"{asked}no complete trial of search {search.name}; `pneuma search status` lists them")
 
 
-def _conditions(searched: RecordedSearch) -> dict[str, Any]:
+def _conditions(searched: Record) -> dict[str, Any]:
     """Return what must be equal in searches whose winners are compared."""
     search, budget = searched.task.search, searched.task.budget
     run = search.space.make_run({})
@@ -233,28 +255,58 @@ def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
 # --- What was gained -------------------------------------------------------------------------------
 
 
-def gains(winner: Winner, data: StudyData) -> dict[str, Gain]:
-    """Return a winner's gain in each objective, by name, from the runs of the study of winners."""
+def gains(winners: Sequence[Winner], data: StudyData) -> pd.DataFrame:
+    """Return what each winner gained over its base in each objective, from the runs of their study.
+
+    Columns: the value in the search (`seen`), on the fresh seeds (`fresh`) and the base's (`base`); the
+    difference of means with its 95 % interval (`low`, `high`), NaN if a run has no finite value; by how much
+    the search's seeds had flattered it (`luck`), NaN if its steps were others; and how many of the winner's
+    and the base's runs diverged, which count as in the search.
+    """
+    rows = [
+        {"search": winner.name, "trial": winner.trial.number, **_gain(winner, objective, seen, data)}
+        for winner in winners
+        for objective, seen in zip(winner.searched.task.search.objectives, winner.trial.values, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> tuple[np.ndarray, np.ndarray]:
+    """Return the outcomes of the winner's runs and of its base's, as a search counts them."""
+    search = winner.searched.task.search
+    found = (
+        np.array([counted_outcome(search, data, run, objective.outcome) for run in data.of_condition(name)])
+        for name in (winner.tuned, winner.name)
+    )
+    tuned, base = found
+    return tuned, base
+
+
+def _gain(winner: Winner, objective: Objective, seen: float, data: StudyData) -> dict[str, Any]:
     task = winner.searched.task
-    search = task.search
     won, lost = data.of_condition(winner.tuned), data.of_condition(winner.name)
-    searched_steps = search.space.make_run(winner.trial.params, steps=task.budget.steps).steps
-    found = {}
-    for seen, objective in zip(winner.trial.values, search.objectives, strict=True):
-        arms = [  # a diverged run counts as it did in the search
-            np.array([counted_outcome(search, data, run, objective.outcome) for run in arm])
-            for arm in (won, lost)
-        ]
-        value, base = (
-            objective_value(objective, values, any(run.status == "diverged" for run in arm))
-            for values, arm in zip(arms, (won, lost), strict=True)
-        )
-        difference, interval = math.nan, (math.nan, math.nan)
-        if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
-            between = difference_interval(arms[0], arms[1])
-            difference, interval = float(arms[0].mean() - arms[1].mean()), (between.low, between.high)
-        alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
-        sign = 1 if objective.direction == "maximize" else -1
-        luck = sign * (seen - value) if alike and won[0].budget == searched_steps else math.nan
-        found[objective.name] = Gain(seen, value, base, difference, interval, luck)
-    return found
+    arms = fresh_values(winner, objective, data)
+    diverged = [sum(run.status == "diverged" for run in arm) for arm in (won, lost)]
+    fresh, base = (
+        objective_value(objective, values, count > 0) for values, count in zip(arms, diverged, strict=True)
+    )
+    difference = low = high = math.nan
+    if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
+        between = difference_interval(*arms)
+        difference, low, high = float(arms[0].mean() - arms[1].mean()), between.low, between.high
+    searched_steps = task.search.space.make_run(winner.trial.params, steps=task.steps).steps
+    alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
+    sign = 1 if objective.direction == "maximize" else -1
+    return {
+        "objective": objective.name,
+        "of": f"{objective.over_seeds} of {objective.outcome}",
+        "seen": seen,
+        "fresh": fresh,
+        "base": base,
+        "difference": difference,
+        "low": low,
+        "high": high,
+        "luck": sign * (seen - fresh) if alike and won[0].budget == searched_steps else math.nan,
+        "diverged": diverged[0],
+        "base_diverged": diverged[1],
+    }

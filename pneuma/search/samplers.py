@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import copy
 import inspect
-import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Any
@@ -24,6 +22,9 @@ from pneuma.own_modules import load_module
 from pneuma.schema import Table, shown, wrong
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
+
+Kinds = Mapping[str, tuple[Callable[..., Any], Mapping[str, Any]]]
+"""What makes each, and the arguments that a file may set with their defaults, of which None is Optuna's."""
 
 
 class Chosen(Table):
@@ -67,55 +68,43 @@ class CmaEs(samplers.CmaEsSampler):
         return {}  # nothing is stored
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A sampler or pruner, with the package that Optuna needs for it.
-
-    `arguments` may be set by a file; their defaults are these, of which None is Optuna's own.
-    """
-
-    make: Callable[..., Any]
-    arguments: Mapping[str, Any]
-    package: str = ""
-
-
-SAMPLERS = {
-    "tpe": Kind(
+SAMPLERS: Kinds = {
+    "tpe": (
         samplers.TPESampler,
         {
             "n_startup_trials": 10, "n_ei_candidates": 24, "multivariate": True, "group": True,
             "constant_liar": True,
         },
     ),
-    "random": Kind(samplers.RandomSampler, {}),
-    "nsga-ii": Kind(
+    "random": (samplers.RandomSampler, {}),
+    "nsga-ii": (
         samplers.NSGAIISampler,
         {"population_size": 16, "mutation_prob": 0.1, "crossover_prob": 0.9, "swapping_prob": 0.5},
     ),
-    "cmaes": Kind(
+    "cmaes": (
         CmaEs,
         {
             "sigma0": None, "n_startup_trials": 1, "popsize": None, "consider_pruned_trials": False,
             "use_separable_cma": False, "with_margin": False, "lr_adapt": False,
         },
-        package="cmaes",
     ),
 }  # fmt: skip
-PRUNERS = {
-    "": Kind(pruners.NopPruner, {}),
-    "median": Kind(
+PRUNERS: Kinds = {
+    "": (pruners.NopPruner, {}),
+    "median": (
         pruners.MedianPruner,
         {"n_startup_trials": 5, "n_warmup_steps": 5, "interval_steps": 5, "n_min_trials": 1},
     ),
-    "hyperband": Kind(
+    "hyperband": (
         pruners.HyperbandPruner,
         {"min_resource": 2, "max_resource": 20, "reduction_factor": 3, "bootstrap_count": 0},
     ),
-    "wilcoxon": Kind(pruners.WilcoxonPruner, {"p_threshold": 0.1, "n_startup_steps": 2}),
+    "wilcoxon": (pruners.WilcoxonPruner, {"p_threshold": 0.1, "n_startup_steps": 2}),
 }
 """By name. The steps of a pruner are twentieths of a run's training; Wilcoxon's are seeds."""
 BY_SEED = "wilcoxon"
 """The pruner that compares trials seed by seed, each trained to its end."""
+
 LEAST = {
     "min_resource": 1, "max_resource": 1, "reduction_factor": 2, "n_ei_candidates": 1, "popsize": 2,
     "sigma0": 1e-6, "population_size": 2,
@@ -123,7 +112,7 @@ LEAST = {
 """Of arguments that Optuna checks only when it uses them."""
 
 
-def read_choice(kinds: Mapping[str, Kind], base: type, value: Any) -> Any:
+def read_choice(kinds: Kinds, base: type, value: Any) -> Any:
     """Read [sampler] or [pruner]: `name`, and arguments by Optuna's names, into name and all arguments.
 
     A name `module:Class` is imported, and must be of the class `base`.
@@ -132,22 +121,20 @@ def read_choice(kinds: Mapping[str, Kind], base: type, value: Any) -> Any:
         return value
     name = value.get("name", "")
     given = {key: each for key, each in value.items() if key != "name"}
-    kind = _own_kind(name, base) if isinstance(name, str) and ":" in name else kinds.get(str(name))
-    if kind is None:
+    if not isinstance(name, str) or not (":" in name or name in kinds):
         words = str(unknown_name("name", str(name), [*filter(None, kinds)]))
         raise wrong(f"{words}; any other is named as module:Class", "name")
+    if name == "cmaes" and find_spec("cmaes") is None:
+        raise wrong("cmaes needs a package that is missing: pip install cmaes", "name")
+    make, usual = kinds.get(name) or _own_kind(name, base)
     for key, each in given.items():
-        if key not in kind.arguments:
-            raise wrong(str(unknown_name(f"argument of {name}", key, kind.arguments)), key)
+        if key not in usual:
+            raise wrong(str(unknown_name(f"argument of {name}", key, usual)), key)
         if name in kinds:
-            _check_argument(key, each, kind.arguments[key])
-    arguments = {**kind.arguments, **given} if name in kinds else given
-    if name in kinds and arguments.get("max_resource", math.inf) < arguments.get("min_resource", 0):
-        raise wrong("max_resource is less than min_resource", "name")
-    if kind.package and find_spec(kind.package) is None:
-        raise wrong(f"{name} needs a package that is missing: pip install {kind.package}", "name")
+            _check_argument(key, each, usual[key])
+    arguments = {**usual, **given} if name in kinds else given
     try:
-        _make(kind, arguments)
+        _make(make, arguments)
     except Exception as error:  # of anybody's class
         raise wrong(f"{name}: {error}", next(iter(given), "name")) from None
     return {"name": name, "arguments": arguments}
@@ -162,8 +149,8 @@ def _check_argument(key: str, value: Any, usual: Any) -> None:
         raise wrong(f"{key} = {shown(value)} is not allowed: at least {least}", key)
 
 
-def _own_kind(name: str, base: type) -> Kind:
-    """Import a class that the user's own file names."""
+def _own_kind(name: str, base: type) -> tuple[Callable[..., Any], dict[str, Any]]:
+    """Import a class that the user's own file names; return it with its arguments."""
     module, _, attribute = name.rpartition(":")
     try:
         found = getattr(load_module(module), attribute)
@@ -173,13 +160,13 @@ def _own_kind(name: str, base: type) -> Kind:
     if not (isinstance(found, type) and issubclass(found, base)):
         raise wrong(f"{name} is not a class of Optuna's {base.__name__}", "name")
     make = CmaEs if found is samplers.CmaEsSampler else found
-    return Kind(make, {key: None for key in known if key != "seed"})
+    return make, {key: None for key in known if key != "seed"}
 
 
-def _make(kind: Kind, arguments: Mapping[str, Any], **more: Any) -> Any:
+def _make(make: Callable[..., Any], arguments: Mapping[str, Any]) -> Any:
     given = {key: value for key, value in arguments.items() if value is not None}
     with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental, or go with Optuna 6
-        return kind.make(**given, **more)
+        return make(**given)
 
 
 Sampler = Annotated[Chosen, BeforeValidator(partial(read_choice, SAMPLERS, samplers.BaseSampler))]
@@ -190,13 +177,13 @@ NO_PRUNER = Chosen(name="", arguments={})
 
 def make_sampler(chosen: Chosen, seed: int) -> samplers.BaseSampler:
     """Return a sampler that draws from a seed, if it draws at all."""
-    kind = SAMPLERS.get(chosen.name) or _own_kind(chosen.name, samplers.BaseSampler)
-    seeded = "seed" in inspect.signature(kind.make).parameters
-    made: samplers.BaseSampler = _make(kind, chosen.arguments, **({"seed": seed} if seeded else {}))
+    make, _ = SAMPLERS.get(chosen.name) or _own_kind(chosen.name, samplers.BaseSampler)
+    seeded = {"seed": seed} if "seed" in inspect.signature(make).parameters else {}
+    made: samplers.BaseSampler = _make(make, {**chosen.arguments, **seeded})
     return made
 
 
 def make_pruner(chosen: Chosen) -> pruners.BasePruner:
-    kind = PRUNERS.get(chosen.name) or _own_kind(chosen.name, pruners.BasePruner)
-    made: pruners.BasePruner = _make(kind, chosen.arguments)
+    make, _ = PRUNERS.get(chosen.name) or _own_kind(chosen.name, pruners.BasePruner)
+    made: pruners.BasePruner = _make(make, chosen.arguments)
     return made

@@ -7,13 +7,13 @@ have it.
 from __future__ import annotations
 
 import json
+import math
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from annotated_types import MinLen
-from optuna import Trial
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
@@ -21,7 +21,6 @@ from pneuma.config import Run, as_fields, make_run
 from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, shown, wrong
-from pneuma.study.identity import describe_user_code
 from pneuma.study.spec import PLANNED, does_nothing, join_fields, unread_fields
 from pneuma.values import as_tuple
 
@@ -34,11 +33,15 @@ CORNERS = 256
 
 
 class Parameter(Table):
-    """[space.NAME]: a range of a run's field, which includes both ends, or a list of its values."""
+    """[space.NAME]: a range of a run's field, which includes both ends, or a list of its values.
+
+    A range may have only whole steps from its low end, and may be logarithmic.
+    """
 
     name: str
     low: int | float | None = None
     high: int | float | None = None
+    step: int | float | None = None
     log: bool = False
     choices: dict[Any, Any] = {}
     """By what they are in trials: themselves, or the text of what Optuna does not take."""
@@ -60,8 +63,8 @@ class Parameter(Table):
         values = data.get("choices", ())
         if not isinstance(values, tuple) or len(values) == 1:
             raise wrong("choices: a list of two values or more", "choices")
-        if values and (ends or "log" in data):
-            raise wrong("choices stand for themselves: leave out low, high and log", "choices")
+        if values and (ends or {*data} & {"log", "step"}):
+            raise wrong("choices stand for themselves: leave out low, high, step and log", "choices")
         choices = {_param(value): value for value in (read("choices", each) for each in values)}
         if len(choices) < len(values):
             raise wrong("choices: two values are equal", "choices")
@@ -78,20 +81,17 @@ class Parameter(Table):
             raise wrong(message, "low")
         if self.log and self.low <= 0:
             raise wrong(f"low = {shown(self.low)} is not allowed with log: above 0", "low")
+        if self.step is not None:
+            self._check_step(self.step, self.low, self.high)
         return self
 
-    def __str__(self) -> str:
-        ends = f"{self.low} to {self.high}" + (", logarithmic" if self.log else "")
-        values = "one of " + ", ".join(self.names) if self.choices else ends
-        when = " and ".join(
-            f"{name} is {' or '.join(map(_name, allowed))}" for name, allowed in self.when.items()
-        )
-        return f"{values}, where {when}" if when else values
-
-    @property
-    def names(self) -> list[str]:
-        """Return the choices in words."""
-        return [*map(_name, self.choices)]
+    def _check_step(self, step: float, low: float, high: float) -> None:
+        if self.log or step <= 0 or (self.whole and isinstance(step, float)):
+            kind = "whole and above 0" if self.whole else "above 0"
+            raise wrong(f"step = {shown(step)} is not allowed: {kind}, and only without log", "step")
+        if not math.isclose(steps := (high - low) / step, round(steps), rel_tol=1e-9):
+            last = low + int(steps) * step
+            raise wrong(f"high = {shown(high)} is no whole number of steps above low: {last:g} is", "high")
 
     @property
     def whole(self) -> bool:
@@ -104,36 +104,31 @@ class Parameter(Table):
     @property
     def distribution(self) -> BaseDistribution:
         """Return it as Optuna has it."""
-        if self.choices:
+        if self.low is None or self.high is None:
             return CategoricalDistribution([*self.choices])
-        low, high = self.extremes
-        kind = IntDistribution if self.whole else FloatDistribution
-        return kind(low, high, log=self.log)
+        if self.whole:
+            return IntDistribution(int(self.low), int(self.high), self.log, int(self.step or 1))
+        return FloatDistribution(self.low, self.high, self.log, self.step)
 
-    def suggest(self, trial: Trial) -> Any:
+    def holds(self, param: Any) -> bool:
+        """Return whether a trial can have a value."""
         if self.choices:
-            return trial.suggest_categorical(self.name, [*self.choices])
-        low, high = self.extremes
-        suggest = trial.suggest_int if self.whole else trial.suggest_float
-        return suggest(self.name, low, high, log=self.log)
+            return param in self.choices
+        return isinstance(param, int | float) and self.distribution._contains(param)
 
     @property
     def identity(self) -> dict[str, Any]:
-        numbers = {"low": self.low, "high": self.high, "log": self.log, "whole": self.whole}
+        step = {"step": self.step} if self.step else {}
+        numbers = {"low": self.low, "high": self.high, "log": self.log, "whole": self.whole, **step}
         choices = {_name(choice): {self.name: value} for choice, value in self.choices.items()}
         domain = {"settings_of": choices} if choices else numbers
         return {"name": self.name, "domain": domain, "when": self.when}
 
-    @property
-    def written(self) -> dict[str, Any]:
-        numbers = {"low": self.low, "high": self.high, "log": self.log}
-        return {**({"choices": [*self.choices.values()]} if self.choices else numbers), "when": self.when}
-
     def find(self, value: Any) -> list[Any]:
         """Return what a field's value is in trials; nothing if it is not in the space."""
-        if self.low is None or self.high is None:
+        if self.choices:
             return [param for param, choice in self.choices.items() if choice == as_tuple(value)]
-        return [value] if value is not None and self.low <= value <= self.high else []
+        return [value] if self.holds(value) else []
 
     def counts(self, known: Mapping[str, Any]) -> bool:
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
@@ -167,30 +162,25 @@ def named(tables: Any) -> Any:
 def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
     """Read for which values of earlier parameters or fields each parameter applies."""
     read: dict[str, Parameter] = {}
-
-    def value_of(name: str, value: Any) -> Any:
-        earlier = read.get(name)
-        if earlier is None and name in space:
-            raise UserError(f"{name} is searched, too: [space.{name}] must stand before it")
-        number = _read_field(name, value)
-        if earlier is None:
-            return number
-        if earlier.choices:
-            if _param(number) not in earlier.choices:
-                raise unknown_name(f"choice of {name}", _name(number), earlier.names)
-            return _param(number)
-        if not earlier.whole or not earlier.find(number):
-            raise UserError(f"{name} is searched in a range, which never meets {shown(value)}")
-        return number
-
     for name, parameter in space.items():
-        try:
-            when = {}
-            for key, given in parameter.when.items():
-                values = given if isinstance(given, tuple) else (given,)
-                when[key] = tuple(value_of(key, value) for value in values)
-        except UserError as error:
-            raise wrong(f"{name}.when: {error}", name) from None
+        when = {}
+        for key, given in parameter.when.items():
+            if key in space and key not in read:
+                message = f"{key} is searched, too: [space.{key}] must stand before it"
+                raise wrong(f"{name}.when: {message}", name)
+            try:
+                values = [
+                    _read_field(key, each) for each in (given if isinstance(given, tuple) else (given,))
+                ]
+            except UserError as error:
+                raise wrong(f"{name}.when: {error}", name) from None
+            found, earlier = values, read.get(key)
+            if earlier is not None:  # a range of fractions never meets a value
+                met = earlier.choices or earlier.whole
+                found = [param for value in values for param in earlier.find(value) if met]
+            if len(found) < len(values):
+                raise wrong(f"{name}.when: [space.{key}] never meets {shown(given)}", name)
+            when[key] = tuple(found)
         read[name] = parameter.model_copy(update={"when": when})
     return read
 
@@ -229,17 +219,6 @@ class Space:
             **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
         }
 
-    def describe_user_code(self) -> list[str]:
-        """Return what trials would do with a user's own code and files; nothing is imported or opened."""
-        fields = self.all_values()
-        each = (
-            {"env": env, key: value}
-            for env in fields.get("env", [None])
-            for key in fields
-            for value in fields[key]
-        )
-        return [use for one in each for use in describe_user_code(one).values()]
-
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the run that a trial sets on top of the base."""
         given = dict(self.fixed)
@@ -254,13 +233,21 @@ class Space:
 
     def params_of(self, base: str) -> dict[str, Any]:
         """Return the parameters for the fields of another base, as far as the space contains them."""
-        given = self._usual_fields(base)
+        return self.find(self._usual_fields(base))
+
+    def find(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters for some fields of a run, as far as the space contains them."""
         params: dict[str, Any] = {}
         for parameter in self.parameters:
             for param in parameter.find(given.get(parameter.name)):
                 if parameter.counts({**given, **params}):
                     params[parameter.name] = param
         return params
+
+    def holds(self, params: Mapping[str, Any]) -> bool:
+        """Return whether all parameters of a trial are in the space."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        return all(name in known and known[name].holds(param) for name, param in params.items())
 
     def named(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameters with their choices in words."""
@@ -275,7 +262,7 @@ class Space:
         for key in self.fixed.keys() & self.keys:
             raise UserError(f"{key} is searched by [space.{key}]")
         corners = list(self.corners())
-        for key in [parameter.name for parameter in self.parameters]:
+        for key in self.keys:
             runs = [run for params, run in corners if key in params]
             if runs and unread_fields(runs, [key]):
                 raise UserError(does_nothing(key, runs))

@@ -22,13 +22,14 @@ from pydantic import AfterValidator, BeforeValidator
 
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, Steps
-from pneuma.env.fields import ENVIRONMENTS
-from pneuma.errors import UserError
-from pneuma.schema import Table, passes, read_model, read_toml, shown
+from pneuma.config import BASES, Run, Steps
+from pneuma.env.fields import ENVIRONMENTS, read_field
+from pneuma.errors import UserError, unknown_name
+from pneuma.sb3_names import own_fields
+from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown, wrong
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
-from pneuma.search.space import Parameters, Space, named
+from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.identity import files_beside
 from pneuma.study.spec import PRESETS, Fields, find_file, studies_folder
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
@@ -42,8 +43,8 @@ OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
 }
 """Functions that combine the outcomes of a trial's seeds."""
 DIRECTIONS = ("maximize", "minimize")
-MAKES = ("env", "env_module", "env_kwargs", "wrappers")
-"""Fields by which an environment is made."""
+SETTABLE = tuple(name for name in FIXABLE if name not in ("env", "env_module", "env_kwargs", "wrappers"))
+"""Fields that `--set` may set; by which an environment is made stands in the search's file alone."""
 
 
 class Objective(Table):
@@ -69,6 +70,12 @@ class Budget(Table):
     steps: Steps
 
 
+def _known_base(value: Any) -> Any:
+    if isinstance(value, str) and value not in BASES:
+        raise wrong(f"{unknown_name('base', value, BASES)}; or a table of values")
+    return value
+
+
 class SearchFile(Table):
     """The whole file."""
 
@@ -76,8 +83,10 @@ class SearchFile(Table):
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     base: Annotated[str, OneOf(tuple(BASES))]
-    start: tuple[Annotated[str, OneOf(tuple(BASES))], ...] = ()
-    """The search begins with a trial of each."""
+    start: tuple[Annotated[str | Fields, BeforeValidator(_known_base)], ...] = ()
+    """The search begins with a trial of each: of a base's values, or of these."""
+    warm_start: str = ""
+    """Another search, with whose best trials this one goes on, as many as a generation has."""
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
     """Number of trials that are suggested before their results are reported."""
     run: Fields = {}
@@ -86,6 +95,7 @@ class SearchFile(Table):
     """Several for a search of the Pareto front."""
     space: Parameters
     sampler: Sampler = TPE
+    sampler_seed: Annotated[int, Interval(ge=0)] = 0
     pruner: Pruner = NO_PRUNER
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Budget], MinLen(1)]
 
@@ -95,6 +105,7 @@ class Search:
     """A search in one of `pneuma.worlds.WORLDS`."""
 
     name: str
+    file: TomlFile
     spec: SearchFile
     space: Space
     world: str = TEXT
@@ -122,33 +133,11 @@ class Search:
 
     @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
-        return tuple(self.space.params_of(base) for base in self.spec.start)
-
-    def with_settings(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
-        """Return the search with more fields that all trials share.
-
-        They are of `--set` or of a record, which may be untrusted. Those that are searched are refused, those
-        of `unread` that no run reads, and what makes an environment or is a user's own code or files, if the
-        search's file does not say the same.
-        """
-        known = self.space.describe_user_code()
-        space = replace(self.space, fixed={**self.space.fixed, **over})
-        added = [use for use in space.describe_user_code() if use not in known]
-        added += [f"set {key}" for key in MAKES if key in over and over[key] != self.space.fixed.get(key)]
-        if added:
-            raise UserError(
-                f"search {self.name} would {added[0]}: only its file may say so, not --set or a record"
-            )
-        return self._with_fields(over, unread)
-
-    def _with_fields(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
-        space = replace(self.space, fixed={**self.space.fixed, **over})
-        try:
-            space.check(unread)
-        except UserError as error:
-            changes = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
-            raise UserError(f"search {self.name} with {changes}: {error}") from None
-        return replace(self, space=space)
+        """What the search starts with; parameters that are left out are suggested."""
+        usual = self.space.params_of
+        return tuple(
+            usual(start) if isinstance(start, str) else self.space.find(start) for start in self.spec.start
+        )
 
     def in_world(self, world: str) -> Search:
         """Return the search in one of `WORLDS`.
@@ -161,18 +150,35 @@ class Search:
             )
         if world == self.world:
             return self
-        changed = self._with_fields(world_fields(world, self.space.keys | self.space.fixed.keys()))
-        return replace(changed, world=world)
+        return replace(self._with(world_fields(world, self.space.keys | {*self.space.fixed})), world=world)
+
+    def with_settings(self, settings: Mapping[str, Any]) -> Search:
+        """Return the search with more fields that all trials share; each must be read by some."""
+        over = own_fields(settings)
+        for key in over:
+            if key not in SETTABLE:
+                raise unknown_name("key of --set", key, SETTABLE)
+        return self._with({key: read_field(Run, key, value) for key, value in over.items()}, over)
+
+    def _with(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
+        space = replace(self.space, fixed={**self.space.fixed, **over})
+        try:
+            space.check(unread)
+        except UserError as error:
+            changes = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
+            raise UserError(f"search {self.name} with {changes}: {error}") from None
+        return replace(self, space=space)
 
 
-def load_search(name: str, world: str | None = None) -> Search:
+def load_search(name: str, world: str | None = None, settings: Mapping[str, Any] | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
-    The world is one of `pneuma.worlds.WORLDS`; default: the arena.
+    The world is one of `pneuma.worlds.WORLDS`; default: the arena. `settings` are fields of all trials.
     """
     search = read_search(find_file("search", name, studies_folder() / "search"))
     world = checked_world(world) or (ARENA if search.has_worlds else "")
-    return search.in_world(world) if world else search
+    search = search.in_world(world) if world else search
+    return search.with_settings(settings) if settings else search
 
 
 def check_budget(search: Search, budget: Budget) -> None:
@@ -186,12 +192,15 @@ def read_search(path: Path) -> Search:
     file = read_toml(path)
     said = read_model(SearchFile, file)
     parameters = []
-    for each in said.space.values():
-        found = {
-            name: files_beside(path, {each.name: value})[each.name] for name, value in each.choices.items()
-        }
+    for name, each in said.space.items():
+        found = {key: files_beside(path, {name: value})[name] for key, value in each.choices.items()}
         parameters.append(each.model_copy(update={"choices": found}))
     space = Space(tuple(parameters), files_beside(path, said.run), said.base)
+    if (beside := path.parent / f"{said.warm_start}.toml").is_file():
+        said = said.model_copy(update={"warm_start": str(beside)})
+    for key, value in (pair for start in said.start if isinstance(start, dict) for pair in start.items()):
+        if key not in space.find({key: value}):
+            raise file.mistake((), f"start: {key} = {shown(value)} is not in the space", "start")
     try:
         space.check(unread=said.run)
         space.check_when()  # `--set` may leave out a part of the space, a file may not
@@ -205,4 +214,4 @@ def read_search(path: Path) -> Search:
             raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
         if sought.over_seeds != "mean" and said.pruner.name == BY_SEED:
             raise file.mistake(("pruner",), f"{BY_SEED} goes with a mean over seeds alone", "name")
-    return Search(path.stem, said, space)
+    return Search(path.stem, file, said, space)

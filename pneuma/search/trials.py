@@ -2,7 +2,8 @@
 
 The study in the log is all that it goes by. Before each suggestion the sampler is made again with a seed of
 the trial, so that it depends only on the trials before, and not on the number of workers or on how often the
-search was stopped (Akiba et al. 2019 describe ask and tell). What has begun is never suggested again.
+search was stopped (Akiba et al. 2019 describe ask and tell). What has begun is never suggested again, and
+several processes that run a search do the same: whoever comes first writes, and the others go on from there.
 """
 
 from __future__ import annotations
@@ -15,21 +16,20 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.analysis.outcomes import check_outcome
 from pneuma.config import Run, stream_seed
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
 from pneuma.errors import UserError
-from pneuma.search.journal import STATES, SearchLog, open_log
+from pneuma.schema import shown
+from pneuma.search.record import STATES, Record, Task, open_record
 from pneuma.search.samplers import BY_SEED, PRUNERS, make_sampler
 from pneuma.search.spec import check_budget
-from pneuma.search.task import Task
 from pneuma.search.values import Outcomes, objective_value, over_seeds
 from pneuma.study.execute import check_environments
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.locks import run_lock
 from pneuma.study.plan import Cell, Plan, rounding_notes
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
@@ -42,28 +42,21 @@ class Unfinished(Exception):
     """A run did not finish, so that its trial has no value and the search cannot go on."""
 
 
-def run_search(
-    task: Task, store: Store, train: Train, say: Callable[[str], None]
-) -> Iterator[list[FrozenTrial]]:
-    """Search, training only runs that are not stored; yield all trials after each generation.
+def run_search(task: Task, store: Store, train: Train, say: Callable[[str], None]) -> Iterator[Record]:
+    """Search, training only runs that are not stored; yield the record at first and after each generation.
 
-    The log in `store` is written as it goes; `say` tells of one that was repaired or set aside, and how far
-    the search is. A search that cannot be run here is refused before anything is trained. Raises `Unfinished`
-    when a run crashed; trials that ended before are stored.
+    `say` tells how far the search is. A search that cannot be run here is refused before anything is trained.
+    Raises `Unfinished` when a run crashed; trials that ended before are stored.
     """
     search, runs = task.search, [run for _, run in task.search.space.corners()]
     check_budget(search, task.budget)
     check_environments(runs)
     for objective, env in product(search.objectives, sorted({run.env for run in runs})):
         check_outcome(objective.outcome, [env])
-    store.check_writable()
-    with run_lock(store.root / "searches" / f".{search.label}") as mine:
-        if not mine:
-            raise UserError(f"search {search.name}: another process searches in {store.root} now")
-        log, trials = open_log(store, task, say), []
-        for generation in conduct(log, train, Outcomes(search, store), say):
-            trials += generation
-            yield trials
+    record = open_record(store, task, say)
+    yield record
+    for _ in conduct(record, train, Outcomes(search, store), say):
+        yield record
 
 
 # --- Rounds of a generation ------------------------------------------------------------------------
@@ -108,116 +101,99 @@ def pauses(task: Task) -> list[int]:
 
 
 def conduct(
-    log: SearchLog, train: Train, outcomes: Outcomes, say: Callable[[str], None]
+    record: Record, train: Train, outcomes: Outcomes, say: Callable[[str], None]
 ) -> Iterator[list[FrozenTrial]]:
     """Search, and yield the trials of each generation when they have ended.
 
     `say` tells which are trained or stopped. Raises `Unfinished` when a run crashed.
     """
-    budget, size = log.task.budget, log.task.search.spec.generation
+    task, size = record.task, record.task.search.spec.generation
     trained: list[Cell] = []
-    for first in range(0, budget.trials, size):
-        if len(log.trials) < first + size:
-            _suggest(log, first + size)
-        numbers = range(first, min(first + size, budget.trials))
-        cells = {number: _cells_of(log, log.trials[number]) for number in numbers}
+    for first in range(0, task.budget.trials, size):
+        for number in range(first, first + size):  # whole, so that a longer search has the same trials
+            _suggest(record, number)
+        several = range(first, min(first + size, task.budget.trials))
+        cells = {number: _cells_of(task, record.begun[number]) for number in several}
         trained += [cell for each in cells.values() for cell in each]
-        for part in rounds(log.task):
-            begun = [number for number in numbers if cells[number] and _goes_on(log, number)]
+        for part in rounds(task):
+            begun = [number for number in several if cells[number] and _goes_on(record, number)]
             if until := _to_train(part, [cell for number in begun for cell in cells[number]]):
-                if begins := _begins(log.task, part, begun):
-                    say(begins)
-                train(make_trial_plan(log.task, trained), until)
+                if part == rounds(task)[0]:
+                    say(f"trials {begun[0]} to {begun[-1]} of {task.budget.trials}")
+                train(make_trial_plan(task, trained), until)
             for number in begun:
-                _compare(log, part, number, cells[number], outcomes)
-            if stopped := [f"trial {number}" for number in begun if not _goes_on(log, number)]:
+                _compare(record, part, number, cells[number], outcomes)
+            if stopped := [f"trial {number}" for number in begun if not _goes_on(record, number)]:
                 say(f"{', '.join(stopped)} stopped early")
-        with log.journal.together():
-            for number in numbers:
-                if _goes_on(log, number):
-                    _end(log, number, cells[number], outcomes)
-        yield [log.trials[number] for number in numbers]
+        for number in several:
+            _end(record, number, cells[number], outcomes)
+        yield record.begun[first : several.stop]
 
 
-def _goes_on(log: SearchLog, number: int) -> bool:
-    return log.trials[number].state not in STATES
-
-
-def _begins(task: Task, part: Round, numbers: Sequence[int]) -> str:
-    """Return what is said when trials begin, or their next seed; nothing when they only go on."""
-    seeds, several = task.budget.seeds, len(numbers) > 1
-    if part.seeds == seeds and part != rounds(task)[0]:
-        return ""
-    seed = "" if part.seeds == seeds else f", seed {part.seeds[0]}"
-    named = f"trials {numbers[0]} to {numbers[-1]}" if several else f"trial {numbers[0]}"
-    return f"{named} of {task.budget.trials}{seed}"
+def _goes_on(record: Record, number: int) -> bool:
+    """Return whether a trial is this search's and has not ended; others may have been asked elsewhere."""
+    trial = record.begun[number]
+    return trial.state not in STATES and "run_ids" in trial.user_attrs
 
 
 # --- Suggestions -----------------------------------------------------------------------------------
 
 
-def _suggest(log: SearchLog, end: int) -> None:
-    """Suggest the trials up to the end of a generation, all in one entry of the log.
+def _suggest(record: Record, number: int) -> None:
+    """Suggest a trial that has not begun; one that waits is suggested as it was enqueued."""
+    task, study, space = record.task, record.study, record.task.search.space
+    with _entry(record, f"sampler {task.search.spec.sampler.name}"):
+        waits = [trial.state == TrialState.WAITING for trial in record.begun[number : number + 1]]
+        if waits == [False]:
+            return
+        study.sampler = _sampler(task, number)
+        trial = study.ask()
+        given = record.begun[number].system_attrs.get("fixed_params", {})
+        about: dict[str, Any] = {"seeds": [*task.budget.seeds], "run_ids": []}
+        try:
+            for name, value in given.items():
+                if not space.holds({name: value}):
+                    raise UserError(f"was enqueued with {name} = {shown(value)}, which is not in its space")
+            space.ask(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
+            cells = _cells(task, number, trial.params)
+            about |= {"run_ids": [cell.run_id for cell in cells], "config_id": config_id(cells[0].run)}
+        except UserError as error:
+            about["note"] = str(error)
+        for key, value in about.items():
+            trial.set_user_attr(key, value)
 
-    A generation is suggested whole, also where the budget needs a part of it: a search of more trials goes on
-    with the same ones.
-    """
-    task, study = log.task, log.study
-    search = task.search
-    with log.journal.together(), _by_optuna(log, f"sampler {search.spec.sampler.name}"):
-        for number in range(len(log.trials), end):
-            if number < len(search.first_trials):
-                study.enqueue_trial(search.first_trials[number])
-            study.sampler = make_sampler(
-                search.spec.sampler, stream_seed(search.name, "sampler", number) % 2**32
-            )
-            trial = study.ask()
-            search.space.ask(lambda parameter, trial=trial: parameter.suggest(trial))  # type: ignore[misc]
-            about: dict[str, Any] = {"seeds": [*task.budget.seeds], "run_ids": []}
-            try:
-                cells = _cells(task, number, trial.params)
-                ids = [cell.run_id for cell in cells]
-                about |= {"run_ids": ids, "config_id": config_id(cells[0].run)}
-            except UserError as error:
-                about["note"] = str(error)
-            for key, value in about.items():
-                trial.set_user_attr(key, value)
+
+def _sampler(task: Task, number: int) -> BaseSampler:
+    """Return the sampler of a trial, with its seed."""
+    spec, name = task.search.spec, task.search.name
+    stream = f"{name}/{spec.sampler_seed}" if spec.sampler_seed else name
+    return make_sampler(spec.sampler, stream_seed(stream, "sampler", number) % 2**32)
 
 
 @contextmanager
-def _by_optuna(log: SearchLog, what: str) -> Iterator[None]:
-    """Say in a line what a sampler or pruner cannot do, be it anybody's class or an odd log."""
+def _entry(record: Record, what: str) -> Iterator[None]:
+    """Write an entry of the log; say in a line what anybody's sampler or pruner cannot do."""
     try:
-        with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
+        with record.journal.together(), warnings.catch_warnings(action="ignore"):  # of what is experimental
             yield
     except UserError:
         raise
     except Exception as error:
         raise UserError(
-            f"search {log.task.search.name}: {what}: {type(error).__name__}: {error}; "
+            f"search {record.task.search.name}: {what}: {type(error).__name__}: {error}; "
             "change its arguments in the search's file, or move the log away"
         ) from None
 
 
 def _cells(task: Task, number: int, params: Mapping[str, Any]) -> list[Cell]:
-    run = task.search.space.make_run(params, steps=task.budget.steps)
+    run = task.search.space.make_run(params, steps=task.steps)
     runs = [replace(run, seed=seed) for seed in task.budget.seeds]
     return [Cell(f"trial-{number:03}", one.seed, one, run_id(one)) for one in runs]
 
 
-def _cells_of(log: SearchLog, trial: FrozenTrial) -> list[Cell]:
+def _cells_of(task: Task, trial: FrozenTrial) -> list[Cell]:
     """Return the runs of a trial in the log; none if it can have none."""
-    noted = trial.user_attrs.get("run_ids")
-    if noted == []:
-        return []
-    with _by_optuna(log, f"trial {trial.number} of the log"):
-        cells = _cells(log.task, trial.number, trial.params)
-    if noted != [cell.run_id for cell in cells]:
-        raise UserError(
-            f"trial {trial.number} of the log of search {log.task.search.name} is not what the search "
-            "suggests; move the log away, and no run is trained twice"
-        )
-    return cells
+    return _cells(task, trial.number, trial.params) if trial.user_attrs.get("run_ids") else []
 
 
 def _to_train(part: Round, cells: Sequence[Cell]) -> dict[str, int]:
@@ -240,50 +216,57 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         about=task.search.spec.about,
         world=task.search.world,
     )
-    return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))
+    notes = [*rounding_notes((task.steps, cell.run) for cell in cells)]
+    if task.steps != task.budget.steps:
+        asked, all_alike = f"{task.budget.steps:,} steps", f"{task.steps:,} for all trials and the base"
+        notes.append(f"{asked} are rounded up to {all_alike}, whole updates of each")
+    return Plan(study, tuple(cells), tuple(notes))
 
 
 # --- Values ----------------------------------------------------------------------------------------
 
 
-def _compare(log: SearchLog, part: Round, number: int, cells: Sequence[Cell], outcomes: Outcomes) -> None:
+def _compare(record: Record, part: Round, number: int, cells: Sequence[Cell], outcomes: Outcomes) -> None:
     """Report a trial's values of a round, and stop it if its pruner says so; both in one entry of the log.
 
     A round whose last value is in the log was decided when it was written.
     """
-    task, (sought, *more) = log.task, log.task.search.objectives
-    if more:
+    task, last = record.task, record.begun[number].last_step
+    several = len(task.search.objectives) > 1
+    if several or not (found := _values(task, part, cells, outcomes, -1 if last is None else last)):
         return
-    last = log.trials[number].last_step
-    if task.search.spec.pruner.name == BY_SEED:
-        places = [task.budget.seeds.index(seed) for seed in part.seeds]
-        found = {
-            place: outcomes.read(cells[place], sought.outcome) for place in places if _after(place, last)
-        }
-    else:
-        steps = {k: at for k, at in part.steps(cells[0].run).items() if _after(k, last)}
-        each = np.array([outcomes.read_early(cell, sought.outcome, [*steps.values()]) for cell in cells])
-        values = (over_seeds(sought.over_seeds, column) for column in each.T)
-        found = dict(zip(steps, values, strict=True))
-    if not found:
-        return
-    with log.journal.together(), _by_optuna(log, f"pruner {task.search.spec.pruner.name}"):
+    with _entry(record, f"pruner {task.search.spec.pruner.name}"):
+        if not _goes_on(record, number) or (trial := record.begun[number]).last_step != last:
+            return  # another process was faster
         for step, value in found.items():
             if np.isfinite(value):
-                log.report(number, step, value)
-        trial = log.trials[number]
+                record.study._storage.set_trial_intermediate_value(trial._trial_id, step, value)
+        trial = record.begun[number]
         is_whole = part.seeds[-1] == task.budget.seeds[-1] and EVALUATIONS in part.steps(cells[0].run)
-        if not is_whole and trial.last_step is not None and log.study.pruner.prune(log.study, trial):
-            log.study.tell(number, state=TrialState.PRUNED)
+        if not is_whole and trial.last_step is not None and record.study.pruner.prune(record.study, trial):
+            record.study.tell(number, state=TrialState.PRUNED)
 
 
-def _after(step: int, last: int | None) -> bool:
-    return last is None or step > last
+def _values(
+    task: Task, part: Round, cells: Sequence[Cell], outcomes: Outcomes, last: int
+) -> dict[int, float]:
+    """Return a trial's values of a round by the pruner's steps, from those after `last` on."""
+    sought, seeds = task.search.objectives[0], task.budget.seeds
+    if task.search.spec.pruner.name == BY_SEED:
+        places = [place for place in map(seeds.index, part.seeds) if place > last]
+        return {place: outcomes.read(cells[place], sought.outcome) for place in places}
+    steps = {number: step for number, step in part.steps(cells[0].run).items() if number > last}
+    each = np.array([outcomes.read_early(cell, sought.outcome, [*steps.values()]) for cell in cells])
+    return {
+        number: over_seeds(sought.over_seeds, column) for number, column in zip(steps, each.T, strict=True)
+    }
 
 
-def _end(log: SearchLog, number: int, cells: Sequence[Cell], outcomes: Outcomes) -> None:
-    """Tell the study what a trial came to."""
-    objectives, notes = log.task.search.objectives, [log.trials[number].user_attrs.get("note", "")]
+def _end(record: Record, number: int, cells: Sequence[Cell], outcomes: Outcomes) -> None:
+    """Tell the study what a trial came to, unless that is told already."""
+    if not _goes_on(record, number):
+        return
+    objectives, notes = record.task.search.objectives, [record.begun[number].user_attrs.get("note", "")]
     diverged = sum(map(outcomes.diverged, cells))
     values = [
         objective_value(each, np.array([outcomes.read(cell, each.outcome) for cell in cells]), diverged > 0)
@@ -296,8 +279,13 @@ def _end(log: SearchLog, number: int, cells: Sequence[Cell], outcomes: Outcomes)
     notes += [f"a run has no {name}, or none that is finite" for name in lacking]
     if diverged:
         notes.append(f"{diverged} of {len(cells)} runs diverged")
-    if note := "; ".join(filter(None, notes)):
-        log.note(number, "note", note)
     failed = lacking or not values
-    with _by_optuna(log, f"sampler {log.task.search.spec.sampler.name}"):
-        log.study.tell(number, None if failed else values, TrialState.FAIL if failed else TrialState.COMPLETE)
+    with _entry(record, f"sampler {record.task.search.spec.sampler.name}"):
+        if not _goes_on(record, number):
+            return  # another process was faster
+        if note := "; ".join(filter(None, notes)):
+            trial = record.begun[number]
+            record.study._storage.set_trial_user_attr(trial._trial_id, "note", note)
+        record.study.sampler = _sampler(record.task, number)
+        ended = TrialState.FAIL if failed else TrialState.COMPLETE
+        record.study.tell(number, None if failed else values, ended)

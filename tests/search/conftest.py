@@ -6,17 +6,18 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import pytest
 from optuna.trial import FrozenTrial
 
-from pneuma.search.journal import STATES, Journal, RecordedSearch, begin_log
+from pneuma.search.record import STATES, Record, Task, begin_record
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.task import Task
 from pneuma.search.trials import conduct
 from pneuma.search.values import Outcomes
 from pneuma.study.plan import Cell, Plan
+from pneuma.study.store import Store
 
 SPACE = """
 title = "A formula"
@@ -110,8 +111,8 @@ def record(
     outcomes: Formula | None = None,
     asked: list[Mapping[str, int]] | None = None,
     said: list[str] | None = None,
-) -> RecordedSearch:
-    """Conduct a task on the formula, whose log is nowhere; lists get what is trained, how far, and said."""
+) -> Record:
+    """Conduct a task on the formula in a new folder; lists get what is trained, how far, and said."""
 
     def train(plan: Plan, until: Mapping[str, int]) -> None:
         if plans is not None:
@@ -119,10 +120,12 @@ def record(
         if asked is not None:
             asked.append(until)
 
-    log = begin_log(task, Journal())
+    path = Path(mkdtemp()) / "formula.log"
+    found = begin_record(path, task, Store(path.parent))
     say = (said if said is not None else []).append
-    ended = [trial for group in conduct(log, train, outcomes or Formula(), say) for trial in group]
-    return RecordedSearch(task, log.study, tuple(ended))
+    for _ in conduct(found, train, outcomes or Formula(), say):
+        pass
+    return found
 
 
 def solve(task: Task, *lists: Any, **more: Any) -> list[Told]:

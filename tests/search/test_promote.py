@@ -12,10 +12,9 @@ from optuna.trial import FrozenTrial
 
 from pneuma.errors import UserError
 from pneuma.figures.search import winners_page
-from pneuma.search.journal import RecordedSearch
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
+from pneuma.search.record import Record, Task
 from pneuma.search.spec import Budget, load_search
-from pneuma.search.task import Task
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study, shipped_names, studies_folder
 from pneuma.study.store import Store
@@ -43,7 +42,7 @@ TUNED_ALIKE = {
 
 def plan(winners: list[Winner], folder: Path, seeds: tuple[int, ...] = (1000, 1001)) -> Plan:
     path = folder / "promoted.toml"
-    path.write_text(winners_study(winners, seeds, 2048))
+    path.write_text(winners_study(winners, seeds, winners[0].searched.task.steps))
     return make_plan(load_study(str(path)), Selection())
 
 
@@ -56,7 +55,7 @@ def ids_of(trial: FrozenTrial) -> tuple[str, ...]:
 
 
 @pytest.fixture
-def alike(make_task: MakeTask) -> list[RecordedSearch]:
+def alike(make_task: MakeTask) -> list[Record]:
     """Return two searches that were tuned alike: of Adam, and of SGD with another horizon."""
     tasks = {name: make_task(8, more=fixed) for name, fixed in TUNED_ALIKE.items()}
     return [record(replace(own, search=replace(own.search, name=name))) for name, own in tasks.items()]
@@ -86,7 +85,7 @@ def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, tmp_path: Pa
             assert ids(plan([Winner(own, trial, "x")], tmp_path), "x-tuned") == ids_of(trial)[-2:]
 
 
-def test_winners_stand_beside_what_each_was_tuned_from(alike: list[RecordedSearch], tmp_path: Path) -> None:
+def test_winners_stand_beside_what_each_was_tuned_from(alike: list[Record], tmp_path: Path) -> None:
     winners = find_winners(alike, None, (0, 1))
     planned = plan(winners, tmp_path)
     assert list(planned.conditions) == ["adam", "adam-tuned", "sgd", "sgd-tuned"]
@@ -96,7 +95,7 @@ def test_winners_stand_beside_what_each_was_tuned_from(alike: list[RecordedSearc
 
 
 def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
-    alike: list[RecordedSearch], tmp_path: Path
+    alike: list[Record], tmp_path: Path
 ) -> None:
     """A run that diverged counts as one that killed nothing."""
     (winner,) = find_winners(alike[:1], None, (0, 1))
@@ -108,8 +107,9 @@ def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
             ends = [{"step": 2048, "share_killed": share}]
             save_run(store, run_id, [], [], ends, 2048, status, {"steps": 2048})
     data = study_of(store, cells)
-    (found,) = gains(winner, data).values()
-    assert (found.fresh, found.fresh_baseline) == pytest.approx((0.3, 0.25))
+    (found,) = gains([winner], data).itertuples()
+    assert (found.fresh, found.base) == pytest.approx((0.3, 0.25))
+    assert (found.diverged, found.base_diverged) == (1, 0)
     assert found.difference == pytest.approx(0.05)
     assert found.luck == pytest.approx(winner.trial.values[0] - 0.3)
 
@@ -120,15 +120,15 @@ def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
     marks = {line.get_label(): line for line in axes.get_lines()}
     assert {"untuned", "tuned", "tuned, as its search saw it"} <= {*marks}
     drawn = [np.asarray(line.get_xdata()) for line in axes.get_lines()]
-    assert [list(each) for each in drawn if len(each) > 1] == [[0.2, 0.25, 0.3], [0.6, 0.0]]
-    assert [each[0] for each in drawn if len(each) == 1] == pytest.approx([0.3, winner.trial.values[0], 0.25])
+    assert [list(each) for each in drawn if len(each) > 1] == [[0.6, 0.0], [0.2, 0.25, 0.3]]
+    assert [each[0] for each in drawn if len(each) == 1] == pytest.approx([0.25, 0.3, winner.trial.values[0]])
     beside.draw(axes := Figure().add_subplot())
     bars = [list(np.asarray(line.get_xdata())) for line in axes.get_lines()]
-    assert pytest.approx(found.interval) in bars and [found.difference] in bars
+    assert pytest.approx([found.low, found.high]) in bars and [found.difference] in bars
 
 
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(
-    alike: list[RecordedSearch],
+    alike: list[Record],
 ) -> None:
     (best,) = find_winners(alike[:1], None, (0,))
     assert best.trial.values[0] == max(trial.values[0] for trial in alike[0].trials)

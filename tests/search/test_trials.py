@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import Run
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
-from pneuma.search.journal import best_number
-from pneuma.search.task import Task
+from pneuma.search.record import Task
 from pneuma.search.trials import rounds
 from pneuma.search.values import Outcomes, over_seeds
 from pneuma.study.plan import Cell, Plan
@@ -158,33 +156,16 @@ def test_a_search_says_which_trials_it_trains_and_stops(make_task: MakeTask) -> 
     said: list[str] = []
     told = solve(make_task(21, '[pruner]\nname = "median"\nn_startup_trials = 1'), said=said)
     heads = [line for line in said if " of 21" in line]
-    assert heads == [f"trials {first} to {first + 3} of 21" for first in range(0, 20, 4)] + ["trial 20 of 21"]
+    assert heads == [f"trials {first} to {first + 3} of 21" for first in range(0, 20, 4)] + [
+        "trials 20 to 20 of 21"
+    ]
     stopped = [f"trial {trial.number}" for trial in told if trial.state == "pruned"]
     lines = [line.removesuffix(" stopped early").split(", ") for line in said if line not in heads]
     assert stopped and sorted(name for names in lines for name in names) == sorted(stopped)
-    said.clear()
-    solve(make_task(4, '[pruner]\nname = "wilcoxon"'), said=said)
-    assert said[:2] == ["trials 0 to 3 of 4, seed 1000", "trials 0 to 3 of 4, seed 1001"]
 
 
 def run_of(task: Task, trial: Told) -> Run:
     return task.search.space.make_run(trial.params, steps=task.budget.steps)
-
-
-def ended(number: int, *values: float, state: TrialState = TrialState.COMPLETE) -> FrozenTrial:
-    made = create_trial(state=state, values=[*values])
-    made.number = number
-    return made
-
-
-def test_the_best_trials_by_hand(make_task: MakeTask) -> None:
-    search = make_task().search
-    told = [ended(0, 0.2), ended(1, 0.9, state=TrialState.PRUNED), ended(2, 0.4), ended(3, 0.4)]
-    assert best_number(told, search) == 2  # the first of equals
-    assert best_number([], search) is None
-    front = make_task(second='[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"').search
-    both = [(0.5, 0.2), (0.6, 0.3), (0.4, 0.3), (0.6, 0.1), (0.1, 0.05)]
-    assert best_number([ended(n, *own) for n, own in enumerate(both)], front) == [3, 4]
 
 
 @pytest.mark.parametrize(
