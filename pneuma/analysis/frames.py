@@ -98,7 +98,7 @@ class StudyData:
     def what(self) -> str:
         """Where the runs are, for messages."""
         if self.averaged_over:
-            return "a study of imported TensorBoard logs"
+            return "a study of imported logs"
         words = {False: "the results folder", True: "the published table"}
         return " with ".join(words[place] for place in sorted({run.published for run in self.runs}))
 
@@ -128,7 +128,7 @@ class StudyData:
     @property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return next((episodes for run in self.runs if (episodes := run.averaged_over)), None)
+        return max((episodes for run in self.runs if (episodes := run.averaged_over)), default=None)
 
     @cached_property
     def quantities(self) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, command, say, write_file
@@ -11,8 +12,10 @@ from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import counted
 from pneuma.study.store import Store
 
+if TYPE_CHECKING:
+    from pneuma.study.imported import ImportedRun
+
 logs = opt.Commands("Make a study of old logs.")
-logs.callback()(lambda: None)  # keeps the name of a group's only command
 
 
 def report(
@@ -61,7 +64,32 @@ def tensorboard(
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported import import_tensorboard
 
-    study, runs, notes = import_tensorboard(folders, Store(results), name)
+    return _imported(import_tensorboard(folders, Store(results), name), results)
+
+
+@logs.command(short_help="Import CSV files: wandb's exports, Stable-Baselines3's, or any other.")
+def csv(
+    files: list[Path] = opt.argument(
+        "FILE", "wandb's export, monitor.csv, progress.csv, or any NAME_SEED.csv."
+    ),
+    step: str = opt.option(
+        "--step", "COLUMN", "The column of agent steps, where a file does not tell.", default=""
+    ),
+    returns: str = opt.option("--return", "COLUMN", "That of returns; of wandb's RUN - COLUMN.", default=""),
+    averaged_over: Any = opt.count(
+        "--averaged-over", "Episodes that a return is the mean of, where a file does not tell."
+    ),
+    name: opt.Text = opt.option("--name", "NAME", "The study's name (default: the file's or folder's)."),
+    results: Path = opt.RESULTS,
+) -> Result:
+    """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""
+    from pneuma.study.imported_csv import import_csv
+
+    return _imported(import_csv(files, Store(results), name, step, returns, averaged_over), results)
+
+
+def _imported(found: tuple[str, list[ImportedRun], list[str]], results: Path) -> Result:
+    study, runs, notes = found
     for note in notes:
         say(f"Note: {note}.", aside=True)
     rows = [
@@ -70,10 +98,12 @@ def tensorboard(
         for run in runs
     ]  # fmt: skip
     new, points = sum(run.new for run in runs), sum(len(run.points) for run in runs)
-    found = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
+    amount = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
+    episodes = max(100, *(run.provenance.get("averaged_over", 100) for run in runs))
+    means = "" if episodes == 100 else "; those of runs trained here are of 100, and less smooth"
     shown = [
-        f"{study}: {found}; {new} imported now, {len(runs) - new} were stored.",
-        "Returns are means of 100 episodes.",
+        f"{study}: {amount}; {new} imported now, {len(runs) - new} were stored.",
+        f"Returns are means of {episodes} episodes{means}.",
         f"Draw it with: {command('study', 'plot', study, '--results', results)}",
     ]
     return Result({"study": study, "runs": rows, "notes": notes}, shown)

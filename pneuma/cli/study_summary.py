@@ -222,6 +222,11 @@ def compare(
         outcome = [*dict.fromkeys([*(name for claim in claims for name in claim.outcome), *usual])]
     tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
     table = pd.concat(tables.values(), ignore_index=True)
+    if not (b or outcome):  # what one of two studies lacks, as imports do, is left out
+        both = {
+            name: table[(table["seeds_a"] > 0) & (table["seeds_b"] > 0)] for name, table in tables.items()
+        }
+        tables, table = both, pd.concat(both.values(), ignore_index=True)
     files = []
     if plot:
         from pneuma.figures.summary import comparison_page

@@ -81,23 +81,32 @@ def import_tensorboard(
     study's default name is that of the folder that contains all of them. All files are read
     before anything is written.
     """
-    study = _study_name(folders, name, store)
+    study = find_study_name(folders, name, store, SOURCE)
     logs, notes = find_logs(folders)
-    found: dict[str, ImportedRun] = {}
+    runs = []
     for log in logs:
-        run = _read_log(log, store)
+        runs.append(run := _read_log(log, store))
         notes += [f"{log.shown}: {damage}" for damage in run.damage]
         if anew := int(run.points["superseded"].sum()):
             notes.append(f"{log.shown}: left out {counted(anew, 'point')} that a restart superseded")
+    return study, store_runs(study, runs, store, SOURCE, notes), notes
+
+
+def store_runs(
+    study: str, runs: Sequence[ImportedRun], store: Store, source: str, notes: list[str]
+) -> list[ImportedRun]:
+    """Store imported runs as a study; return those that have points, and add notes on the others."""
+    found: dict[str, ImportedRun] = {}
+    for run in runs:
         if not run.steps:
-            notes.append(f"{log.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
+            notes.append(f"{run.log.shown}: holds no scalars of Stable-Baselines3 or CleanRL and is left out")
         elif run.run_id in found:
             same = found[run.run_id].log.shown
-            notes.append(f"{log.shown}: holds the same log as {same} and is left out")
+            notes.append(f"{run.log.shown}: holds the same log as {same} and is left out")
         else:
             found[run.run_id] = run
     if not found:
-        raise UserError(f"{folders[0]}: its logs hold no scalars of Stable-Baselines3 or CleanRL")
+        raise UserError(f"{runs[0].log.paths[0]}: holds no scalars of Stable-Baselines3 or CleanRL")
     known = {(run["condition"], run["seed"]) for run in (store.listing(study) or {"runs": []})["runs"]}
     if known - {(run.log.condition, run.log.seed) for run in found.values()}:
         raise UserError(f"--name {study}: a study of that name has runs of other logs; give another")
@@ -107,16 +116,16 @@ def import_tensorboard(
         fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": run.steps}
         rows.append({"run_id": run_id, "condition": run.log.condition, "seed": run.log.seed})
         if run.new:
-            about = {"schema": 1, "run_id": run_id, "source": SOURCE, "run": fields}
+            about = {"schema": 1, "run_id": run_id, "source": source, "run": fields}
             files = {"run.json": to_json(about), "provenance.json": to_json(run.provenance)}
             scalars = run.points[["tag", "step", "value", "superseded"]]
             files[SCALARS_FILE] = scalars.to_parquet(compression="zstd", index=False)
             status = Status("done", run.steps, identity=Identity(run_id, run.log.seed, run.steps))
             files[ROW_FILE] = encode_row(cells_of_files(run_id, status, files))
             store.save_run(run_id, status, files)
-    about = {"title": study, "baseline": rows[0]["condition"], "source": SOURCE, "runs": rows}
+    about = {"title": study, "baseline": rows[0]["condition"], "source": source, "runs": rows}
     store.save_listing(study, about)
-    return study, [*found.values()], notes
+    return [*found.values()]
 
 
 # --- Which runs there are -------------------------------------------------------------------------
@@ -144,19 +153,27 @@ def find_logs(folders: Sequence[Path]) -> tuple[list[Log], list[str]]:
                 raise UserError(f"{told}: this name is not UTF-8; give another")
         files |= found
     shared = os.path.commonpath([path.parents[1] for path in files])
+    folders = sorted({path.parent for path in files})
+    of_folder = {folder: sorted(path for path in files if path.parent == folder) for folder in folders}
+    logs, notes = name_logs(
+        [(folder.relative_to(shared).parts, paths) for folder, paths in of_folder.items()]
+    )
+    return sorted(logs, key=lambda log: (log.condition, log.seed)), notes
+
+
+def name_logs(found: Sequence[tuple[tuple[str, ...], list[Path]]]) -> tuple[list[Log], list[str]]:
+    """Name runs by the parts of their names and their files; add notes on seeds that were taken."""
     logs: dict[tuple[str, int], Log] = {}
     notes = []
-    for folder in sorted({path.parent for path in files}):
-        shown = folder.relative_to(shared)
-        condition, number = _condition_and_seed(shown.parts)
-        seed = number
+    for parts, paths in found:
+        condition, number = _condition_and_seed(parts)
+        seed, shown = number, "/".join(parts)
         while (condition, seed) in logs:
             seed += 1
         if seed > number:
             notes.append(f"{shown}: seed {number} of {condition} is taken, so it is seed {seed}")
-        event_files = sorted(path for path in files if path.parent == folder)
-        logs[condition, seed] = Log(str(shown), condition, seed, event_files)
-    return [logs[key] for key in sorted(logs)], notes
+        logs[condition, seed] = Log(shown, condition, seed, paths)
+    return [*logs.values()], notes
 
 
 def _condition_and_seed(parts: tuple[str, ...]) -> tuple[str, int]:
@@ -171,7 +188,7 @@ def _condition_and_seed(parts: tuple[str, ...]) -> tuple[str, int]:
     return name.lstrip("_/ ") or "run", seed  # legends leave out what begins with _
 
 
-def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
+def find_study_name(folders: Sequence[Path], name: str | None, store: Store, source: str) -> str:
     if name is None:
         shared = os.path.commonpath([folder.resolve() for folder in folders])
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", Path(shared).name).strip("-.")
@@ -180,7 +197,7 @@ def _study_name(folders: Sequence[Path], name: str | None, store: Store) -> str:
     if name in list_studies():
         raise UserError(f"--name {name}: a shipped study is called that; give another")
     listing = store.listing(name)
-    if listing and listing.get("source") != SOURCE:
+    if listing and listing.get("source") != source:
         raise UserError(f"--name {name}: a study of that name was run in {store.root}; give another")
     return name
 

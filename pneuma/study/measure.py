@@ -87,15 +87,20 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Reco
     return Recorded(found, tables["evaluations"].to_pylist(), first_step)
 
 
-def of_log(scalars: pd.DataFrame) -> Recorded:
-    """Return what the points (tag, step, value, superseded) of an imported log hold."""
-    named = named_scalars(scalars)
+def of_log(scalars: pd.DataFrame, averaged_over: int = series.TRAILING_EPISODES) -> Recorded:
+    """Return what the points (tag, step, value, superseded) of an imported log hold.
+
+    Returns that are means of fewer episodes than are usual are averaged further.
+    """
+    named = named_scalars(scalars, averaged_over)
     found = {}
     for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
         points = named[named["name"] == quantity]
         if len(points):
             found[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return Recorded(found, _logged_evaluations(named), averaged_over=series.TRAILING_EPISODES)
+    return Recorded(
+        found, _logged_evaluations(named), averaged_over=max(averaged_over, series.TRAILING_EPISODES)
+    )
 
 
 _OF_RUNS = ("run_id", "condition", "seed")
@@ -111,13 +116,14 @@ def _logged_evaluations(named: pd.DataFrame) -> list[Any]:
     return found.pivot(index="step", columns="name", values="value").reset_index().to_dict("records")
 
 
-def named_scalars(scalars: pd.DataFrame) -> pd.DataFrame:
+def named_scalars(scalars: pd.DataFrame, averaged_over: int = series.TRAILING_EPISODES) -> pd.DataFrame:
     """Return name, step and value of every point that no restart superseded, by step, then as written."""
     scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
     values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
-    for tag in ONE_EPISODE:
-        of_tag = scalars["tag"] == tag
-        values[of_tag] = values[of_tag].rolling(series.TRAILING_EPISODES, 1).mean()
+    for single, mean in (TAGS[name][::-1] for name in ("return", "length")):
+        for tag, points in ((single, 1), (mean, averaged_over)):
+            of_tag, window = scalars["tag"] == tag, math.ceil(series.TRAILING_EPISODES / points)
+            values[of_tag] = values[of_tag].rolling(window, 1).mean()
     plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
     names = {tag: name for name, tags in TAGS.items() for tag in tags}
     return scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)
@@ -173,7 +179,8 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
         if file.endswith(".parquet")
     }
     if "scalars" in tables:
-        recorded = of_log(tables["scalars"].to_pandas(use_threads=False))
+        averaged_over = _averaged_over(files["provenance.json"])
+        recorded = of_log(tables["scalars"].to_pandas(use_threads=False), averaged_over)
     else:
         recorded = of_tables(fields, tables)
     return row_cells(name, status, fields, recorded, parse_json(files["provenance.json"]))
@@ -187,18 +194,24 @@ def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
         frame = record_table(store.read_file(name, file), file.removesuffix(".parquet")).to_pandas()
     except ValueError as error:
         raise UserError(f"{store.run_folder(name) / file}: {error}") from None
-    return _wide(frame) if logged else frame
+    return _wide(frame, _averaged_over(store.read_file(name, "provenance.json"))) if logged else frame
 
 
-def _wide(scalars: pd.DataFrame) -> pd.DataFrame:
+def _averaged_over(provenance: bytes) -> int:
+    """Return of how many episodes a log's returns are means."""
+    return int(parse_json(provenance).get("averaged_over", series.TRAILING_EPISODES))
+
+
+def _wide(scalars: pd.DataFrame, averaged_over: int) -> pd.DataFrame:
     """Return a log's points with a column for each quantity or tag; returns are named as averaged."""
-    named = named_scalars(scalars).drop_duplicates(["name", "step"], keep="last")
+    named = named_scalars(scalars, averaged_over).drop_duplicates(["name", "step"], keep="last")
     named = named[~named["name"].str.startswith(WALL_CLOCK)]
     frame = named.pivot(index="step", columns="name", values="value")
     known = [name for name in TAGS if name in frame]
     frame = frame[[*known, *sorted(str(name) for name in frame if name not in known)]]
     frame.columns.name = None
-    averaged = {name: f"{name}_mean_{series.TRAILING_EPISODES}" for name in EPISODE_QUANTITIES}
+    episodes = max(averaged_over, series.TRAILING_EPISODES)
+    averaged = {name: f"{name}_mean_{episodes}" for name in EPISODE_QUANTITIES}
     return frame.rename(columns=averaged).reset_index()
 
 
