@@ -24,7 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any
+from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, print_aside
@@ -263,7 +263,7 @@ def _reason(code: int) -> str:
 # --- Workers --------------------------------------------------------------------------------------
 
 
-class _Worker:
+class _Worker(subprocess.Popen[bytes]):
     """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
     Attributes:
@@ -281,7 +281,7 @@ class _Worker:
         command += ["--parent", str(os.getpid()), *last_try, "--only", *task.group]
         signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # inherited by the worker
         try:
-            self._process = subprocess.Popen(
+            super().__init__(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -292,19 +292,15 @@ class _Worker:
             )
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, NOT_FOR_WORKERS)
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._orders: IO[bytes] = self._process.stdin
-        self.events: IO[bytes] = self._process.stdout
+        assert self.stdin is not None and self.stdout is not None
+        self._orders, self.events = self.stdin, self.stdout
 
     def tell(self, line: str) -> None:
         with suppress(BrokenPipeError):  # it has ended; reading from it will show that
             self._orders.write(line.encode() + b"\n")
 
-    def kill(self) -> None:
-        self._process.kill()
-
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
-        code = self._process.wait()
+        code = self.wait()
         self._orders.close()
         self.events.close()
         self._errors.seek(0)
