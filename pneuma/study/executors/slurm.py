@@ -215,6 +215,7 @@ def _clear_finished(store: Store) -> None:
 
 def queued(store: Store) -> dict[str, Queued]:
     """Return where the runs are that are in the queue, by their ids."""
+    _clear_finished(store)  # of runs that were finished elsewhere
     arrays = {note.parent.name: groups for note, groups in _submitted(store).items()}
     if not arrays:
         return {}
