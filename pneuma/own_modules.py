@@ -16,17 +16,15 @@ from typing import Any
 def importing_from(folder: Path) -> Iterator[None]:
     """Import a user's modules from a folder first; later, when their functions run, from it last."""
     path = str(folder)
-    added = path not in sys.path
-    if added:
-        sys.path.insert(0, path)
+    sys.path.insert(0, path)
     # Bytecode is matched by whole seconds and size: an edit within the second would go unseen.
     writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     try:
         yield
     finally:
         sys.dont_write_bytecode = writes
-        if added:
-            sys.path.remove(path)
+        sys.path.remove(path)
+        if path not in sys.path:
             sys.path.append(path)
 
 
