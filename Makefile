@@ -4,7 +4,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
-PIP = $(BIN)/pip install --quiet --disable-pip-version-check
+TESTED := .venv/.tested
+# Byte-compiling all that is installed, 2 GB, takes longer than to do so with what is imported.
+PIP = $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
+HASHED = --no-deps --require-hashes --requirement
+OWN = --no-build-isolation --constraint constraints.txt --editable
 
 .PHONY: help install constraints study figures docs test storm test-all lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
@@ -13,23 +17,30 @@ PIP = $(BIN)/pip install --quiet --disable-pip-version-check
 help:            ## Say what each target does
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
 
-install: $(INSTALLED)  ## Build .venv with everything
+install: $(INSTALLED)  ## Build .venv with what studies need
 
 $(INSTALLED): pyproject.toml constraints.txt hashes.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Pneuma needs Python 3.11 to 3.13; this is %d.%d. Name another: make PYTHON=python3.12 ..." % v)'
 	$(PYTHON) -m venv .venv
-	$(PIP) --no-deps --require-hashes --requirement hashes.txt
-	$(PIP) --no-build-isolation --constraint constraints.txt --editable '.[dev]'
+	$(PIP) $(HASHED) hashes.txt
+	$(PIP) $(OWN) .
+	$(BIN)/python -m compileall -q pneuma
+	@touch $@
+
+$(TESTED): $(INSTALLED) hashes-dev.txt
+	$(PIP) $(HASHED) hashes-dev.txt
+	$(PIP) $(OWN) '.[dev]'
 	@touch $@
 
 PINS = --constraint constraints.txt
-COMPILE = $(BIN)/uv pip compile --quiet --universal --upgrade --generate-hashes --no-annotate --no-header
+COMPILE = $(BIN)/uv pip compile --quiet --universal --upgrade --no-annotate --no-header
 
 # uv asks the index for all files of a version.
-constraints: install  ## Write constraints.txt and hashes.txt anew; PINS= takes the newest versions
+constraints: $(TESTED)  ## Write constraints.txt and hashes anew; PINS= takes the newest versions
 	$(PIP) uv
-	$(COMPILE) --python-version 3.11.5 --extra dev $(PINS) pyproject.toml --output-file build/all.txt
-	.ci/pins build/all.txt
+	$(COMPILE) --python-version 3.11.5 --extra dev --generate-hashes $(PINS) pyproject.toml --output-file build/all.txt
+	echo setuptools | $(COMPILE) --python-version 3.11.5 --constraint build/all.txt pyproject.toml - --output-file build/run.txt
+	.ci/pins build/all.txt build/run.txt
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
 	$(BIN)/pneuma study run activation
@@ -72,19 +83,19 @@ tuning-optimizers tuning-algorithms: tuning-%: install
 	for name in $(RIVALS_$*); do $(BIN)/pneuma search run tune-$$name --preset paper || exit; done
 	$(BIN)/pneuma study run tuned-$* --preset paper
 
-docs: install  ## Build the pages of docs/ as a site in site/, with all commands and modules; broken links are errors
+docs: $(TESTED)  ## Build the pages of docs/ as a site in site/, with all commands and modules; broken links are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-test: install lint  ## Check style and types, and run the fast tests
+test: lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow' -n auto --dist loadfile
 
-storm: install  ## Kill and damage studies at random, and compare every bit
+storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
 
 test-all: test docs  ## The same, then the slow tests, and the links of the pages
 	$(BIN)/python -m pytest -m slow
 
-lint: install
+lint: $(TESTED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -1,15 +1,23 @@
-"""How fast rules, engines and start are beside CartPole and plain SB3: `python -m tests.speed [--json]`."""
+"""How fast rules, engines and start are, beside plain Stable-Baselines3: `python -m tests.speed [--json]`.
+
+Ratios are medians over rounds in which both sides take turns, of processor time, so that other programs
+disturb them little. `docs/engines.md` has the table of one processor.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import shlex
-import statistics
 import subprocess
 import sys
-import timeit
+import tempfile
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from math import ceil
+from pathlib import Path
+from statistics import median
 from typing import Any
 
 import gymnasium
@@ -17,52 +25,72 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from pneuma.config import make_run
+from pneuma.bases import BASES
+from pneuma.config import Run, make_run
+from pneuma.engines import mlp
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.records import Records
-from pneuma.engines.sb3 import Sb3Trainer
+from pneuma.engines.loop import Progress, train_run
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds
+from pneuma.study.execute import MOST_IN_GROUP
+from pneuma.study.executors.local import XLA_FLAGS, worker_environment
+from pneuma.study.provenance import machine
 
-ARENA = "pneuma/PneumaArena-v0"
-ROUNDS = 3
-KERNEL_STEPS, TRAINED_STEPS, HORIZON = 6_400, 2_048, 256
-NETWORKS = {"pi": [128], "vf": [256]}
+ARENA, TEXT = "pneuma/PneumaArena-v0", "pneuma/Pneuma-v0"
+ROUNDS = 5
+KERNEL_STEPS, STEPS, SB3_STEPS = 12_800, 50_000, 4_096
+SEEDS, ENVIRONMENTS = (10, 30), (1, 4)
+SETTINGS: dict[str, Any] = {**BASES["table-6-2"], "env": TEXT, "betas": (0.9, 0.9), "steps": STEPS}
+"""Of the study `optimizer`, condition `non-stationary`, at its quick preset."""
+FIRST_EVALUATION = f"""
+from pneuma.config import make_run
+from pneuma.engines.loop import train_run
+train_run(make_run({SETTINGS | {"slots": 4}}), lambda told: not told.records.evaluations)
+"""
+FIRST_STEP = (
+    "import gymnasium, pneuma; env = gymnasium.make('pneuma/Pneuma-v0'); env.reset(seed=0); env.step(0)"
+)
+Row = dict[str, object]
 
 
 def main() -> None:
     """Measure all cases and print them as a table, or as JSON."""
     torch.set_num_threads(1)
-    rows = [*steps_per_second(), *seconds_to_start()]
-    lines = [f"{row['case']:36} {row['value']:12,.2f} {row['unit']}" for row in rows]
-    print(json.dumps(rows, indent=2) if "--json" in sys.argv else "\n".join(lines))
+    cores = Path("/proc/cpuinfo")
+    wide = cores.exists() and "avx512f" in cores.read_text()
+    processor = f"{machine()['cpu']}, with{'' if wide else 'out'} AVX-512"
+    rows = [*rules(), *training(), *update(), *starts()]
+    lines = [processor, *(f"{row['case']:58} {row['value']:12,.2f} {row['unit']}" for row in rows)]
+    print(
+        json.dumps({"processor": processor, "rows": rows}, indent=2)
+        if "--json" in sys.argv
+        else "\n".join(lines)
+    )
 
 
-def steps_per_second() -> Iterator[dict[str, object]]:
-    cases: list[tuple[str, int, Callable[[], object]]] = [
-        ("rules, one world", KERNEL_STEPS, kernel(1)),
-        ("rules, 64 worlds", KERNEL_STEPS, kernel(64)),
-        ("Gymnasium, one world", KERNEL_STEPS, single(ARENA)),
-        ("Gymnasium, CartPole-v1", KERNEL_STEPS, single("CartPole-v1")),
-        ("PPO, engine batched", TRAINED_STEPS, engine("batched")),
-        ("PPO, engine sb3", TRAINED_STEPS, engine("sb3")),
-        ("PPO, Stable-Baselines3 alone", TRAINED_STEPS, plain()),
-    ]
-    for case, steps, work in cases:
-        work()  # compiles, and fills caches
-        yield {"case": case, "value": steps / seconds(work), "unit": "agent steps a second"}
+def alternated(*works: Callable[[], object]) -> list[list[float]]:
+    """Return the processor seconds of each work in each round; a round before compiles and fills caches."""
+    for work in works:
+        work()
+    rounds = [[_seconds(work) for work in works] for _ in range(ROUNDS)]
+    return [list(each) for each in zip(*rounds, strict=True)]
 
 
-def seconds_to_start() -> Iterator[dict[str, object]]:
-    for words in ("-c pass", "-c 'import pneuma'", "-m pneuma --help", "-m pneuma study list"):
-        command = [sys.executable, *shlex.split(words)]
-        start = partial(subprocess.run, command, capture_output=True, check=True)
-        yield {"case": f"start: python {words}", "value": seconds(start), "unit": "seconds"}
+def _seconds(work: Callable[[], object]) -> float:
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Return how long some work takes, the median of some rounds."""
-    return statistics.median(timeit.repeat(work, number=1, repeat=ROUNDS))
+# --- Rules and Gymnasium ---------------------------------------------------------------------------
+
+
+def rules() -> Iterator[Row]:
+    names = ("rules, one world", "rules, 64 worlds", "Gymnasium, one world", "Gymnasium, CartPole-v1")
+    for name, seconds in zip(
+        names, alternated(kernel(1), kernel(64), single(ARENA), single("CartPole-v1")), strict=True
+    ):
+        yield {"case": name, "value": KERNEL_STEPS / median(seconds), "unit": "agent steps a second"}
 
 
 def kernel(count: int) -> Callable[[], None]:
@@ -96,24 +124,137 @@ def single(name: str) -> Callable[[], None]:
     return play
 
 
-def engine(name: str) -> Callable[[], None]:
-    """Return a function that trains on by an engine, without the evaluations of a run."""
-    learner = {"horizon": HORIZON, "slots": 1, "actor": NETWORKS["pi"], "critic": NETWORKS["vf"]}
-    run = make_run({"env": ARENA, "engine": name, **learner})
-    trainer = {"batched": BatchedTrainer, "sb3": Sb3Trainer}[name](run)
-
-    def train() -> None:
-        for step in range(0, TRAINED_STEPS, HORIZON):
-            trainer.update(step, step + HORIZON, Records())
-
-    return train
+# --- Training beside Stable-Baselines3 alone -------------------------------------------------------
 
 
-def plain() -> Callable[[], object]:
-    settings: Any = {"n_steps": HORIZON, "policy_kwargs": {"net_arch": NETWORKS}, "device": "cpu"}
-    learner = PPO("MlpPolicy", PneumaVecEnv(1, seed=0, env_id=ARENA), **settings)
-    return lambda: learner.learn(TRAINED_STEPS)
+def training() -> Iterator[Row]:
+    """Compare whole runs, with their evaluations and a worker's start, with `learn` alone."""
+    loaded = median(cold_seconds(FIRST_EVALUATION, Path(tempfile.gettempdir()) / "pneuma-speed", 3)[1:])
+    yield {"case": "start of a worker up to the first evaluation", "value": loaded, "unit": "seconds"}
+    for slots in ENVIRONMENTS:
+        shares: list[float] = []
+        run = make_run({**SETTINGS, "slots": slots})
+        own, plain = alternated(partial(whole_run, run, shares), stable_baselines3(run))
+        pace = [seconds * STEPS / SB3_STEPS for seconds in plain]
+        where = f"{slots} environment{'s' * (slots > 1)}"
+        yield {"case": f"run of {STEPS:,} steps, {where}", "value": median(own), "unit": "seconds"}
+        yield {"case": f"its evaluations, {where}", "value": 100 * median(shares), "unit": "% of it"}
+        yield {
+            "case": f"Stable-Baselines3, {where}",
+            "value": 1e6 * median(plain) / SB3_STEPS,
+            "unit": "us a step",
+        }
+        for seeds in SEEDS:
+            ratios = [
+                seeds * theirs / (seeds * ours + ceil(seeds / MOST_IN_GROUP) * loaded)
+                for ours, theirs in zip(own, pace, strict=True)
+            ]
+            case = f"batched against Stable-Baselines3, {where}, {seeds} seeds"
+            yield {"case": case, "value": median(ratios), "unit": "times"}
+
+
+def whole_run(run: Run, shares: list[float]) -> None:
+    begun, told = time.perf_counter(), 0.0
+
+    def note(progress: Progress) -> bool:
+        nonlocal told
+        told = progress.evaluation_seconds
+        return True
+
+    train_run(run, note)
+    shares.append(told / (time.perf_counter() - begun))
+
+
+def stable_baselines3(run: Run) -> Callable[[], object]:
+    networks = {"pi": [*run.actor], "vf": [*run.critic]}
+    policy: Any = {"net_arch": networks, "optimizer_kwargs": {"betas": run.betas, "eps": run.epsilon}}
+    learner = PPO(
+        "MlpPolicy", PneumaVecEnv(run.slots, seed=0, env_id=run.env), n_steps=run.horizon, device="cpu",
+        policy_kwargs=policy, batch_size=run.minibatch, n_epochs=run.epochs, learning_rate=run.learning_rate,
+    )  # fmt: skip
+    return lambda: learner.learn(SB3_STEPS)
+
+
+# --- An update and its floor -----------------------------------------------------------------------
+
+
+def update() -> Iterator[Row]:
+    """Compare an update with its products, tanh and Adam alone, done on the same core by NumPy and `mlp`."""
+    run = make_run({**SETTINGS, "slots": 4})
+    trainer = BatchedTrainer(run)
+    actor, learner = trainer.policy().actor, trainer.learners[0]
+    rollout = trainer.collector.collect(actor)
+    whole, floor = alternated(lambda: learner.learn_from(rollout), bare_update(run, trainer))
+    plays, _ = alternated(lambda: trainer.collector.collect(actor), lambda: trainer.evaluate(0))
+    size = run.steps_per_update
+    yield {"case": f"rollout of {size:,} steps", "value": 1e3 * median(plays), "unit": "ms"}
+    yield {"case": f"update of {size:,} steps", "value": 1e3 * median(whole), "unit": "ms"}
+    yield {"case": "its products, tanh and Adam alone", "value": 1e3 * median(floor), "unit": "ms"}
+    ratios = [ours / least for ours, least in zip(whole, floor, strict=True)]
+    yield {"case": "update against this floor", "value": median(ratios), "unit": "times"}
+
+
+def bare_update(run: Run, trainer: BatchedTrainer) -> Callable[[], None]:
+    rows, policy = run.minibatch, trainer.policy()
+    generator = np.random.default_rng(0)
+
+    def some(*shape: int) -> np.ndarray:
+        return generator.standard_normal(shape, np.float32)
+
+    layers = [
+        (some(rows, weight.shape[0]), weight, some(rows, weight.shape[1]), place > 0)
+        for network in (policy.actor, policy.critic)
+        for place, (weight, _) in enumerate(network)
+    ]
+    hidden = [some(rows * size) for size in (*run.actor, *run.critic)]
+    moments = [some(sum(weight.size for _, weight, *_ in layers)) ** 2 for _ in range(4)]
+
+    def work() -> None:
+        p, m, v, g = moments
+        for _ in range(run.epochs * run.steps_per_update // rows):
+            for x, weight, y, is_deep in layers:
+                x @ weight
+                x.T @ y
+                if is_deep:
+                    y @ weight.T
+            for units in hidden:
+                mlp.activate(mlp.ACTIVATION_CODES["tanh"], units)
+            np.add(m, g, out=m)
+            np.multiply(v, g, out=v)
+            np.sqrt(v, out=g)
+            np.divide(m, g + 1, out=p)
+            m *= 0.5
+
+    return work
+
+
+# --- Starting --------------------------------------------------------------------------------------
+
+
+def starts() -> Iterator[Row]:
+    for case, code in (("first step of an environment", FIRST_STEP), ("first evaluation", FIRST_EVALUATION)):
+        with tempfile.TemporaryDirectory() as caches:
+            (cold,) = cold_seconds(code, Path(caches), 1)
+        yield {"case": f"empty caches: {case}", "value": cold, "unit": "seconds"}
+    for words in ("-c pass", "-c 'import pneuma'", "-m pneuma --help", "-m pneuma study list"):
+        seconds = [child_seconds([sys.executable, *shlex.split(words)], {}) for _ in range(ROUNDS)]
+        yield {"case": f"python {words}", "value": median(seconds), "unit": "seconds"}
+
+
+def cold_seconds(code: str, caches: Path, times: int) -> list[float]:
+    """Return the processor seconds of a program, run some times with caches of compiled programs there."""
+    where = {"NUMBA_CACHE_DIR": str(caches / "numba"), "JAX_COMPILATION_CACHE_DIR": str(caches / "jax")}
+    return [child_seconds([sys.executable, "-c", code], where) for _ in range(times)]
+
+
+def child_seconds(command: list[str], variables: dict[str, str]) -> float:
+    before = os.times()
+    subprocess.run(command, capture_output=True, check=True, env={**worker_environment(), **variables})
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
 
 
 if __name__ == "__main__":
+    if os.environ.get("XLA_FLAGS") != XLA_FLAGS:  # as a worker, on one thread
+        os.execve(sys.executable, [sys.executable, "-m", "tests.speed", *sys.argv[1:]], worker_environment())
     main()

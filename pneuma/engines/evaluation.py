@@ -186,16 +186,10 @@ class Evaluation:
     def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
         """Play one episode in every world, always the same one; return the same as `_play_policy`."""
         returns, running = self._begin(), len(self.worlds)
-        rewards = self.worlds.events["reward"].T  # (P, N)
         while running:
             actions = act(self.worlds)
             running -= self.worlds.step(actions)
-            took = np.nonzero(self.worlds.present)  # worlds, players
-            np.add.at(self._taken, (took[0], actions[took]), 1)
-            returns += sum(rewards) / len(rewards)  # player by player: `mean` adds eight in another order
-            self._tally["hp_lost"] += self.worlds.events["hp_lost"].sum(axis=1) / len(rewards)
-            first = (self.worlds.worlds["monsters_left"] == 0) & (self._tally["cleared"] == 0)
-            self._tally["cleared"][first] = self.worlds.worlds["steps"][first]
+            _count(self.worlds.handle, actions, returns, self._tally, self._taken)
         return returns
 
     def _begin(self) -> np.ndarray:
@@ -238,24 +232,34 @@ def _play_on(
     plays = np.zeros(worlds * players, np.bool_)
     ended = 0
     for step in range(len(draws)):
+        any_plays = False
         for row in range(len(plays)):
             plays[row] = s.worlds[row // players].ending == rules.RUNNING
-        if not plays.any():
+            any_plays |= plays[row]
+        if not any_plays:
             break
         choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
-        ended += run_worlds(handle, actions, True)
-        for w in range(worlds):
-            rewards = hp_lost = 0.0
-            for p in range(players):
-                rewards += s.events[w, p].reward
-                hp_lost += s.events[w, p].hp_lost
-                if s.events[w, p].present or s.events[w, p].died:
-                    taken[w, actions[w, p]] += 1
-            returns[w] += rewards / players
-            tally[w].hp_lost += hp_lost / players
-            if s.worlds[w].monsters_left == 0 and tally[w].cleared == 0:
-                tally[w].cleared = s.worlds[w].steps
+        ended += run_worlds(handle.ctypes.data, actions.ctypes, 1)
+        _count(handle, actions, returns, tally, taken)
     return ended
+
+
+@kernel
+def _count(handle: Any, actions: Any, returns: Any, tally: Any, taken: Any) -> None:
+    """Add a step to what `_play_on` counts, with the actions, (N, P), that were taken."""
+    s = open_state(handle)
+    worlds, players = s.players.shape
+    for w in range(worlds):
+        rewards = hp_lost = 0.0
+        for p in range(players):
+            rewards += s.events[w, p].reward
+            hp_lost += s.events[w, p].hp_lost
+            if s.events[w, p].present or s.events[w, p].died:
+                taken[w, actions[w, p]] += 1
+        returns[w] += rewards / players
+        tally[w].hp_lost += hp_lost / players
+        if s.worlds[w].monsters_left == 0 and tally[w].cleared == 0:
+            tally[w].cleared = s.worlds[w].steps
 
 
 # --- Estimated values of actions -----------------------------------------------------------------

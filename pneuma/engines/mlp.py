@@ -190,21 +190,28 @@ def exp(x: Any) -> Any:
 
 
 @kernel
-def sample(logits: Any, draw: Any) -> int:
-    """Draw from a softmax by a number in [0, 1); the logits are overwritten."""
-    highest = logits[0]
-    for value in logits:
-        highest = max(highest, value)
+def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
+    """Draw an action from the softmax of a row's logits, by a number in [0, 1); they are overwritten."""
+    highest = outputs[row, most_probable(outputs, row, actions)]
     total = _ZERO
-    for j in range(len(logits)):
-        logits[j] = exp(logits[j] - highest)
-        total += logits[j]
+    for j in range(actions):
+        outputs[row, j] = exp(outputs[row, j] - highest)
+        total += outputs[row, j]
     left = draw * total
-    for j in range(len(logits) - 1):
-        left -= logits[j]
+    for j in range(actions - 1):
+        left -= outputs[row, j]
         if left < 0:
             return j
-    return len(logits) - 1
+    return actions - 1
+
+
+@inlined
+def most_probable(outputs: Any, row: int, actions: int) -> int:
+    best = 0
+    for j in range(1, actions):
+        if outputs[row, j] > outputs[row, best]:
+            best = j
+    return best
 
 
 @kernel
@@ -218,13 +225,19 @@ def choose(
     The actions are written into `chosen`, (rows,) int64.
     """
     policies, actions = len(weights), widths[-1]
+    rows = np.empty(len(plays), np.int64)
+    scratch = room(widths, len(plays))
     for own in range(policies):
-        rows = own + policies * np.flatnonzero(plays[own::policies])
-        scratch = room(widths, len(rows))
-        for k in range(len(rows)):
-            for i in range(widths[0]):
-                scratch[0, k, i] = observations[rows[k], i]
-        outputs = forward(weights[own], widths, activation, len(rows), scratch)
-        for k in range(len(rows)):
-            row, logits = rows[k], outputs[k, :actions]
-            chosen[row] = sample(logits, draws[row]) if row < len(draws) else np.argmax(logits)
+        count = 0
+        for row in range(own, len(plays), policies):
+            if plays[row]:
+                rows[count] = row
+                for i in range(widths[0]):
+                    scratch[0, count, i] = observations[row, i]
+                count += 1
+        outputs = forward(weights[own], widths, activation, count, scratch)
+        for k in range(count):
+            row = rows[k]
+            drawn = row < len(draws)
+            action = sample(outputs, k, actions, draws[row]) if drawn else most_probable(outputs, k, actions)
+            chosen[row] = action

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import cfunc, njit, types
 from numba.core import cgutils
+from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
@@ -262,6 +263,7 @@ DTYPES = State(
     EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
     np.dtype(np.int64),
 )  # fmt: skip
+ARRAYS = len(DTYPES)
 DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
@@ -315,23 +317,40 @@ def cached(**options: Any) -> Callable[[Any], Any]:
             made = njit(cache=True, **options)(function)
         except RuntimeError:
             return njit(**options)(function)
-        try:
-            made._cache._cache_file._load_index()
-        except (
-            Exception
-        ):  # it names a class that is gone, and is read whole before it is found to be out of date
-            made._cache.flush()
+        _forget_unreadable(made._cache)
         return made
 
     return compiled
 
 
-# Only the calls from outside can be called from outside: the code that takes Python's arguments
-# apart would take longer to compile than the rules. Nothing allocates, so the others do without
+def native(signature: Any) -> Callable[[Any], Any]:
+    """Return numba's `cfunc`, which is called by its address, with its cache as that of `cached`."""
+
+    def compiled(function: Any) -> Any:
+        try:
+            _forget_unreadable(typed_cache(function))
+            return cfunc(signature, cache=True, **_UNCOUNTED_NATIVE)(function)
+        except RuntimeError:
+            return cfunc(signature, **_UNCOUNTED_NATIVE)(function)
+
+    return compiled
+
+
+def _forget_unreadable(cache: Any) -> None:
+    """Empty a cache that names a class that is gone, as it is read whole before its age is seen."""
+    try:
+        cache._cache_file._load_index()
+    except Exception:
+        cache.flush()
+
+
+# Only the call from outside can be called from outside: the code that takes Python's arguments
+# apart would take longer to compile than the rules. Nothing allocates, so all do without
 # numba's reference counts, which took half the time of a step.
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _UNCOUNTED: Any = {**_INNER, "_nrt": False}
 entry: Any = cached(error_model="numpy", nogil=True)
+_UNCOUNTED_NATIVE: Any = {"error_model": "numpy", "_nrt": False}
 inlined_counted: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 inlined: Any = njit(**_UNCOUNTED, forceinline=True)
@@ -340,33 +359,38 @@ typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
 typed_void: Any = types.void
+typed_pointer: Any = types.CPointer
+typed_cache: Any = FunctionCache
 
 
 @inlined_counted
 def open_state(h: Array) -> State:
     """Turn addresses and shapes back into arrays; the reverse of `make_handle`."""
     return State(
-        _array(h[0].address, (h[0].shape[0],), WORLD),
-        _array(h[1].address, (h[1].shape[0], h[1].shape[1]), PLAYER),
-        _array(h[2].address, (h[2].shape[0], h[2].shape[1]), MONSTER),
-        _array(h[3].address, (h[3].shape[0],), PLAYER_STATS),
-        _array(h[4].address, (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
-        _array(h[5].address, (h[5].shape[0],), SETTINGS),
-        _array(h[6].address, (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
-        _array(h[7].address, (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
-        _array(h[8].address, (h[8].shape[0], h[8].shape[1]), EVENTS),
-        _array(h[9].address, (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
-        _array(h[10].address, (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
-        _array(h[11].address, (h[11].shape[0],), TICK),
-        _array(h[12].address, (h[12].shape[0],), SCRATCH),
-        _array(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
-        _array(h[14].address, (h[14].shape[0],), np.int64),
+        array_at(h[0].address, (h[0].shape[0],), WORLD),
+        array_at(h[1].address, (h[1].shape[0], h[1].shape[1]), PLAYER),
+        array_at(h[2].address, (h[2].shape[0], h[2].shape[1]), MONSTER),
+        array_at(h[3].address, (h[3].shape[0],), PLAYER_STATS),
+        array_at(h[4].address, (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
+        array_at(h[5].address, (h[5].shape[0],), SETTINGS),
+        array_at(h[6].address, (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
+        array_at(h[7].address, (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
+        array_at(h[8].address, (h[8].shape[0], h[8].shape[1]), EVENTS),
+        array_at(h[9].address, (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
+        array_at(h[10].address, (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
+        array_at(h[11].address, (h[11].shape[0],), TICK),
+        array_at(h[12].address, (h[12].shape[0],), SCRATCH),
+        array_at(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
+        array_at(h[14].address, (h[14].shape[0],), np.int64),
     )
 
 
 @typed_intrinsic
-def _array(context: Any, address: Any, shape: Any, dtype: Any) -> Any:
-    """Return the array of a shape and dtype at an address, as `numba.carray` does, which compiles slowly."""
+def array_at(context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+    """Return the array of a shape and dtype at an address or pointer.
+
+    `numba.carray` does the same, but compiles slowly, and with reference counts.
+    """
     kind = types.Array(dtype.dtype, len(shape), "C")
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -376,8 +400,9 @@ def _array(context: Any, address: Any, shape: Any, dtype: Any) -> Any:
         strides = [item]
         for length in reversed(lengths[1:]):
             strides.insert(0, builder.mul(strides[0], length))
-        data = builder.inttoptr(arguments[0], array.data.type)
+        from_there = builder.inttoptr if isinstance(address, types.Integer) else builder.bitcast
+        data = from_there(arguments[0], array.data.type)
         typed_arrays.populate_array(array, data, lengths, strides, item, None)
         return array._getvalue()
 
-    return kind(types.int64, shape, dtype), generate
+    return kind(address, shape, dtype), generate

@@ -82,6 +82,7 @@ class Worlds:
         self.events["distance"] = np.inf
         self.observations = np.zeros((count, players, *self.space.shape), np.float32)
         self.masks = np.zeros((count, players, actions), np.int8)
+        self._none = np.zeros((count, players), np.int64)  # actions that a reset does not read
         self._arrays = state.State(
             self.worlds,
             self.players,
@@ -114,6 +115,8 @@ class Worlds:
 
     def _take_addresses(self) -> None:
         self.handle = state.make_handle(self._arrays)
+        self._address = self.handle.ctypes.data
+        kernel.load_rules()
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
     @property
@@ -243,7 +246,7 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = int(kernel.run_worlds(self.handle, actions, True))
+        ended = int(kernel.call_rules(self._address, actions, 1))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
@@ -255,7 +258,7 @@ class Worlds:
     def _begin(self, places: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
         self._arrays.begins[:] = places
-        kernel.run_worlds(self.handle, np.zeros(self.players.shape, np.int64), False)
+        kernel.call_rules(self._address, self._none, 0)
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events."""
@@ -339,5 +342,5 @@ def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
     return names * config.players if len(names) == 1 else names
 
 
-_ADDRESSES = ("handle", "_shown")
+_ADDRESSES = ("handle", "_address", "_shown")
 """Attributes of `Worlds` that are valid in one process only."""

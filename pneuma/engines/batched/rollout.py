@@ -198,7 +198,7 @@ def _play(
     count = 0
     for step in range(draws.shape[0]):
         _choose(handle, weights, widths, activation, draws[step], episodes, rollout, step, chosen, scratch)
-        run_worlds(handle, chosen, True)
+        run_worlds(handle.ctypes.data, chosen.ctypes, 1)
         count = _record_step(handle, usual_starts, episodes, rollout, step, count, chosen)
     return count
 
@@ -213,7 +213,8 @@ def _choose(
     players = s.players.shape[1]
     for i in range(len(draws)):
         if not episodes.idle[i]:
-            rollout.observations[i, step] = s.observations[i // players, i % players]
+            for j in range(widths[0]):  # a slice would compile the text of an error
+                rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
         rollout.starts[i, step] = episodes.begins[i]
     policies = len(weights)
     count = len(draws) // policies
@@ -224,9 +225,8 @@ def _choose(
         logits = forward(weights[own], widths, activation, count, scratch)
         for k in range(count):
             i = own + k * policies
-            chosen[i // players, i % players] = rollout.actions[i, step] = sample(
-                logits[k, : widths[-1]], draws[i]
-            )
+            action = sample(logits, k, widths[-1], draws[i])
+            chosen[i // players, i % players] = rollout.actions[i, step] = action
 
 
 @kernel
@@ -259,7 +259,8 @@ def _record_step(
             row.kills = player.kills
             row.hp = player.hp
             row.ending = s.worlds[w].ending if player.hp > 0 else rules.KILLED
-            rollout.terminal_observations[count] = s.observations[w, p]
+            for j in range(s.observations.shape[2]):
+                rollout.terminal_observations[count, j] = s.observations[w, p, j]
             count += 1
             episodes.episodes[i] += 1
             episodes.returns[i] = 0.0
@@ -267,7 +268,7 @@ def _record_step(
             episodes.lengths[i] = 0
         episodes.idle[i] = not present and not over
     if any_over:
-        run_worlds(handle, chosen, False)
+        run_worlds(handle.ctypes.data, chosen.ctypes, 0)
     return count
 
 
