@@ -182,6 +182,8 @@ def _gather_near(s: State, w: int, count: int) -> None:
     """List in `near` which bodies each player and the first `count` of `scratch` may meet in this step."""
     monsters = s.monsters.shape[1]
     bodies = monsters + s.players.shape[1]
+    for each in range(bodies):
+        _pack(s, w, each)
     for mover in range(count + s.players.shape[1]):
         me = np.int64(s.scratch[mover].order) if mover < count else monsters + mover - count
         x, y, _ = body(s, w, me)
@@ -191,6 +193,15 @@ def _gather_near(s: State, w: int, count: int) -> None:
             if other != me and _is_near(s, w, other, x, y):
                 near[0] += 1
                 near[near[0]] = other
+
+
+@inlined
+def _pack(s: State, w: int, me: int) -> None:
+    """Write a body's box to `boxes`, where moving bodies look for obstacles; what is dead stops nobody."""
+    row = s.boxes[me]
+    row[0], row[1], row[2], row[3] = box(s, w, me)
+    if not is_alive(s, w, me):
+        row[2] = row[3] = -math.inf
 
 
 @inlined
@@ -250,6 +261,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         tick.strikes = 0
         s.events[w, p].hp_lost += player.hp
         _die(player, s.events[w, p])
+        _pack(s, w, s.monsters.shape[1] + p)
     else:
         s.events[w, p].present += 1
 
@@ -314,6 +326,7 @@ def _walk(s: State, w: int, p: int, speed: float) -> None:
     """Move a player for one tick in the direction it faces."""
     player = s.players[w, p]
     player.x, player.y = ahead(s, w, p, speed, s.settings[0].player_stops)
+    _pack(s, w, s.monsters.shape[1] + p)
 
 
 @inlined
@@ -409,6 +422,7 @@ def _tick_monster(s: State, w: int, m: int) -> None:
         dy = _approach(s.players[w, target].y - monster.y, kind.stand_off, kind.speed)
     if dx != 0.0 or dy != 0.0:
         monster.x, monster.y = moved(s, w, m, dx, dy, s.settings[0].monster_stops)
+        _pack(s, w, m)
 
 
 @inlined
@@ -433,6 +447,7 @@ def _apply_hit(s: State, w: int, m: int, p: int) -> None:
     monster.hp = max(monster.hp - tick.damage, 0.0)
     s.events[w, p].hits += 1
     if monster.hp <= 0.0:
+        _pack(s, w, m)
         _credit_kill(s, w, m, p)
     elif tick.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, kind, tick)
@@ -545,6 +560,7 @@ def _end_tick(s: State, w: int, p: int) -> None:
     event.reward += tick.notices + tick.contacts
     if player.hp <= 0.0:
         _die(player, event)
+        _pack(s, w, s.monsters.shape[1] + p)
         _charge(player, event, s.settings[0].ending_cost)
 
 
@@ -635,15 +651,13 @@ def _stop_at_bodies(
     stop = math.inf
     near = s.near[me]
     for i in range(near[0]):
-        other = near[i + 1]
-        if is_alive(s, w, other):
-            there_x, there_y, half_width, half_height = box(s, w, other)
-            there, there_aside = _turned(on_x, there_x, there_y)
-            other_half, other_breadth = _turned(on_x, half_width, half_height)
-            reach = half + other_half
-            beside = abs(aside - there_aside) >= breadth + other_breadth - CONTACT_EPS
-            if not beside and way * (there - middle) >= reach - CONTACT_EPS:
-                stop = min(stop, way * there - reach)
+        other = s.boxes[near[i + 1]]
+        there, there_aside = _turned(on_x, other[0], other[1])
+        other_half, other_breadth = _turned(on_x, other[2], other[3])
+        reach = half + other_half
+        beside = abs(aside - there_aside) >= breadth + other_breadth - CONTACT_EPS
+        if not beside and way * (there - middle) >= reach - CONTACT_EPS:
+            stop = min(stop, way * there - reach)
     return stop
 
 

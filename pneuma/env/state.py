@@ -238,7 +238,7 @@ class State(NamedTuple):
     """Every array that the kernels share.
 
     The first three are the whole state of the worlds. `events`, `observations` and `masks` are written by
-    every step. `tick`, `scratch` and `near` are scratch space.
+    every step. `tick`, `scratch`, `near` and `boxes` are scratch space.
     """
 
     worlds: Array  # (N,) WORLD
@@ -255,16 +255,17 @@ class State(NamedTuple):
     tick: Array  # (P,) TICK
     scratch: Array  # (M,) SCRATCH
     near: Array  # (M + P, M + P) int32: how many bodies a body may meet in this step, and which
+    boxes: Array  # (M + P, 4): centre and half sides of each body now; those of the dead are -inf
     begins: Array  # (N,) int64: start places of the worlds that the next call of `run_worlds` resets
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
     EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
-    np.dtype(np.int64),
+    np.dtype(np.float64), np.dtype(np.int64),
 )  # fmt: skip
 ARRAYS = len(DTYPES)
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 2, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
@@ -273,7 +274,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (15,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (16,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle, and be laid out as declared here.
@@ -381,7 +382,8 @@ def open_state(h: Array) -> State:
         array_at(h[11].address, (h[11].shape[0],), TICK),
         array_at(h[12].address, (h[12].shape[0],), SCRATCH),
         array_at(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
-        array_at(h[14].address, (h[14].shape[0],), np.int64),
+        array_at(h[14].address, (h[14].shape[0], h[14].shape[1]), np.float64),
+        array_at(h[15].address, (h[15].shape[0],), np.int64),
     )
 
 

@@ -98,6 +98,7 @@ class Worlds:
             np.zeros(players, state.TICK),
             np.zeros(monsters, state.SCRATCH),
             np.zeros((monsters + players, monsters + players), np.int32),
+            np.zeros((monsters + players, 4)),
             np.zeros(count, np.int64),
         )
         self._take_addresses()
