@@ -207,10 +207,10 @@ def bare_update(run: Run, trainer: BatchedTrainer) -> Callable[[], None]:
         for place, (weight, _) in enumerate(network)
     ]
     hidden = [some(rows * size) for size in (*run.actor, *run.critic)]
-    moments = [some(sum(weight.size for _, weight, *_ in layers)) ** 2 for _ in range(4)]
+    count = sum(weight.size for _, weight, *_ in layers)
+    moved, gradient, mean, square = some(count), some(count), some(count), some(count) ** 2
 
     def work() -> None:
-        p, m, v, g = moments
         for _ in range(run.epochs * run.steps_per_update // rows):
             for x, weight, y, is_deep in layers:
                 x @ weight
@@ -219,11 +219,11 @@ def bare_update(run: Run, trainer: BatchedTrainer) -> Callable[[], None]:
                     y @ weight.T
             for units in hidden:
                 mlp.activate(mlp.ACTIVATION_CODES["tanh"], units)
-            np.add(m, g, out=m)
-            np.multiply(v, g, out=v)
-            np.sqrt(v, out=g)
-            np.divide(m, g + 1, out=p)
-            m *= 0.5
+            for factor in (mean, square):
+                np.multiply(gradient, factor, out=moved)
+                np.add(moved, factor, out=moved)
+            np.sqrt(square, out=moved)
+            np.divide(mean, moved, out=moved)
 
     return work
 
