@@ -273,7 +273,7 @@ def promote(
     promoted = promotion.promote(
         store := asked.store, names, seeds, steps, trial, asked.world, asked.settings
     )
-    document: dict[str, Any] = {"winners": promoted.rows()}
+    document: dict[str, Any] = {"winners": [winner.document() for winner in promoted.winners]}
     if trial is None and out is None and all(each["is_base"] for each in document["winners"]):
         said = "the search found nothing better than its base"
         return Result(document, [f"{each['search']}: {said}" for each in document["winners"]])
@@ -310,7 +310,7 @@ def promote(
 
 def _gained(frame: pd.DataFrame) -> Iterator[str | Table]:
     """Yield gains with four digits; what is unknown is a dash."""
-    shown = frame.drop(columns=["objective", "diverged", "base_diverged"])
+    shown = frame.drop(columns=["diverged", "base_diverged"])
     yield frame_table(
         shown.map(lambda cell: f"{cell:.4f}" if isinstance(cell, float) else cell).replace("nan", "–")
     )

@@ -57,13 +57,9 @@ def draw_search(
     complete = [trial for trial in searched.trials if trial.state == TrialState.COMPLETE]
     if not complete:
         return []
-    runs = sample(
-        search.name,
-        "",
-        (each for trial in searched.trials for each in trial.user_attrs["run_ids"]),
-        budget.seeds,
-    )
-    origin, files = Origin(command=plain(command), runs=(runs,)), list[Path]()
+    ids = (name for trial in searched.trials for name in trial.user_attrs.get("run_ids", []))
+    origin = Origin(command=plain(command), runs=(sample(search.name, "", ids, budget.seeds),))
+    files = list[Path]()
     with style.house_style(), _optuna_in_our_style():
         for name, (title, draw) in _pictures(searched, complete).items():
             if only and name not in only:
@@ -128,21 +124,29 @@ def _pictures(searched: Record, complete: Sequence[FrozenTrial]) -> dict[str, Pi
 
 
 def _amount(searched: Record) -> str:
-    budget, states = searched.task.budget, [trial.state for trial in searched.trials]
-    whole, pruned, failed = map(states.count, (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL))
-    words = [f"{pruned} stopped early"] * (pruned > 0) + [f"{failed} failed"] * (failed > 0)
-    trials = ", ".join([counted(whole, "whole trial"), *words])
-    return f"{trials}; {counted(len(budget.seeds), 'seed')}, {budget.steps:,} steps each"
+    ended = [trial.state for trial in searched.trials]
+    words = {TrialState.COMPLETE: "whole", TrialState.PRUNED: "stopped early", TrialState.FAIL: "failed"}
+    counts = [f"{ended.count(state)} {word}" for state, word in words.items() if state in ended]
+    seeds = counted(len(searched.task.budget.seeds), "seed")
+    return (
+        f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {searched.task.steps:,} steps each"
+    )
+
+
+def _tables(searched: Record) -> list[tuple[int, str]]:
+    """Return the thesis's tables with which a search starts, each with its trial."""
+    starts = enumerate(searched.task.search.spec.start)
+    return [(number, start) for number, start in starts if isinstance(start, str) and start in TABLES]
 
 
 def _history(searched: Record, of_first: dict[str, Any]) -> Axes:
     """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
     axes: Axes = pictures.plot_optimization_history(searched.study, **of_first)
-    trials = {trial.number: trial for trial in searched.trials if trial.values}
-    for number, base in enumerate(searched.task.search.spec.start):
-        if base in TABLES and number in trials:
+    values = {trial.number: trial.values[0] for trial in searched.trials if trial.values}
+    for number, base in _tables(searched):
+        if number in values:
             marker = "sD"[[*TABLES].index(base)]
-            axes.plot(number, trials[number].values[0], marker, color=INK, zorder=4, label=base)
+            axes.plot(number, values[number], marker, color=INK, zorder=4, label=base)
     axes.legend()
     return axes
 
@@ -156,8 +160,8 @@ def _slices(searched: Record, of_first: dict[str, Any]) -> Any:
     places = figure.add_gridspec(rows, min(COLUMNS, len(slices)))
     for place, axes in enumerate(slices):
         name, of_choices = axes.get_xlabel(), axes.xaxis.have_units()
-        for base in search.spec.start:
-            if base in TABLES and name in (params := search.space.params_of(base)):
+        for _, base in _tables(searched):
+            if name in (params := search.space.params_of(base)):
                 at = repr(params[name]) if of_choices else params[name]
                 marks[base] = axes.axvline(at, color=INK, linewidth=0.8, linestyle=TABLES[base], zorder=1.2)
         axes.set_subplotspec(places[divmod(place, COLUMNS)])
@@ -210,7 +214,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
 def _draw_values(
     axes: Axes,
     rows: Sequence[Mapping[Any, Any]],
-    arms: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    arms: Mapping[str, Sequence[np.ndarray]],
     from_zero: bool,
 ) -> None:
     """Draw a row for each winner: the runs of both conditions, and their values over seeds."""

@@ -50,9 +50,17 @@ class Winner:
         return f"{self.name}-tuned"
 
     @property
+    def space(self) -> Space:
+        return self.searched.task.search.space
+
+    @property
     def is_base(self) -> bool:
-        space = self.searched.task.search.space
-        return space.make_run(self.trial.params) == space.make_run({})
+        return self.space.make_run(self.trial.params) == self.space.make_run({})
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        search, trial = self.searched.task.search.name, self.trial
+        return {"search": search, "trial": trial.number, "params": trial.params, "is_base": self.is_base}
 
 
 @dataclass(frozen=True)
@@ -80,18 +88,6 @@ class Promotion:
         fresh = f"{counted(len(self.seeds), 'fresh seed')}, {self.steps:,} steps each"
         return f"searched: {seen}, {task.steps:,} steps each; now: winner and base alike, {fresh}"
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return each winner as JSON."""
-        return [
-            {
-                "search": winner.searched.task.search.name,
-                "trial": winner.trial.number,
-                "params": winner.trial.params,
-                "is_base": winner.is_base,
-            }
-            for winner in self.winners
-        ]
-
     def path(self, store: Store) -> Path:
         return store.root / "searches" / f"{self.name}.toml"
 
@@ -99,15 +95,12 @@ class Promotion:
         """Write the study's file into the results folder, and return its runs."""
         store.check_writable()
         store.write(self.path(store), self.text.encode())
-        return make_plan(load_study(str(self.path(store))), self._selection)
+        return make_plan(load_study(str(self.path(store))), Selection(seeds=self.seeds, steps=self.steps))
 
     def data(self, store: Store) -> StudyData:
         """Return the study's runs once they are trained."""
-        return open_study(RunIndex(store), str(self.path(store)), self._selection)
-
-    @property
-    def _selection(self) -> Selection:
-        return Selection(seeds=self.seeds, steps=self.steps)
+        chosen = Selection(seeds=self.seeds, steps=self.steps)
+        return open_study(RunIndex(store), str(self.path(store)), chosen)
 
 
 def promote(
@@ -129,11 +122,7 @@ def promote(
         raise UserError(f"--seeds: {counted(len(seeds), 'seed')} cannot tell gain from luck; give 5 at least")
     searches = [read_record(store, name, world, settings) for name in names]
     winners = find_winners(searches, trial, seeds)
-    runs = [
-        winner.searched.task.search.space.make_run(params)
-        for winner in winners
-        for params in ({}, winner.trial.params)
-    ]
+    runs = [each.space.make_run(params) for each in winners for params in ({}, each.trial.params)]
     return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.steps))
 
 
@@ -179,20 +168,10 @@ def _trial(searched: Record, number: int | None) -> FrozenTrial:
 
 def _conditions(searched: Record) -> dict[str, Any]:
     """Return what must be equal in searches whose winners are compared."""
-    search, budget = searched.task.search, searched.task.budget
-    run = search.space.make_run({})
-    return {
-        **{key: getattr(run, key) for key in OF_WORLDS if key not in search.space.keys},
-        "env": run.env,
-        "engine": run.engine,
-        "base": search.space.base,
-        "trials": len(searched.trials),
-        "seeds": budget.seeds,
-        "steps": budget.steps,
-        "objectives": [
-            (objective.outcome, objective.over_seeds, objective.direction) for objective in search.objectives
-        ],
-    }
+    space, identity = searched.task.search.space, searched.task.identity
+    run, keys = space.make_run({}), ("base", "objectives", "seeds", "steps")
+    of_world = {key: getattr(run, key) for key in ("env", "engine", *OF_WORLDS) if key not in space.keys}
+    return {**of_world, "trials": len(searched.trials), **{key: identity[key] for key in keys}}
 
 
 # --- The study -------------------------------------------------------------------------------------
@@ -202,8 +181,8 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     """Return the text of a study file with the winners and their bases, and their origin as comments."""
     tables = {}
     for winner in winners:
-        tables[winner.name] = _read_fields(winner.searched.task.search.space, {})
-        tables[winner.tuned] = _read_fields(winner.searched.task.search.space, winner.trial.params)
+        tables[winner.name] = _read_fields(winner.space, {})
+        tables[winner.tuned] = _read_fields(winner.space, winner.trial.params)
     shared = {
         key: value
         for key, value in tables[winners[0].name].items()
@@ -264,49 +243,38 @@ def gains(winners: Sequence[Winner], data: StudyData) -> pd.DataFrame:
     and the base's runs diverged, which count as in the search.
     """
     rows = [
-        {"search": winner.name, "trial": winner.trial.number, **_gain(winner, objective, seen, data)}
+        {"search": winner.name, "trial": winner.trial.number, **_gain(winner, place, data)}
         for winner in winners
-        for objective, seen in zip(winner.searched.task.search.objectives, winner.trial.values, strict=True)
+        for place in range(len(winner.trial.values))
     ]
     return pd.DataFrame(rows)
 
 
-def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> tuple[np.ndarray, np.ndarray]:
+def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> list[np.ndarray]:
     """Return the outcomes of the winner's runs and of its base's, as a search counts them."""
     search = winner.searched.task.search
-    found = (
+    return [
         np.array([counted_outcome(search, data, run, objective.outcome) for run in data.of_condition(name)])
         for name in (winner.tuned, winner.name)
-    )
-    tuned, base = found
-    return tuned, base
+    ]
 
 
-def _gain(winner: Winner, objective: Objective, seen: float, data: StudyData) -> dict[str, Any]:
-    task = winner.searched.task
-    won, lost = data.of_condition(winner.tuned), data.of_condition(winner.name)
+def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
+    task, seen = winner.searched.task, winner.trial.values[place]
+    objective, won = task.search.objectives[place], data.of_condition(winner.tuned)
     arms = fresh_values(winner, objective, data)
-    diverged = [sum(run.status == "diverged" for run in arm) for arm in (won, lost)]
+    diverged = [sum(run.status == "diverged" for run in arm) for arm in (won, data.of_condition(winner.name))]
     fresh, base = (
-        objective_value(objective, values, count > 0) for values, count in zip(arms, diverged, strict=True)
+        objective_value(objective, arm, lost > 0) for arm, lost in zip(arms, diverged, strict=True)
     )
     difference = low = high = math.nan
     if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
-        between = difference_interval(*arms)
+        between = difference_interval(arms[0], arms[1])
         difference, low, high = float(arms[0].mean() - arms[1].mean()), between.low, between.high
-    searched_steps = task.search.space.make_run(winner.trial.params, steps=task.steps).steps
-    alike = objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
+    alike = won[0].budget == winner.space.make_run(winner.trial.params, steps=task.steps).steps
+    alike &= objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
     sign = 1 if objective.direction == "maximize" else -1
-    return {
-        "objective": objective.name,
-        "of": f"{objective.over_seeds} of {objective.outcome}",
-        "seen": seen,
-        "fresh": fresh,
-        "base": base,
-        "difference": difference,
-        "low": low,
-        "high": high,
-        "luck": sign * (seen - fresh) if alike and won[0].budget == searched_steps else math.nan,
-        "diverged": diverged[0],
-        "base_diverged": diverged[1],
-    }
+    luck = sign * (seen - fresh) if alike else math.nan
+    values = {"seen": seen, "fresh": fresh, "base": base, "difference": difference, "low": low, "high": high}
+    counts = {"diverged": diverged[0], "base_diverged": diverged[1]}
+    return {"objective": objective.name, **values, "luck": luck, **counts}

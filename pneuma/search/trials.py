@@ -55,8 +55,7 @@ def run_search(task: Task, store: Store, train: Train, say: Callable[[str], None
         check_outcome(objective.outcome, [env])
     record = open_record(store, task, say)
     yield record
-    for _ in conduct(record, train, Outcomes(search, store), say):
-        yield record
+    yield from conduct(record, train, Outcomes(search, store), say)
 
 
 # --- Rounds of a generation ------------------------------------------------------------------------
@@ -100,10 +99,8 @@ def pauses(task: Task) -> list[int]:
     return [] if name in PRUNERS else [*range(1, EVALUATIONS)]
 
 
-def conduct(
-    record: Record, train: Train, outcomes: Outcomes, say: Callable[[str], None]
-) -> Iterator[list[FrozenTrial]]:
-    """Search, and yield the trials of each generation when they have ended.
+def conduct(record: Record, train: Train, outcomes: Outcomes, say: Callable[[str], None]) -> Iterator[Record]:
+    """Search, and yield the record when the trials of each generation have ended.
 
     `say` tells which are trained or stopped. Raises `Unfinished` when a run crashed.
     """
@@ -127,7 +124,7 @@ def conduct(
                 say(f"{', '.join(stopped)} stopped early")
         for number in several:
             _end(record, number, cells[number], outcomes)
-        yield record.begun[first : several.stop]
+        yield record
 
 
 def _goes_on(record: Record, number: int) -> bool:

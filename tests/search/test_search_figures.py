@@ -20,7 +20,11 @@ SECOND = '[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"\
 def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
     make_task: MakeTask, tmp_path: Path, trials: int
 ) -> None:
-    task = make_task(trials, more=f"{MORE}[sampler]\nname = 'random'", start='start = ["table-6-2"]')
+    task = make_task(
+        trials,
+        more=f"{MORE}[sampler]\nname = 'random'",
+        start='start = ["table-6-2", { learning_rate = 1e-3 }]',
+    )
     before = {**mpl.rcParams}
     texts = {path.stem: path.read_text() for path in draw_search(record(task), tmp_path, ("svg",))}
     pictures = {"history", "values", "importances"} if trials > 10 else {"history", "values"}
@@ -28,7 +32,7 @@ def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
     for name in ("history", "values"):
         text = texts[f"search-formula-text-{name}"]
         assert "table-6-2" in text and "table-6-1" not in text
-        assert f"{trials} whole trials; 2 seeds" in text and task.digest not in text
+        assert f"{trials} trials ({trials} whole); 2 seeds" in text and task.digest not in text
     assert "learning rate" in texts["search-formula-text-values"]
     assert {**mpl.rcParams} == before
 
