@@ -30,7 +30,7 @@ def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path) -> None:
     wait_until(lambda: len(list(children(process.pid))) == 2)
     wait_until(lambda: len(list((tmp_path / "results").glob("runs/*/.lock"))) == 2)
     process.send_signal(signal.SIGINT)
-    out, told = process.communicate(timeout=60)
+    out, told = process.communicate(timeout=240)  # of which a busy machine compiles most
     assert process.returncode == 130
     assert (
         told.count("Stopping after this step") == 1
