@@ -14,17 +14,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
 from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import ExecutorConfig
+from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores
 from pneuma.study.store import Store
@@ -34,11 +35,16 @@ from pneuma.values import read_seeds
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
 
 Where = str | os.PathLike[str]
+Say = Callable[[str], object]
+"""Says something to the user."""
+
+
+def _silent(message: str) -> None: ...
 
 
 def run_study(
@@ -76,20 +82,9 @@ def run_study(
     """
     selection = _selection(seeds, steps, conditions, settings, preset)
     most = _count("workers", workers) or available_cores()
-    asked = spec.load_study(os.fspath(study), world)
-    if preset == spec.CLAIMS:
-        from pneuma.analysis.claims import with_claims
-
-        asked = with_claims(asked, selection.steps)
-    planned, store = plan.make_plan(asked, selection), _store(results)
-    if asked.outcomes:
-        from pneuma.analysis.outcomes import check_outcomes
-
-        check_outcomes(asked.outcomes, {cell.run.env for cell in planned.cells})
+    planned, store = plan_study(study, selection, world), _store(results)
     how = ExecutorConfig(workers=most, keep_checkpoints=planned.study.keep_checkpoints)
-    todo, _ = execute.prepare(planned, store)
-    with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:
-        outcomes = execute.execute(planned, todo, store, how, on_progress or display.update)
+    outcomes = train_plan(planned, store, how, quiet=quiet, on_progress=on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
         raise UserError(
@@ -97,10 +92,56 @@ def run_study(
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     seeds = sorted({cell.seed for cell in planned.cells})
-    steps = selection.steps or plan.find_preset(asked, selection).steps
     return open_data(
-        study, results, steps=steps, seeds=seeds, conditions=conditions, settings=settings, world=world
+        study,
+        results,
+        steps=planned.steps,
+        seeds=seeds,
+        conditions=conditions,
+        settings=settings,
+        world=world,
     )
+
+
+def plan_study(
+    study: Where, selection: plan.Selection, world: str | None = None, say: Say = _silent
+) -> plan.Plan:
+    """Plan the runs of a study, after `say` was told which code of the user's they run."""
+    asked = spec.load_study(os.fspath(study), world)
+    fields = [asked.fields(condition, selection.settings) for condition in asked.conditions]
+    for use in dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values()):
+        if use.startswith("run "):
+            say(f"Note: the study's file asks to {use}.")
+    if selection.preset == spec.CLAIMS:
+        from pneuma.analysis.claim_runs import with_claims
+
+        asked = with_claims(asked, selection.steps)
+    planned = plan.make_plan(asked, selection)
+    if asked.outcomes:
+        from pneuma.analysis.outcomes import check_outcomes
+
+        check_outcomes(asked.outcomes, {cell.run.env for cell in planned.cells})
+    return planned
+
+
+def train_plan(
+    planned: plan.Plan,
+    store: Store,
+    how: ExecutorConfig,
+    *,
+    retry_failed: bool = False,
+    quiet: bool = False,
+    on_progress: execute.OnProgress | None = None,
+    say: Say = _silent,
+) -> list[execute.CellResult]:
+    """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
+    todo, notes = execute.prepare(planned, store, retry_failed)
+    for note in (*planned.notes, *notes):
+        say(f"Note: {note}.")
+    if todo:
+        say(f"Training {counted(len(todo), 'run')}; compiling for the first time takes up to a minute.")
+    with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:
+        return execute.execute(planned, todo, store, how, on_progress or display.update)
 
 
 def open_data(
@@ -112,6 +153,7 @@ def open_data(
     conditions: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
+    say: Say = _silent,
 ) -> StudyData:
     """Open a study's finished runs of one budget, stored or published.
 
@@ -123,15 +165,15 @@ def open_data(
         conditions: names of conditions; default: all.
         settings: fields that are set in every condition.
         world: a key of `pneuma.worlds.WORLDS`; default: the arena where the study is run in it.
+        say: is told what is shown, and what else is stored.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
     """
-    from pneuma.analysis.asked import open_study
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex, open_study
 
     picked = _selection(seeds, steps, conditions, settings)
-    return open_study(RunIndex(_store(results)), os.fspath(study), picked, world)
+    return open_study(RunIndex(_store(results)), os.fspath(study), picked, world, say)
 
 
 def compare(
@@ -152,7 +194,7 @@ def compare(
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.
     """
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
     from pneuma.analysis.summaries import compare_conditions
 
     data = study if isinstance(study, StudyData) else open_data(study, results)

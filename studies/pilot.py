@@ -15,11 +15,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pneuma.analysis.asked import open_study
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.frames import StudyData, table_name
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection
 from pneuma.study.spec import load_study
@@ -64,7 +63,7 @@ def spreads(data: StudyData) -> Iterator[tuple[str, str, str, int, str]]:
             values = np.where(np.isinf(values), [run.budget for run in runs], values)  # as claims count it
             values = values[~np.isnan(values)]
             if values.size > 1:
-                yield table_name(data), condition, name, values.size, f"{values.std(ddof=1):.3g}"
+                yield data.table_name, condition, name, values.size, f"{values.std(ddof=1):.3g}"
 
 
 if __name__ == "__main__":

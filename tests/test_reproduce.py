@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims import fixed_amounts, with_claims
+from pneuma.analysis.claim_runs import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Study, list_studies, load_study
 from pneuma.study.store import Store
@@ -116,5 +116,5 @@ def test_a_pilot_tells_the_deviation_between_the_runs_of_a_condition(tmp_path: P
 
 def test_a_pilot_reads_the_studies_that_have_runs(tmp_path: Path) -> None:
     first = next(PILOT["studies_of"](str(tmp_path), {}))  # of the tables that come with Pneuma
-    assert first.study == "magic" and first.runs
-    assert {run.fields["slots"] for run in first.runs} == {4}
+    assert first.study.name == "magic" and first.rows
+    assert {run.fields["slots"] for run in first.rows} == {4}

@@ -13,12 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis.asked import open_study
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.frames import StudyData, view
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.files import checksum, read_json, read_whole
 from pneuma.study import tables
@@ -211,9 +210,9 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
 def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any) -> None:
     _swapped(store, name, change)
     data = study_of(store, ONE)
-    (run,) = data.runs
-    assert diagnose(view(data, run)) is not None
-    assert all(isinstance(outcome(data, run, own), float) for own in OUTCOMES)
+    (run,) = data.rows
+    assert diagnose(run) is not None
+    assert all(isinstance(outcome(run, own), float) for own in OUTCOMES)
     assert encode_table(data, "curves", "csv", store) and encode_published([run], {})
 
 

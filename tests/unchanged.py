@@ -18,9 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from pneuma.analysis.asked import open_study
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Study, list_studies, load_study

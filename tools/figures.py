@@ -21,12 +21,11 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.analysis.asked import Shown, ask, open_study, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.frames import StudyData, common_step
 from pneuma.analysis.judgement import judge
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, find_study, open_study, read_runs
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.config import BASES, as_fields, make_run
 from pneuma.errors import UserError
@@ -203,7 +202,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         )
         data = open_study(index, study)
         fresh = {run.seed for run in data.of_condition(winners[0].tuned)}
-        same_seeds = replace(data, runs=[run for run in data.runs if run.seed in fresh])
+        same_seeds = replace(data, runs=data.runs[data.runs["seed"].isin(fresh)])
         pages.append(winners_page(study, winners, same_seeds))
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
@@ -214,25 +213,27 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     """Return a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
-    shown = dict.fromkeys(run.condition for data in found.values() if data for run in data.runs)
+    shown = dict.fromkeys(name for data in found.values() if data for name in data.runs["condition"])
     columns = {title: data.of_conditions([*shown]) for title, data in found.items() if data}
     if not columns:  # tables of changed fields alone
         return []
     data = next(iter(columns.values()))
     if logs:
         every = open_study(index, logs)
-        least = (1 - SLACK) * (common_step(every) or 0)
-        whole = [run for run in every.runs if run.end >= least]
+        whole = every.runs["condition"][every.runs["end"] >= (1 - SLACK) * every.runs["end"].median()]
         names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
-        ours, beside = data.of_conditions(names), every.of_conditions([run.condition for run in whole])
+        ours, beside = data.of_conditions(names), every.of_conditions([*whole])
         return [curves_page(ours, "return", "runs", TRAILING_WINDOW, beside=beside, basename=study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
-        columns = {title: replace(each, outcomes=FORK_OUTCOMES) for title, each in columns.items()}
+        columns = {
+            title: replace(each, study=each.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
+            for title, each in columns.items()
+        }
         data = next(iter(columns.values()))
-    if len(data.outcomes) > 1:
+    if len(data.study.outcomes) > 1:
         several = len(columns) > 1
         pages = [summary_page(one, study + f"-{one.world}" * several) for one in columns.values()]
-    elif data.outcomes or len(shown) > MOST_IN_A_PANEL:
+    elif data.study.outcomes or len(shown) > MOST_IN_A_PANEL:
         pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
     else:
         pages = [curves_page(columns, basename=study)]
@@ -266,7 +267,7 @@ def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> di
         shown: set[str] = set()
         for settings, added in (({}, ""), (EARLIER, ", one environment")):
             data = _longest(index, study, world, conditions, settings)
-            trained = {run.condition for run in data.runs} if data else set()
+            trained = {*data.runs["condition"]} if data else set()
             if data and len(trained) > 1 and trained - shown:
                 columns[_title(world) + added] = data
                 shown |= trained
@@ -279,17 +280,23 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
         return {}
     columns = {}
     for said, names in OF_OWN_GAME[figure].items():
-        runs = [run for run in data.runs if run.condition in names and run.seed >= FRESH]
+        runs = data.runs[data.runs["condition"].isin(names) & (data.runs["seed"] >= FRESH)]
+        rows = [replace(row, condition=names[row.condition]) for row in runs["row"]]
+        labels = {
+            new: data.study.labels[old].partition(";")[0] for old, new in names.items() if new != "tanh"
+        }
+        study = data.study.model_copy(
+            update={"labels": labels, "conditions": dict.fromkeys(names.values(), {})}
+        )
         alone = figure == OWN_GAME
         columns[_capital(said) if alone else ", ".join(filter(None, ["Published code", said]))] = replace(
             data,
+            study=study,
             fields={new: data.fields[old] for old, new in names.items()},
-            runs=[replace(run, condition=names[run.condition]) for run in runs],
-            labels={new: data.labels[old].partition(";")[0] for old, new in names.items() if new != "tanh"},
-            same=(),
-            every=[*names.values()],
+            runs=runs.assign(condition=runs["condition"].map(names), row=rows),
+            configurations={},
         )
-    return {title: data for title, data in columns.items() if data.runs}
+    return {title: data for title, data in columns.items() if len(data.runs)}
 
 
 def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:
@@ -303,20 +310,13 @@ def _longest(
     index: RunIndex, study: str, world: str, conditions: Sequence[str], settings: Mapping[str, Any]
 ) -> StudyData | None:
     """Return runs of the longest budget that two conditions have, or of a condition's own if that is less."""
-    asked = ask(index, study, Selection(settings=settings, conditions=tuple(conditions)), world)
-    found = stored_runs(index, asked)
-    budgets: dict[str, list[int]] = {}
-    for name, _, entry in found:
-        budgets.setdefault(name, []).append(entry.steps)
-    if not budgets:
+    data = find_study(index, study, Selection(settings=settings, conditions=tuple(conditions)), world)
+    if not len(data.runs):
         return None
-    longest = sorted(map(max, budgets.values()), reverse=True)
-    most = (1 + SLACK) * longest[:2][-1]
-    ends = {
-        name: max((steps for steps in each if steps <= most), default=0) for name, each in budgets.items()
-    }
-    runs = [run for run in found if run[2].steps == ends[run[0]]]
-    return read_answer(index, Shown(asked, sorted(runs, key=lambda run: run[1])))
+    longest = data.runs.groupby("condition")["steps"].max().nlargest(2).iloc[-1]
+    runs = data.runs[data.runs["steps"] <= (1 + SLACK) * longest]
+    runs = runs[runs["steps"] == runs.groupby("condition")["steps"].transform("max")]
+    return read_runs(index, replace(data, runs=runs.sort_values("seed", kind="stable")))
 
 
 if __name__ == "__main__":

@@ -19,10 +19,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 from scipy.stats import spearmanr
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome_values
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import samples_of

@@ -131,8 +131,8 @@ def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     if row.margin is None:
         reason = f"no margin of {row.outcome} is stated"
     elif not half <= row.margin:
-        told = f"{sum(row.planned)} runs tell it to ±{half:.3g} only"
-        reason = f"{told}, and the margin is {row.margin:.3g}"
+        known = f"{sum(row.planned)} runs tell it to ±{half:.3g} only"
+        reason = f"{known}, and the margin is {row.margin:.3g}"
     return replace(row, spread=spread, half_width=half, why_undecidable=reason)
 
 

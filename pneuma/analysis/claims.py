@@ -6,7 +6,7 @@
     [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `claim_table.py`, and the preset `claims` of a study. The file's checksum
+studies/claims.toml → ClaimList → `claim_table.py`, and runs to train (`claim_runs.py`). The file's checksum
 and the version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
 """
 
@@ -29,10 +29,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
 from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
 from pneuma.study.spec import (
-    CLAIMS,
     CLAIMS_FILE,
-    Amount,
-    Preset,
     Study,
     load_study,
     studies_folder,
@@ -247,11 +244,13 @@ class ClaimList:
 
     Attributes:
         digest: SHA-256 of the file.
+        studies: those that claims are about, by what they call them.
     """
 
     path: Path
     digest: str
     claims: Mapping[str, Claim]
+    studies: Mapping[str, Study]
     head: ListHead = ListHead()
     pilot: Pilot | None = None
 
@@ -272,15 +271,17 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
     """
     file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
     said = read_model(ClaimsFile, file)
-    claims = {name: _read_claim(file, name, said) for name in said.claims}
+    studies: dict[str, Study] = {}
+    claims = {name: _read_claim(file, name, said, studies) for name in said.claims}
     for one, other in combinations(claims.values(), 2):
         if one.row == other.row and (both := {*one.worlds} & {*other.worlds}):
-            told = f"like: {one.name} and {other.name} share a row, and are both about the world {min(both)}"
-            raise file.mistake(("claims", other.name), told, "like")
-    return ClaimList(file.path, checksum(file.text.encode()), claims, said.list, said.pilot)
+            text = f"like: {one.name} and {other.name} share a row, and are both about the world {min(both)}"
+            raise file.mistake(("claims", other.name), text, "like")
+    return ClaimList(file.path, checksum(file.text.encode()), claims, studies, said.list, said.pilot)
 
 
-def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
+def _read_claim(file: TomlFile, name: str, said: ClaimsFile, studies: dict[str, Study]) -> Claim:
+    """Read a claim, and its study where `studies` lacks it."""
     where = ("claims", name)
     usual = file.table(("defaults",))
     if other := said.claims[name].get("like"):
@@ -289,12 +290,13 @@ def _read_claim(file: TomlFile, name: str, said: ClaimsFile) -> Claim:
             raise file.mistake(where, f"like: {unknown_name('claim', str(other), plain)}", "like")
         usual |= said.claims[other]
     claim = read_model(Claim, file, where, usual, {"name": name})
-    path = str(file.path.parent / claim.study) if claim.study.endswith(".toml") else claim.study
-    try:
-        study = load_study(path)
-    except UserError as error:
-        raise file.mistake(where, f"study: {error}", "study") from None
-    claim = _fix_runs(claim, said.list, file, where, study)
+    if claim.study not in studies:
+        is_path = claim.study.endswith(".toml")
+        try:
+            studies[claim.study] = load_study(str(file.path.parent / claim.study) if is_path else claim.study)
+        except UserError as error:
+            raise file.mistake(where, f"study: {error}", "study") from None
+    claim = _fix_runs(claim, said.list, file, where, studies[claim.study])
     claim = claim.model_copy(update={"margin": _filled(claim, said.margins)})
     if found := _mistake(claim, said.list):
         raise file.mistake(where, found[1], found[0])
@@ -359,6 +361,8 @@ def _mistake(claim: Claim, head: ListHead) -> tuple[str, str] | None:
         return "b", "a spread is compared with that of other conditions"
     if claim.kind == "range" and 1 in (len(claim.a), len(claim.b)):
         return "a", "a range is of two conditions or more"
+    if len({claim.steps[name] for name in claim.compared}) > 1:
+        return "steps", "steps: conditions that are compared end at one step"
     for key in ("margin", "value", "spread", "above", "below"):
         given = getattr(claim, key)
         for name in given if isinstance(given, dict) else ():
@@ -389,50 +393,3 @@ def _mistaken_number(claim: Claim, world: str, outcome: str) -> tuple[str, str] 
     if margin is not None and margin >= 1 and claim.counts:
         return "margin", f"margin = {margin} is not allowed: below 1, as it is a share of runs"
     return None
-
-
-# --- The preset `claims` ---------------------------------------------------------------------------
-
-
-def with_claims(study: Study, steps: int | None = None) -> Study:
-    """Return a study with the preset `claims`: the runs that claims beside its file fix in its world.
-
-    Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
-    claims fix several budgets, `steps` chooses one; any other number chooses the conditions of all.
-
-    Raises:
-        UserError: when no claim is about the study, or several budgets are possible.
-    """
-    found = fixed_amounts(study)
-    if not found:
-        raise UserError(
-            f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it in this world"
-        )
-    if len(found) > 1 and steps is None:
-        budgets = " or ".join(f"{each:,}" for each in found)
-        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
-    every = {name: preset for each in found.values() for name, preset in each.items()}
-    steps = steps or next(iter(found))
-    preset = Preset.model_construct(seeds=(), steps=steps, conditions=found.get(steps, every))
-    return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
-
-
-def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
-    """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
-        return {}
-    found: dict[int, dict[str, set[int]]] = {}
-    for claim in load_claims(beside).claims.values():
-        own = (beside.parent / claim.study).resolve() == study.path.resolve()
-        shipped = study.own_path is None and claim.study == study.path.stem
-        if (own or shipped) and study.world in claim.worlds:
-            for condition, seeds in claim.seeds.items():
-                found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
-    return {
-        steps: {
-            name: Amount.model_construct(seeds=tuple(sorted(seeds_of[name])), steps=steps)
-            for name in study.conditions
-            if name in seeds_of
-        }
-        for steps, seeds_of in found.items()
-    }

@@ -13,15 +13,14 @@ signs that decide nothing is known.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.frames import RunView, StudyData, view
 from pneuma.analysis.intervals import incidence_interval
+from pneuma.analysis.study_data import StudyData
 from pneuma.study.rows import Row
 from pneuma.study.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
@@ -60,16 +59,11 @@ class Diagnosis:
     signs: tuple[str, ...] = ()
 
 
-def diagnose(seen: RunView) -> Diagnosis:
-    run, played = seen.run, _played(seen)
+def diagnose(run: Row) -> Diagnosis:
+    played, found, distance = _played(run), run.signs, run.update_steps
     steps = played.steps
-    distance = _update_steps(run)
-    gap, shortest = GAP * seen.until + (distance or 0), SHORTEST * seen.until
-    found = {
-        sign: [(first, min(last, seen.last_step)) for first, last in parts if first <= seen.last_step]
-        for sign, parts in run.signs.items()
-    }
-    falls, losses = _falls(played), _losses(seen)
+    gap, shortest = GAP * run.budget + (distance or 0), SHORTEST * run.budget
+    falls, losses = _falls(played), _losses(run)
     sunk = _lasting(losses or [], gap, shortest)
     alone = found.get(NO_ENTROPY, [])
     if ONE_ACTION in found:
@@ -87,7 +81,7 @@ def diagnose(seen: RunView) -> Diagnosis:
     if fell and fell[0][0] == onset:
         sound = max(steps[steps < onset], default=0)
     elif lost and lost[0][0] == onset:
-        points, returns = seen.curve("return")
+        points, returns = run.known_curve("return")
         sound = points[returns[points < onset].argmax()]
     else:
         sound = max(onset - (distance or 1), 0)
@@ -106,8 +100,8 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     `collapsed` is missing where no sign that decides is recorded.
     """
     rows = []
-    for run in data.runs:
-        found = diagnose(view(data, run))
+    for run in data.rows:
+        found = diagnose(run)
         named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
         rows.append({**named, **vars(found), "signs": ", ".join(found.signs)})
     kinds = {"collapsed": "boolean"} | dict.fromkeys(
@@ -141,14 +135,14 @@ def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]
     return [part for part in joined(parts, gap) if part[1] - part[0] >= shortest]
 
 
-def _losses(seen: RunView) -> list[Stretch] | None:
+def _losses(run: Row) -> list[Stretch] | None:
     """Return where the return is below zero after having been above; None if that would mean nothing.
 
     In a world that resets XP, a low return is that of one episode only. The world of imported logs is
     unknown.
     """
-    steps, returns = seen.curve("return")
-    if not len(steps) or seen.run.fields.get("xp_scope") == "episode":
+    steps, returns = run.known_curve("return")
+    if not len(steps) or run.fields.get("xp_scope") == "episode":
         return None
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
@@ -165,13 +159,13 @@ class _Played(NamedTuple):
     random: float | None
 
 
-def _played(seen: RunView) -> _Played:
-    _, returned = seen.evaluations("random_return")
+def _played(run: Row) -> _Played:
+    _, returned = run.known_evaluations("random_return")
     if not len(returned):
-        _, random = seen.evaluations("random_share_killed")
-        return _Played(*seen.evaluations("share_killed"), float(random[0]) if len(random) else None)
-    _, spreads = seen.evaluations("random_spread")
-    steps, returns = seen.evaluations("return")
+        _, random = run.known_evaluations("random_share_killed")
+        return _Played(*run.known_evaluations("share_killed"), float(random[0]) if len(random) else None)
+    _, spreads = run.known_evaluations("random_spread")
+    steps, returns = run.known_evaluations("return")
     unit = 2 * max(spreads[0], 0.01 * abs(returned[0]), 1e-9) / DEPTH
     return _Played(steps, (returns - returned[0]) / unit, 0.0)
 
@@ -186,12 +180,6 @@ def _falls(played: _Played) -> list[Stretch]:
     learned = best - random >= enough
     fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= enough)
     return [(first, last) for first, last in stretches(steps, fallen) if last > first]
-
-
-def _update_steps(run: Row) -> int | None:
-    """Return the agent steps of one update; None if the run's fields do not say."""
-    counts = run.fields.get("horizon"), run.fields.get("slots"), run.fields.get("players", 1)
-    return math.prod(counts) or None if all(isinstance(count, int) for count in counts) else None
 
 
 # --- Stretches -------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import unknown_name
 from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.study.rows import Row
@@ -130,7 +130,7 @@ def _evaluated(run: Row, column: str) -> tuple[np.ndarray, np.ndarray]:
 def _shows_nothing(data: StudyData, name: str) -> bool:
     """Return whether no run has a value of a quantity, or ever takes the action whose share it is."""
     least = 0.0 if name in ACTION_QUANTITIES else -math.inf
-    return not any((data.curve(run, name) > least).any() for run in data.runs)
+    return not any((data.curve(run, name) > least).any() for run in data.rows)
 
 
 def curve_names(data: StudyData) -> list[str]:
@@ -159,7 +159,7 @@ def study_curves(data: StudyData, names: Sequence[str], window: str | None = Non
     known = curve_names(data)
     for name in names:
         if name not in known:
-            raise unknown_name(f"curve in {data.what} of study {data.study}", name, known)
+            raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, known)
     evaluated = {*EVALUATION_QUANTITIES} & {*known}
     return {
         name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)

@@ -12,8 +12,8 @@ import pandas as pd
 
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import decimals, shown
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
 from pneuma.study.measure import record_frame
@@ -49,12 +49,12 @@ def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
         return data.evaluations
     if table == "evaluations" or (data.averaged_over and table != "metrics"):
         known = ", ".join(name for name in EXPORT_TABLES if name != table)
-        raise UserError(f"study {data.study}: {data.what} holds no {table}; try {known}")
-    if any(run.published for run in data.runs):
+        raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {known}")
+    if any(run.published for run in data.rows):
         train = "train the runs, or choose others by --steps"
-        raise UserError(f"study {data.study}: published tables hold no {table}; {train}")
+        raise UserError(f"study {data.study.name}: published tables hold no {table}; {train}")
     frames = []
-    for run in data.runs:
+    for run in data.rows:
         frame = record_frame(store, run.run_id, table)
         for place, key in enumerate(("condition", "seed", "run_id")):
             frame = frame.drop(columns=key, errors="ignore")
@@ -70,7 +70,7 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     names = [name for name in EPISODE_QUANTITIES if name in known and data.has_curve(name, window_name)]
     names += ["share_killed"] if "share_killed" in known else []
     if not names:
-        raise UserError(f"study {data.study}: {data.what} holds no returns, and so no curves")
+        raise UserError(f"study {data.study.name}: {data.what} holds no returns, and so no curves")
     table = curves_table(study_curves(data, names, window), band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over

@@ -17,13 +17,13 @@ from itertools import groupby
 
 import numpy as np
 
-from pneuma.analysis.arms import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_runs
+from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_claim_runs
 from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex
 from pneuma.study.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
@@ -54,7 +54,7 @@ class Verdict:
     commits: tuple[str, ...] = ()
 
     @property
-    def told(self) -> tuple[ClaimContrast, ...]:
+    def deciding(self) -> tuple[ClaimContrast, ...]:
         """For each outcome the contrast that decides it, the first one with its verdict; or all pairs."""
         if self.claim.paired:
             return self.contrasts
@@ -92,7 +92,7 @@ def judge(
         planned.setdefault((row.claim.name, row.world), []).append(row)
     wanted = sum(asked(claim, world) for claim in claims.claims.values() for world in claim.worlds)
     verdicts: list[Verdict] = []
-    for runs in find_runs(RunIndex(store, stored, shipped=False), claims, asked):
+    for runs in find_claim_runs(RunIndex(store, stored, shipped=False), claims, asked):
         rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
         if rows[0].refused:
             reason = f"not admitted: {rows[0].refused}"

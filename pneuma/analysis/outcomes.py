@@ -1,11 +1,8 @@
-"""Outcomes: one number per run, which all summaries, tests and verdicts use.
-
-    StudyData, run and name → float; condition and name → (seeds,)
+"""Outcomes: one number per run, which summaries, contrasts and claims compare.
 
 An outcome is a function of a run's row; it is NaN if the run has none, and `reason` says why. A diverged run
-counts with its last recorded values in every outcome. Conditions of unlike budgets are compared at a step
-that all of them reached. "Final" is a run's last evaluation, or the last point of its training curve: the
-mean of the last 5 % of the budget.
+counts with its last recorded values in every outcome, and every run at its own end. "Final" is a run's last
+evaluation, or the last point of its training curve: the mean of the last 5 % of the budget.
 """
 
 from __future__ import annotations
@@ -21,8 +18,8 @@ import numpy as np
 from pneuma.algorithms import MAILMAN
 from pneuma.analysis import measures
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.frames import RunView, StudyData, common_step, view
 from pneuma.analysis.measures import NAN, Measure, Take, diagnosed, last_value, late_mean, peak
+from pneuma.analysis.study_data import StudyData
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
@@ -91,11 +88,11 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 
 def is_foreign(data: StudyData) -> bool:
-    return all(is_gymnasium_id(run.fields.get("env")) for run in data.runs)
+    return all(is_gymnasium_id(run.fields.get("env")) for run in data.rows)
 
 
 def without_monsters(data: StudyData) -> bool:
-    return all((env := run.fields.get("env")) == MAILMAN or is_gymnasium_id(env) for run in data.runs)
+    return all((env := run.fields.get("env")) == MAILMAN or is_gymnasium_id(env) for run in data.rows)
 
 
 def primary(data: StudyData) -> str:
@@ -111,21 +108,17 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
         )
 
 
-def outcome(data: StudyData, run: Row, name: str, at_step: float | None = None) -> float:
-    """Return a run's outcome at a step, or at its budget; NaN if it has none."""
-    found = find_outcome(name)
-    return NAN if run.ends_before(at_step) else found.measure(view(data, run, at_step))
+def outcome(run: Row, name: str) -> float:
+    """Return a run's outcome at its end; NaN if it has none."""
+    return find_outcome(name).measure(run)
 
 
 def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
-    """Return the outcome of each finished run of a condition, in the selection's order, (seeds,).
-
-    It is at the step at which a study's conditions are compared: `common_step`, or else each run's end.
-    """
-    if condition not in data.conditions:
-        raise unknown_name(f"condition of study {data.study}", condition, data.conditions)
-    at_step = common_step(data)
-    return np.array([outcome(data, run, name, at_step) for run in data.of_condition(condition)], float)
+    """Return the outcome of each finished run of a condition, in the order of seeds, (seeds,)."""
+    if condition not in data.fields:
+        raise unknown_name(f"condition of study {data.study.name}", condition, data.fields)
+    measure = find_outcome(name).measure
+    return np.array([measure(run) for run in data.of_condition(condition)], float)
 
 
 def find_outcome(name: str) -> Outcome:
@@ -162,17 +155,15 @@ def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
             raise UserError(f"the study's file, outcomes: {error}") from None
 
 
-def reason(data: StudyData, run: Row, name: str, at_step: float | None = None) -> str:
+def reason(run: Row, name: str) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
-    if not np.isnan(outcome(data, run, name, at_step)):
+    if not np.isnan(found.measure(run)):
         return ""
-    if run.ends_before(at_step):
-        return f"the run ends at step {run.end:,}, before the others are compared"
-    if found.source == "signs" and not diagnose(view(data, run, at_step)).collapsed:
+    if found.source == "signs" and not diagnose(run).collapsed:
         return "no sign of collapse is recorded, or there was none"
     end = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
-    return f"{end} has nothing that {name} is taken from ({found.source}) in {data.what}"
+    return f"{end} has nothing that {name} is taken from ({found.source}) in {run.what}"
 
 
 # --- The list --------------------------------------------------------------------------------------
@@ -191,8 +182,8 @@ def _evaluated(
 ) -> Outcome:
     """Return the outcome that takes a number from a column of the evaluations; NaN without a value."""
 
-    def measure(seen: RunView) -> float:
-        _, values = seen.evaluations(column)
+    def measure(run: Row) -> float:
+        _, values = run.known_evaluations(column)
         return float(take(values)) if len(values) else NAN
 
     return Outcome(words, unit, better, bounds, EVALUATED, measure, column=column, **more)
@@ -202,7 +193,7 @@ def _trained(
     words: str, unit: str, better: str, bounds: Bounds, quantity: str, statistic: str = "last"
 ) -> Outcome:
     """Return the outcome that is a statistic of a training curve; NaN without a value."""
-    return Outcome(words, unit, better, bounds, quantity, lambda seen: seen.statistic(quantity, statistic))
+    return Outcome(words, unit, better, bounds, quantity, lambda run: run.statistic(quantity, statistic))
 
 
 def _killed(words: str, take: Take = last_value, column: str = "share_killed") -> Outcome:

@@ -2,8 +2,8 @@
 
     outcomes of every run → a tidy table: condition, outcome, statistic, value, low, high, interval, runs
 
-Runs without a value of an outcome are left out of its statistics; `runs` counts the others. Conditions with
-different budgets are compared at the largest step that all reached.
+Runs without a value of an outcome are left out of its statistics; `runs` counts the others. Each run counts
+at its own end.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from pneuma.analysis import intervals
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval, shown
 from pneuma.analysis.outcomes import (
     PRIMARY,
@@ -28,6 +27,7 @@ from pneuma.analysis.outcomes import (
     primary,
     refuse_unlike_returns,
 )
+from pneuma.analysis.study_data import StudyData
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
 
@@ -62,7 +62,7 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     The shares of runs that diverged and collapsed are included, whichever outcomes are named.
     """
     usual = OF_FOREIGN if is_foreign(data) else (*SUMMARISED, *THRESHOLDS)
-    asked = (outcomes,) if isinstance(outcomes, str) else outcomes or data.outcomes or usual
+    asked = (outcomes,) if isinstance(outcomes, str) else outcomes or data.study.outcomes or usual
     names = [name for name in dict.fromkeys(asked) if name != "collapsed"]
     rows = [
         (condition, name, statistic, value, interval.low, interval.high, interval.method, runs)
@@ -172,12 +172,11 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
 
     The 95 % interval of the difference of means is Welch's. `p_better` is the probability that a run of a is
     better than one of b (ties count half), NaN for an outcome without a better direction, and for fewer than
-    `LEAST_FOR_BETTER` runs. Runs without a value are left out and counted in `without_value`. Runs with
-    different budgets are compared at the last step that all reached.
+    `LEAST_FOR_BETTER` runs. Runs without a value are left out and counted in `without_value`.
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
-    usual = data.outcomes or (primary(data), *COMPARED)
+    usual = data.study.outcomes or (primary(data), *COMPARED)
     unlike = not have_one_return(data, (a, b))
     outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
     for name in outcomes:
@@ -198,8 +197,8 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
             width = found.bounds[1] - found.bounds[0]
             interval = intervals.within(intervals.difference_interval(first, second), -width, width)
         sign = {"higher": 1, "lower": -1}.get(found.better, 0)
-        told = sign and fewer >= LEAST_FOR_BETTER
-        better = intervals.probability_of_improvement(sign * first, sign * second) if told else np.nan
+        known = sign and fewer >= LEAST_FOR_BETTER
+        better = intervals.probability_of_improvement(sign * first, sign * second) if known else np.nan
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
         difference = means[0] - means[1] if finite else np.nan
         yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts

@@ -128,13 +128,13 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
     columns, rows, quoted = worlds_of(claims), [], set()
     for name, judged in claims.items():
         claim = first_claim(name, judged)
-        text = f"“{sentence(claim) if whole else short_sentence(claim)}”"
-        told = claim.context if text in quoted and claim.context else text
-        quoted.add(text)
+        quote = f"“{sentence(claim) if whole else short_sentence(claim)}”"
+        shown = claim.context if quote in quoted and claim.context else quote
+        quoted.add(quote)
         rows.append(
             [
                 claim.section,
-                f"{told}\n{arms_in_words(claim)}",
+                f"{shown}\n{arms_in_words(claim)}",
                 *(cell(judged.get(world)) for world in columns),
             ]
         )
@@ -144,7 +144,7 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
 
 def cell(verdict: Verdict | None) -> str:
     """Return a verdict's word, and in the next lines its effects, or why there are none."""
-    return "–" if verdict is None else "\n".join(filter(None, (word(verdict), told(verdict))))
+    return "–" if verdict is None else "\n".join(filter(None, (word(verdict), text(verdict))))
 
 
 # --- One verdict -----------------------------------------------------------------------------------
@@ -154,9 +154,9 @@ def word(verdict: Verdict) -> str:
     return _WORD_OF[verdict.verdict]
 
 
-def told(verdict: Verdict) -> str:
+def text(verdict: Verdict) -> str:
     """Return the effect of each outcome, if any was tested, and what must be said beside or instead."""
-    tested = [row for row in verdict.told if row.has_effect and word(verdict) != NOT_TESTED]
+    tested = [row for row in verdict.deciding if row.has_effect and word(verdict) != NOT_TESTED]
     idle = "none plays better than at random" if any(row.none_learned for row in tested) else ""
     return "\n".join(filter(None, (*map(effect, tested), idle, why(verdict))))
 

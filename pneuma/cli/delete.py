@@ -3,66 +3,56 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, say
 from pneuma.errors import UserError, counted
-from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
 
-if TYPE_CHECKING:
-    from pneuma.analysis.asked import Asked
-    from pneuma.analysis.run_index import RunIndex
-
-YES = opt.flag("--yes", "Remove them without asking.")
+Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 
-def delete_study(picked: opt.Picked, name: str = opt.STUDY, yes: bool = YES) -> Result:
+def delete_study(
+    name: opt.Study,
+    yes: Yes = False,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+) -> Result:
     """Remove a study's runs from the results folder; without --steps those that are shown.
 
     Runs that another study has, which was run here too, stay. Published tables are not touched.
     """
-    from pneuma.analysis.asked import answer, ask
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex, choose_runs, find_study, studies_here
 
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     index = RunIndex(picked.store)
-    shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
-    here = {entry.run_id for *_, entry in shown.runs if entry.table is None}
-    others = {run_id: other for other, ids in _of_others(index, shown.asked) for run_id in ids}
+    data = choose_runs(index, find_study(index, name, picked.selection, picked.world), picked.selection)
+    here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study
+    others = {
+        run_id: other.study.name
+        for other in studies_here(index)
+        if (other.study.name, other.study.world) != (study.name, study.world)
+        for run_id in other.runs["run_id"]
+    }
     kept = here & others.keys()
     notes = [f"Note: kept, as {others[min(kept)]} has them too: {counted(len(kept), 'run')}."] if kept else []
     result = _delete(index.store, sorted(here - kept), yes, notes)
-    if shown.asked.study.path is None and len(result.document["removed"]) == len(shown.runs):
+    if study.path is None and len(result.document["removed"]) == len(data.runs):
         index.store.listing_path(name).unlink()
     return result
 
 
-def delete_run(name: str = opt.RUN, yes: bool = YES, results: Path = opt.RESULTS) -> Result:
+def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HERE) -> Result:
     """Remove one stored run."""
     store = Store(results)
     return _delete(store, [find_run(store, name)], yes)
-
-
-def _of_others(index: RunIndex, asked: Asked) -> Iterator[tuple[str, set[str]]]:
-    """Yield each other study that was run in the results folder, with the ids of its runs."""
-    from pneuma.analysis.asked import ask, stored_runs
-
-    for name in index.listings():
-        if name != asked.study.name and (listing := index.listing(name)):
-            yield name, {run["run_id"] for run in listing["runs"]}
-    for name in index.store.last_studies():
-        with suppress(UserError):  # the file is in another folder
-            for world in load_study(name).worlds:
-                if (name, world) != (asked.study.name, asked.study.world):
-                    yield (
-                        name,
-                        {entry.run_id for *_, entry in stored_runs(index, ask(index, name, world=world))},
-                    )
 
 
 def _delete(store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] = ()) -> Result:
@@ -80,8 +70,8 @@ def _delete(store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] 
         return Result({"removed": []}, ["Nothing was removed."])
     for name in names:
         store.delete_run(name)
-    told = f"Removed {counted(len(names), 'run')} from {store.root}."
-    return Result({"removed": [*names]}, [told], notes=notes)
+    text = f"Removed {counted(len(names), 'run')} from {store.root}."
+    return Result({"removed": [*names]}, [text], notes=notes)
 
 
 def _agreed(question: str) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result
@@ -26,8 +26,8 @@ ABOUT = {
 
 CAMERAS = ("map", "follow")
 
-ENVIRONMENT = "ID", "An environment's id, as in `pneuma env list`."
-SEED = opt.number("--seed", "Seed of the world.", 0, min=0)
+Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
+Seed = Annotated[int, opt.number("--seed", "Seed of the world.", min=0)]
 
 
 @app.command("list")
@@ -50,18 +50,23 @@ def list_() -> Result:
 
 @app.command()
 def render(
-    name: str = opt.argument(*ENVIRONMENT),
-    out: Path = opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.", default=opt.REQUIRED),
-    player: str = opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.", default="random"),
-    camera: opt.Text = opt.choice(
-        "--camera", CAMERAS, "The whole map (as a picture), or a player (as a video)."
-    ),
-    seed: int = SEED,
-    seconds: float = opt.number("--seconds", "Most seconds of an episode in a video.", 20.0, min=1.0),
-    set_: opt.SeveralRead = opt.SETTINGS,
-    trust: bool = opt.TRUST,
-    results: Path = opt.RESULTS,
-) -> None:
+    name: Environment,
+    out: Annotated[Path, opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
+    player: Annotated[
+        str, opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.")
+    ] = "random",
+    camera: Annotated[
+        str | None,
+        opt.choice("--camera", CAMERAS, "The whole map (as a picture), or a player (as a video)."),
+    ] = None,
+    seed: Seed = 0,
+    seconds: Annotated[
+        float, opt.number("--seconds", "Most seconds of an episode in a video.", min=1.0)
+    ] = 20.0,
+    set_: opt.Settings = None,
+    trust: opt.Trust = False,
+    results: opt.Results = opt.HERE,
+) -> Result:
     """Draw the world as a picture, or an episode as a video.
 
     A video shows the first --seconds of an episode, which ends two seconds after the last monster's
@@ -91,16 +96,16 @@ def render(
     acts = make_act(worlds)
     most = 1 + round(seconds * frame_rate(per_step)) if moving else 1  # the first shows the start
     write_video(out, islice(episode_frames(worlds, acts, renderer, per_step), most), frame_rate(per_step))
-    print(f"wrote {out}" + (f": {_story(worlds)}" if moving else ""))
+    return Result({"file": out}, [f"wrote {out}" + (f": {_story(worlds)}" if moving else "")])
 
 
 @app.command()
 def play(
-    name: str = opt.argument(*ENVIRONMENT, default="pneuma/Pneuma-v0"),
-    camera: str = opt.choice("--camera", CAMERAS, "What to see.", default="follow"),
-    seed: int = SEED,
-    set_: opt.SeveralRead = opt.SETTINGS,
-) -> None:
+    name: Environment = "pneuma/Pneuma-v0",
+    camera: Annotated[str, opt.choice("--camera", CAMERAS, "What to see.")] = "follow",
+    seed: Seed = 0,
+    set_: opt.Settings = None,
+) -> Result:
     """Play with the keyboard. The world waits while you hold no key.
 
     Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
@@ -127,6 +132,7 @@ def play(
 
     rate = round(frame_rate(FRAMES_PER_STEP))
     play_by_keys(env, fps=rate, callback=tell_end, seed=seed, wait_on_player=True)
+    return Result({"environment": name})
 
 
 def _check_drawable(name: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, command, say, write_file
@@ -19,13 +19,13 @@ logs = opt.Commands("Make a study of old logs.")
 
 
 def report(
-    out: Path = opt.option("--out", "FILE", "The page to write, ending in .html.", default=opt.REQUIRED),
-    names: opt.Several = opt.argument(
-        "NAME", "Studies; left out: all that are shipped or were run.", default=None
-    ),
-    force: bool = opt.FORCE,
-    results: Path = opt.RESULTS,
-    quiet: bool = opt.QUIET,
+    out: Annotated[Path, opt.option("--out", "FILE", "The page to write, ending in .html.")],
+    names: Annotated[
+        opt.Several, opt.argument("NAME", "Studies; left out: all that are shipped or were run.")
+    ] = None,
+    force: opt.Force = False,
+    results: opt.Results = opt.HERE,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"), force)
@@ -43,7 +43,7 @@ def report(
     return Result({"file": out, "bytes": len(page), "studies": studies, "claims": claims}, [told])
 
 
-def figure(file: Path = opt.argument("FILE", "A PNG that Pneuma drew.")) -> Result:
+def figure(file: Annotated[Path, opt.argument("FILE", "A PNG that Pneuma drew.")]) -> Result:
     """Say where a figure comes from: the command that draws it, and the runs that it shows."""
     from pneuma.figures.origin import read_origin
 
@@ -57,9 +57,13 @@ def figure(file: Path = opt.argument("FILE", "A PNG that Pneuma drew.")) -> Resu
 
 @logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
-    folders: list[Path] = opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one."),
-    name: opt.Text = opt.option("--name", "NAME", "The study's name (default: the folder's)."),
-    results: Path = opt.RESULTS,
+    folders: Annotated[
+        list[Path], opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one.")
+    ],
+    name: Annotated[
+        str | None, opt.option("--name", "NAME", "The study's name (default: the folder's).")
+    ] = None,
+    results: opt.Results = opt.HERE,
 ) -> Result:
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported import import_tensorboard
@@ -69,18 +73,24 @@ def tensorboard(
 
 @logs.command(short_help="Import CSV files: wandb's exports, Stable-Baselines3's, or any other.")
 def csv(
-    files: list[Path] = opt.argument(
-        "FILE", "wandb's export, monitor.csv, progress.csv, or any NAME_SEED.csv."
-    ),
-    step: str = opt.option(
-        "--step", "COLUMN", "The column of agent steps, where a file does not tell.", default=""
-    ),
-    returns: str = opt.option("--return", "COLUMN", "That of returns; of wandb's RUN - COLUMN.", default=""),
-    averaged_over: Any = opt.count(
-        "--averaged-over", "Episodes that a return is the mean of, where a file does not tell."
-    ),
-    name: opt.Text = opt.option("--name", "NAME", "The study's name (default: the file's or folder's)."),
-    results: Path = opt.RESULTS,
+    files: Annotated[
+        list[Path],
+        opt.argument("FILE", "wandb's export, monitor.csv, progress.csv, or any NAME_SEED.csv."),
+    ],
+    step: Annotated[
+        str, opt.option("--step", "COLUMN", "The column of agent steps, where a file does not tell.")
+    ] = "",
+    returns: Annotated[
+        str, opt.option("--return", "COLUMN", "That of returns; of wandb's RUN - COLUMN.")
+    ] = "",
+    averaged_over: Annotated[
+        Any,
+        opt.count("--averaged-over", "Episodes that a return is the mean of, where a file does not tell."),
+    ] = None,
+    name: Annotated[
+        str | None, opt.option("--name", "NAME", "The study's name (default: the file's or folder's).")
+    ] = None,
+    results: opt.Results = opt.HERE,
 ) -> Result:
     """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""
     from pneuma.study.imported_csv import import_csv

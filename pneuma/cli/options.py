@@ -1,35 +1,26 @@
-"""Options: how they are declared, those that several commands share, and those that come together.
+"""Options: how they are declared, and those that several commands share.
 
-A command's options are its parameters, whose defaults declare them, or the fields of a dataclass that is a
-parameter of it: `Picked`, `Chosen`, `Place` or `PlaceToLeave`. It returns a `Result`,
-which `--json` prints for programs.
+A command's parameters are annotated with options, as `steps: opt.Steps = None`. It returns a `Result`, which
+`Command` prints, with `--json` for programs.
 """
 
 from __future__ import annotations
 
 import functools
-import inspect
 import shlex
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
+from typer.main import get_command
 
 from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.executors.base import (
-    EXECUTORS,
-    LOCAL,
-    LOCAL_CONFIG,
-    RAY,
-    SLURM,
-    ExecutorConfig,
-    load_executor,
-)
+from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, SLURM, ExecutorConfig, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, PRESETS
 from pneuma.study.store import Store
@@ -37,40 +28,30 @@ from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, set
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
 
 # --- How options are declared ----------------------------------------------------------------------
 
 
-def option(
-    name: str,
-    metavar: str,
-    help_text: str,
-    read: Callable[[str], Any] | None = None,
-    default: Any = None,
-) -> Any:
+def option(name: str, metavar: str, help_text: str, read: Callable[[str], Any] | None = None) -> Any:
     """Return an option; `read` converts its text."""
-    return typer.Option(default, name, metavar=metavar, help=help_text, parser=read)
+    return typer.Option(name, metavar=metavar, help=help_text, parser=read)
 
 
-REQUIRED = ...
-"""The default of an option that may not be left out."""
-
-
-def argument(metavar: str, help_text: str, default: Any = ...) -> Any:
-    return typer.Argument(default, metavar=metavar, help=help_text, show_default=False)
+def argument(metavar: str, help_text: str) -> Any:
+    return typer.Argument(metavar=metavar, help=help_text, show_default=False)
 
 
 def flag(name: str, help_text: str) -> Any:
-    return typer.Option(False, name, help=help_text)
+    return typer.Option(name, help=help_text)
 
 
-def number(name: str, help_text: str, default: Any = None, **limits: Any) -> Any:
-    """Return an option for a number within limits; `metavar` is N."""
-    return typer.Option(default, name, help=help_text, **{"metavar": "N", **limits})
+def number(name: str, help_text: str, metavar: str = "N", **limits: Any) -> Any:
+    """Return an option for a number within limits."""
+    return typer.Option(name, help=help_text, metavar=metavar, **limits)
 
 
-def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "", default: Any = None) -> Any:
+def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "") -> Any:
     """Return an option with a fixed set of values."""
     names = tuple(allowed)
 
@@ -80,12 +61,12 @@ def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "",
         return text
 
     return typer.Option(
-        default, name, metavar=metavar or "|".join(names), help=help_text, parser=read,
+        name, metavar=metavar or "|".join(names), help=help_text, parser=read,
         autocompletion=lambda: [*names],
     )  # fmt: skip
 
 
-def count(name: str, help_text: str, default: Any = None) -> Any:
+def count(name: str, help_text: str) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
     def read(text: str) -> int:
@@ -97,10 +78,10 @@ def count(name: str, help_text: str, default: Any = None) -> Any:
             raise UserError(f"{name} {text}: must be a whole number of at least 1")
         return int(number)
 
-    return option(name, "N", help_text, read, default=default)
+    return option(name, "N", help_text, read)
 
 
-def seeds(name: str, help_text: str, first: int = 0, default: Any = None) -> Any:
+def seeds(name: str, help_text: str, first: int = 0) -> Any:
     """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
 
     def read(text: str) -> tuple[int, ...]:
@@ -112,7 +93,7 @@ def seeds(name: str, help_text: str, first: int = 0, default: Any = None) -> Any
         except (ValueError, IndexError):
             raise UserError(f"{name} {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
 
-    return option(name, "N|LIST", help_text, read, default=default)
+    return option(name, "N|LIST", help_text, read)
 
 
 def _span(text: str) -> range:
@@ -140,65 +121,90 @@ def _read_setting(text: str) -> tuple[str, Any]:
 
 # --- The options -----------------------------------------------------------------------------------
 
-Text = str | None
-"""An option that may be left out."""
 Several = list[str] | None
-"""An option that may be repeated."""
+"""The type of an option that may be repeated."""
 SeveralRead = list[Any] | None
-"""One whose texts are converted."""
+"""That of one whose texts are converted; `Any` is that of a single one."""
 
-STUDY = argument("NAME", "A study's name, or the path of a study file (….toml).")
-RUN = argument("RUN_ID", "A stored run's id, or its first digits.")
-RESULTS = typer.Option(
-    Path("results"), "--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept."
-)
-JSON = flag("--json", "Print one JSON document on standard output.")
-OUTPUT_FORMAT = choice(
-    "--format", OUTPUT_FORMATS, "How to print it; --json is short for json.", default="table"
-)
-QUIET = flag("--quiet", "Print nothing but results and mistakes.")
-FORCE = flag("--force", "Replace the file even if Pneuma has not made it.")
-TRUST = flag("--trust", "Use files, code and arguments of its environment that the run names.")
-RETRY_FAILED = flag("--retry-failed", "Try runs again that crashed before.")
-STEPS = count("--steps", "Steps of each run, rounded up to whole updates.")
-WORKERS = count("--workers", "Runs trained at once (default: one a core).")
-SETTINGS = option(
-    "--set",
-    "KEY=VALUE",
-    "Set a field of the run, or of the world (may be repeated).",
-    _read_setting,
-)
+Study = Annotated[str, argument("NAME", "A study's name, or the path of a study file (….toml).")]
+RunId = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.")]
+HERE = Path("results")
+Results = Annotated[
+    Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
+]
+Format = Annotated[str, choice("--format", OUTPUT_FORMATS, "How to print it; --json is short for json.")]
+TABLE = OUTPUT_FORMATS[0]
+"""The default of `Format`."""
+Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
+Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
+Trust = Annotated[
+    bool, flag("--trust", "Use files, code and arguments of its environment that the run names.")
+]
+RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
+Seeds = Annotated[
+    Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
+]
+Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole updates.")]
+StoredSteps = Annotated[Any, count("--steps", "Runs of so many steps (default: those last trained here).")]
+Conditions = Annotated[Several, option("--condition", "NAME", "Only this condition (may be repeated).")]
+Settings = Annotated[
+    SeveralRead,
+    option("--set", "KEY=VALUE", "Set a field of the run, or of the world (may be repeated).", _read_setting),
+]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
-WORLD = choice(
-    "--world", WORLDS, "Whose rules: the arena (default), the thesis's text, or its published code."
-)
-FORMATS = choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
-PLOT_FOLDER = option("--out", "DIR", "Where to write (default: RESULTS/figures).")
-OUTCOMES = option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
+World = Annotated[
+    str | None,
+    choice("--world", WORLDS, "Whose rules: the arena (default), the thesis's text, or its published code."),
+]
+Preset = Annotated[
+    str | None,
+    option("--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick, or the first)."),
+]
+Formats = Annotated[
+    SeveralRead, choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
+]
+PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
+Outcomes = Annotated[
+    Several, option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
+]
+Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
+Executor = Annotated[
+    str | None,
+    choice("--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says (default: local)."),
+]
+Address = Annotated[
+    str | None, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
+]
+Slurm = Annotated[
+    SeveralRead,
+    option(
+        "--slurm",
+        "KEY=VALUE",
+        "What jobs of --executor slurm ask for: partition, time, mem, …",
+        _key_and_value("--slurm", "partition=short"),
+    ),
+]
 
 
-def seeds_of_runs(default: str | None = None) -> Any:
-    help_text = "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone."
-    return seeds("--seeds", help_text, default=default)
-
-
-# --- Options that come together --------------------------------------------------------------------
+# --- What they say together ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Picked:
-    """Which stored runs of a study a command reads."""
+class RunFilter:
+    """Which runs of a study a command reads, or trains: the options that choose them."""
 
-    seeds: Any = seeds_of_runs()
-    steps: Any = count("--steps", "Runs of so many steps (default: those last trained here).")
-    condition: Several = option("--condition", "NAME", "Only this condition (may be repeated).")
-    set_: SeveralRead = SETTINGS
-    world: Text = WORLD
-    results: Path = RESULTS
+    seeds: Any = None
+    steps: Any = None
+    condition: Several = None
+    set_: SeveralRead = None
+    world: str | None = None
+    results: Path = HERE
+    preset: str | None = None
 
     @property
     def selection(self) -> Selection:
-        return Selection(None, self.seeds, self.steps, tuple(self.condition or ()), dict(self.set_ or ()))
+        conditions = tuple(self.condition or ())
+        return Selection(self.preset, self.seeds, self.steps, conditions, dict(self.set_ or ()))
 
     @property
     def store(self) -> Store:
@@ -206,11 +212,13 @@ class Picked:
 
     def open(self, name: str) -> StudyData:
         """Open the finished runs of a study, and say what is shown and what else is stored."""
-        from pneuma.analysis.asked import open_study
-        from pneuma.analysis.run_index import RunIndex
+        from pneuma import api  # pydantic: not for `--help`
 
-        tell = functools.partial(say, aside=True)
-        return open_study(RunIndex(self.store), name, self.selection, self.world, tell)
+        picked, aside = self.selection, functools.partial(say, aside=True)
+        return api.open_data(
+            name, self.results, steps=picked.steps, seeds=picked.seeds, conditions=picked.conditions,
+            settings=picked.settings, world=self.world, say=aside,
+        )  # fmt: skip
 
     def again(self, data: StudyData, *words: str, **look: Iterable[str]) -> str:
         """Return the command that draws a figure of some data again, whatever budget is trained meanwhile.
@@ -224,60 +232,23 @@ class Picked:
         return shlex.join(["pneuma", "study", *words, *chosen, *options, *where])
 
 
-@dataclass(frozen=True)
-class Chosen(Picked):
-    """Which runs of a study a command trains."""
-
-    steps: Any = STEPS
-    preset: Text = option(
-        "--preset",
-        "|".join((*PRESETS, CLAIMS)),
-        "How much to run (default: quick, or the first).",
-    )
-
-    @property
-    def selection(self) -> Selection:
-        return replace(super().selection, preset=self.preset)
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where runs train, and how many at once."""
-
-    workers: Any = WORKERS
-    executor: str = choice(
-        "--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says.", default=LOCAL
-    )
-    address: Text = option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
-    slurm: SeveralRead = option(
-        "--slurm",
-        "KEY=VALUE",
-        "What jobs of --executor slurm ask for: partition, time, mem, …",
-        _key_and_value("--slurm", "partition=short"),
-    )
-    detach = False
-
-    def config(self) -> ExecutorConfig:
-        """Return where and how runs train; refuse options that do not go together."""
-        for name, executor in (("address", RAY), ("slurm", SLURM), ("detach", SLURM)):
-            if getattr(self, name) and self.executor != executor:
-                raise UserError(f"--{name}: goes with --executor {executor}")
-        slurm = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
-        place = ExecutorConfig(executor=self.executor, address=self.address, slurm=slurm, detach=self.detach)
-        return replace(place, workers=most_workers(self.workers, place))
-
-
-@dataclass(frozen=True)
-class PlaceToLeave(Place):
-    """The same, for a command that need not wait for its runs."""
-
-    detach: bool = flag("--detach", "Leave once jobs of --executor slurm are submitted.")
-
-
-def most_workers(asked: int | None, place: ExecutorConfig = LOCAL_CONFIG) -> int:
-    """Return how many runs train at once: `--workers`, or what the executor has room for."""
-    room = load_executor(place).most_workers(place)  # refuses a place that cannot be reached
-    return asked or room
+def place(
+    workers: int | None = None,
+    executor: str | None = None,
+    address: str | None = None,
+    slurm: SeveralRead = None,
+    detach: bool = False,
+) -> ExecutorConfig:
+    """Return where runs train, and how many at once; refuse options that do not go together."""
+    executor = executor or LOCAL
+    given = {"address": (address, RAY), "slurm": (slurm, SLURM), "detach": (detach, SLURM)}
+    for name, (value, needed) in given.items():
+        if value and executor != needed:
+            raise UserError(f"--{name}: goes with --executor {needed}")
+    asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
+    config = ExecutorConfig(executor=executor, address=address, slurm=asked, detach=detach)
+    room = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
+    return replace(config, workers=workers or room)
 
 
 def selecting_words(selection: Selection) -> list[str]:
@@ -295,55 +266,43 @@ def selecting_words(selection: Selection) -> list[str]:
 # --- Commands --------------------------------------------------------------------------------------
 
 
+class Command(TyperCommand):
+    """A command whose result is printed, with `--json` as one document."""
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        """Make a command with its own options and `--json`."""
+        super().__init__(*given, **more)
+        self.params += _options_of_all()
+
+    def invoke(self, ctx: Any) -> int:
+        json = ctx.params.pop("json")
+        with kept_for_the_result():
+            result: Result = super().invoke(ctx)
+        if json and result.file:
+            raise UserError("--json: standard output is for the table; name a file by --out")
+        print_result(result, "json" if json else result.form)
+        return result.code
+
+
+@functools.cache
+def _options_of_all() -> list[Any]:
+    """Return the options of every command, as Typer makes them."""
+    app = typer.Typer(add_completion=False)
+
+    @app.command()
+    def _command(
+        json: Annotated[bool, flag("--json", "Print one JSON document on standard output.")] = False,
+    ) -> None: ...
+
+    return get_command(app).params
+
+
 class Commands(typer.Typer):
-    """A group of commands whose options may come in dataclasses, and whose results are printed."""
+    """A group of commands."""
 
     def __init__(self, help_text: str, **more: Any) -> None:
         """Make a group without commands."""
         super().__init__(help=help_text, no_args_is_help=True, rich_markup_mode=None, **more)
 
-    def command(self, name: str | None = None, **more: Any) -> Callable[[Function], Function]:
-        register = super().command(name, **more)
-
-        def add(function: Function) -> Function:
-            register(_as_command(function))
-            return function
-
-        return add
-
-
-Function = TypeVar("Function", bound=Callable[..., Result | None])
-
-
-def _as_command(function: Callable[..., Result | None]) -> Callable[..., int]:
-    """Return a command that takes the fields of dataclasses as options, and prints the result.
-
-    Typer makes a command's options from its signature. If it returns a result, `--json` is one of them.
-    """
-    signature = inspect.signature(function, eval_str=True)
-    parameters, groups = [], {}
-    for name, one in signature.parameters.items():
-        if is_dataclass(group := one.annotation) and isinstance(group, type):
-            groups[name] = [*inspect.signature(group, eval_str=True).parameters.values()]
-        parameters += groups.get(name, [one])
-    takes_json, of_result = "json" in signature.parameters, signature.return_annotation is not None
-    if of_result and not takes_json:
-        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        parameters.append(inspect.Parameter("json", kind, default=JSON, annotation=bool))
-
-    @functools.wraps(function)
-    def run(**given: Any) -> int:
-        json = given.get("json", False) if takes_json else given.pop("json", False)
-        for name, options in groups.items():
-            fields = {option.name: given.pop(option.name) for option in options}
-            given[name] = signature.parameters[name].annotation(**fields)
-        with kept_for_the_result() if of_result else nullcontext():
-            result = function(**given)
-        if result is None:
-            return 0
-        print_result(result, "json" if json else result.form)
-        return result.code
-
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {one.name: one.annotation for one in parameters}
-    return run
+    def command(self, name: str | None = None, **more: Any) -> Any:
+        return super().command(name, cls=Command, **more)

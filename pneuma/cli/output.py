@@ -50,15 +50,15 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
 
 def progress_of(what: str) -> Callable[[int, int], None]:
     """Return a function that says on standard error how far a long computation is, every few seconds."""
-    told = time.monotonic()
+    printed = time.monotonic()
 
-    def tell(done: int, of: int) -> None:
-        nonlocal told
-        if time.monotonic() >= told + PROGRESS_SECONDS and done < of:
-            told = time.monotonic()
+    def report(done: int, of: int) -> None:
+        nonlocal printed
+        if time.monotonic() >= printed + PROGRESS_SECONDS and done < of:
+            printed = time.monotonic()
             print_aside(f"{done} of {of} {what}")
 
-    return tell
+    return report
 
 
 def command(*words: object) -> str:

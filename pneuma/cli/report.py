@@ -10,12 +10,10 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.asked import Shown, answer, ask, read_answer, stored_runs
 from pneuma.analysis.claims import load_claims
-from pneuma.analysis.frames import step_note
-from pneuma.analysis.held import studies_here
 from pneuma.analysis.judgement import judge
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, choose_runs, find_study, read_runs, studies_here
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.errors import UserError, counted
@@ -29,17 +27,22 @@ from pneuma.worlds import WORLDS
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """The provenance shown for runs: without times, in which equal runs differ."""
+RUN_COLUMNS = ("run_id", "condition", "seed", "status", "engine")
 LONGEST_VALUE = 300
 """Most characters of a value that are shown."""
 
 
-def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None]) -> dict[str, Any]:
+def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]) -> dict[str, Any]:
     """Return the contents of `report_page` for some studies, or for all that are shipped or were run here.
 
     If none of them is one of the thesis's, the page has their titles and judges no claims.
     """
     index, shipped = RunIndex(store), spec.list_studies()
-    here = [] if names else list(dict.fromkeys(held.name for held in studies_here(index)))
+    here = (
+        []
+        if names
+        else list(dict.fromkeys(one.study.own_path or one.study.name for one in studies_here(index)))
+    )
     listed = [] if names else index.listings()
     asked = list(names) or list(dict.fromkeys([*shipped, *here, *listed]))
     if here and not {*here} & {*shipped} and not names:
@@ -51,10 +54,10 @@ def gather_report(store: Store, names: Sequence[str], tell: Callable[[str], None
             claims, note = _judged_claims(store, asked)
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
         unjudged = _without_folder(store, error)
-        tell(f"Note: {error}; no claim is judged.")
+        say(f"Note: {error}; no claim is judged.")
     sections = []
     for place, name in enumerate(asked, 1):
-        tell(f"{place}/{len(asked)} {name}")
+        say(f"{place}/{len(asked)} {name}")
         sections.append(_section(index, name))
     sections.sort(key=lambda section: (not section["section"], section["section"], section["study"]))
     title = "" if {*asked} & {*shipped} else "; ".join(section["title"] for section in sections)
@@ -78,8 +81,7 @@ def _judged_claims(store: Store, studies: Collection[str]) -> tuple[Verdicts, st
 
 def _section(index: RunIndex, name: str) -> dict[str, Any]:
     """Return a study in each of its worlds."""
-    asked = ask(index, name)
-    study = asked.study
+    study = find_study(index, name).study
     worlds = study.worlds if study.path else (None,)
     return {
         "study": study.name,
@@ -94,51 +96,48 @@ def _section(index: RunIndex, name: str) -> dict[str, Any]:
 
 
 def _part(index: RunIndex, name: str, world: str | None) -> Part:
-    asked = ask(index, name, world=world)
-    study = asked.study
+    data = find_study(index, name, world=world)
+    study = data.study
     label = f"{study.name} in {WORLDS[world].title}" if len(study.worlds) > 1 and world else study.name
     words = shlex.join(spec.asked_words(study))
     part = Part(label, words, f"In {WORLDS[world].title}" if world else "")
     part.fix = spec.run_command(study) if study.path else ""
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
-    environments = dict.fromkeys(str(fields.get("env")) for fields in asked.fields.values())
+    environments = dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())
     part.where = ", ".join(titles.get(env, env) for env in environments)
-    if not stored_runs(index, asked):
+    if not len(data.runs):
         part.notes = ["No runs yet."]
         return part
-    shown = answer(index, asked)
-    part.notes = [
-        f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in asked.same
-    ]
-    runs, steps = counted(len(shown.runs), "run"), max(entry.steps for *_, entry in shown.runs)
-    part.extent = f"{counted(len(asked.fields), 'condition')}, {runs} of up to {steps:,} agent steps"
-    part.conditions = _conditions(label, asked.fields)
-    part.runs = [
-        (entry.run_id, condition, seed, entry.status, str(asked.fields[condition].get("engine") or "unknown"))
-        for condition, seed, entry in shown.runs
-    ]
-    missing = sum(not entry.finished for *_, entry in shown.runs)
+    data = choose_runs(index, data)
+    runs = data.runs
+    part.notes = [f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in data.same]
+    count, steps = counted(len(runs), "run"), runs["steps"].max()
+    part.extent = f"{counted(len(data.fields), 'condition')}, {count} of up to {steps:,} agent steps"
+    part.conditions = _conditions(label, data.fields)
+    engines = runs["condition"].map(lambda name: str(data.fields[name].get("engine") or "unknown"))
+    part.runs = runs.assign(engine=engines)[
+        ["run_id", "condition", "seed", "status", "engine"]
+    ].values.tolist()
+    missing = len(runs) - len(data.finished)
     if missing:
-        part.notes.append(
-            f"{missing} of {len(shown.runs)} runs are not finished or damaged, and left out below."
-        )
+        part.notes.append(f"{missing} of {len(runs)} runs are not finished or damaged, and left out below.")
     else:
         part.fix = ""
-    if diverged := sum(entry.status == "diverged" for *_, entry in shown.runs):
-        part.notes.append(f"{diverged} of {len(shown.runs)} runs diverged; they count in every number below.")
-    if missing < len(shown.runs):
-        _add_data(index, part, shown)
+    if diverged := (runs["status"] == "diverged").sum():
+        part.notes.append(f"{diverged} of {len(runs)} runs diverged; they count in every number below.")
+    if missing < len(runs):
+        _add_data(index, part, data)
     return part
 
 
-def _add_data(index: RunIndex, part: Part, shown: Shown) -> None:
+def _add_data(index: RunIndex, part: Part, data: StudyData) -> None:
     try:
-        data = read_answer(index, shown)
-        part.notes += filter(None, [step_note(data)])
+        data = read_runs(index, data)
+        part.notes += filter(None, [data.ends])
         part.numbers = numbers_table(part.label, summary_table(data))
-        origins = Counter(tuple(_facts(run).items()) for run in data.runs)
+        origins = Counter(tuple(_facts(run).items()) for run in data.rows)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
-        steps = f" --steps {shown.budget}" if shown.budget else ""
+        steps = f" --steps {data.steps}" if data.steps else ""
         part.pictures = study_pictures(data, part.words + steps)
     except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         part.notes.append(_without_folder(index.store, error))

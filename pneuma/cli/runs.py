@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import delete
 from pneuma.cli import options as opt
@@ -14,30 +14,27 @@ from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
-from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings, trusted_settings
 from pneuma.values import shown_value
+
+if TYPE_CHECKING:
+    from pneuma.analysis.runs import RunIndex
 
 app = opt.Commands("Look at single runs and take them along.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 
 
 @app.command("list", short_help="List the stored runs.")
-def list_(results: Path = opt.RESULTS) -> Result:
+def list_(results: opt.Results = opt.HERE) -> Result:
     """List the stored runs: status, steps, seed, and which studies hold them."""
-    from pneuma.analysis.held import holders
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex
 
     index = RunIndex(Store(results))
-    held = holders(index)
-    runs: list[dict[str, Any]] = [
-        {"run_id": name, "status": entry.status, "step": entry.step, "seed": entry.seed,
-         "studies": held.get(name, [])}
-        for name, entry in index.entries.items()
-        if entry.table is None
-    ]  # fmt: skip
+    labels, here = _labels(index), index.frame[index.frame["where"] == ""]
+    here = here.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
+    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in here.to_dict("records")]
     rows = []
     for run in runs:
         studies = (
@@ -50,20 +47,32 @@ def list_(results: Path = opt.RESULTS) -> Result:
     return Result({"runs": runs}, [Table([""] * 5, rows) if rows else nothing])
 
 
+def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
+    """Return the studies, worlds and conditions of each run in the results folder, by its id."""
+    from pneuma.analysis.runs import studies_here
+
+    found: dict[str, list[dict[str, Any]]] = {}
+    for data in studies_here(index):
+        about = {"study": data.study.name, **({"world": data.study.world} if data.study.path else {})}
+        for run in data.runs.to_dict("records"):
+            label = {**about, "condition": run["condition"], "seed": run["seed"]}
+            found.setdefault(run["run_id"], []).append(label)
+    return found
+
+
 @app.command(short_help="Show what produced a stored run.")
 def show(
-    name: str = opt.RUN,
-    all_: bool = opt.flag("--all", "Show every field, defaults too."),
-    results: Path = opt.RESULTS,
+    name: opt.RunId,
+    all_: Annotated[bool, opt.flag("--all", "Show every field, defaults too.")] = False,
+    results: opt.Results = opt.HERE,
 ) -> Result:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
     store = Store(results)
     run_id = find_run(store, name)
     status, settings = store.status(run_id), stored_settings(store, run_id)
-    from pneuma.analysis.held import holders
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex
 
-    held = holders(RunIndex(store)).get(run_id, [])
+    held = _labels(RunIndex(store)).get(run_id, [])
     usual = default_settings(settings)
     differing = {key: value for key, value in settings.items() if value != usual.get(key)}
     provenance = store.read_document(run_id, "provenance.json")
@@ -103,15 +112,17 @@ def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
 
 @app.command(short_help="Go on from a checkpoint with something changed.")
 def fork(
-    name: str = opt.RUN,
-    at: Any = opt.count("--at", "Go on from the checkpoint nearest before this step.", opt.REQUIRED),
-    set_: opt.SeveralRead = opt.SETTINGS,
-    reset: str = opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.", default=""),
-    seeds: Any = opt.seeds_of_runs("3"),
-    workers: Any = opt.WORKERS,
-    trust: bool = opt.TRUST,
-    results: Path = opt.RESULTS,
-    quiet: bool = opt.QUIET,
+    name: opt.RunId,
+    at: Annotated[Any, opt.count("--at", "Go on from the checkpoint nearest before this step.")],
+    set_: opt.Settings = None,
+    reset: Annotated[
+        str, opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")
+    ] = "",
+    seeds: opt.Seeds = "3",
+    workers: opt.Workers = None,
+    trust: opt.Trust = False,
+    results: opt.Results = opt.HERE,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
 
@@ -120,7 +131,7 @@ def fork(
     """
     store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
     plan = plan_fork(store, find_run(store, name), at, change, seeds, trust)
-    return train(plan, store, ExecutorConfig(workers=opt.most_workers(workers)), True, quiet)
+    return train(plan, store, opt.place(workers), True, quiet)
 
 
 # --- export ----------------------------------------------------------------------------------------
@@ -128,13 +139,11 @@ def fork(
 
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
-    name: str = opt.RUN,
-    out: Path = opt.option(
-        "--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.", default=opt.REQUIRED
-    ),
-    trust: bool = opt.TRUST,
-    force: bool = opt.FORCE,
-    results: Path = opt.RESULTS,
+    name: opt.RunId,
+    out: Annotated[Path, opt.option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    trust: opt.Trust = False,
+    force: opt.Force = False,
+    results: opt.Results = opt.HERE,
 ) -> Result:
     """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
     check_file(out, (".zip", ".onnx"), force)
@@ -146,8 +155,8 @@ def export(
     except UserError as error:
         raise UserError(f"run {run_id}: {error}") from None
     write_file(out, data)
-    told = f"wrote {out}: {len(data):,} bytes, the policy of run {run_id} after {status.step:,} steps"
-    return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [told])
+    text = f"wrote {out}: {len(data):,} bytes, the policy of run {run_id} after {status.step:,} steps"
+    return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [text])
 
 
 def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str) -> bytes:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
@@ -49,9 +49,9 @@ app = opt.Commands(
 class Asked:
     """Which search a command reads: options that its name goes with."""
 
-    set_: opt.SeveralRead = opt.SETTINGS
-    world: opt.Text = opt.WORLD
-    results: Path = opt.RESULTS
+    set_: opt.SeveralRead
+    world: str | None
+    results: Path
 
     @property
     def store(self) -> Store:
@@ -72,7 +72,7 @@ class Asked:
         return [*names, *setting_words(self.settings), *world, "--results", self.results]
 
 
-SEARCH = opt.argument("NAME", "A search's name, or the path of a search file (….toml).")
+SearchName = Annotated[str, opt.argument("NAME", "A search's name, or the path of a search file (….toml).")]
 
 
 # --- What there is --------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def list_() -> Result:
 
 
 @app.command()
-def show(name: str = SEARCH, world: opt.Text = opt.WORLD) -> Result:
+def show(name: SearchName, world: opt.World = None) -> Result:
     """Show a search's file: what it varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search
 
@@ -95,8 +95,14 @@ def show(name: str = SEARCH, world: opt.Text = opt.WORLD) -> Result:
 
 
 @app.command()
-def status(asked: Asked, name: str = SEARCH) -> Result:
+def status(
+    name: SearchName,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+) -> Result:
     """Show how far a search is, and its best trials."""
+    asked = Asked(set_, world, results)
     found = asked.read(name)
     return Result(found.document(), _status(found, asked.store, asked.words(name)))
 
@@ -140,15 +146,18 @@ def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | 
 
 @app.command(short_help="Draw a search.")
 def plot(
-    asked: Asked,
-    name: str = SEARCH,
-    out: Path | None = opt.PLOT_FOLDER,
-    format: opt.SeveralRead = opt.FORMATS,
+    name: SearchName,
+    out: opt.PlotFolder = None,
+    format: opt.Formats = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     formats = read_formats(format, out)
     from pneuma.figures.search import draw_search
 
+    asked = Asked(set_, world, results)
     found = asked.read(name)
     formats_asked = (word for each in formats for word in ("--format", each))
     again = command("search", "plot", *asked.words(name), *formats_asked)
@@ -163,23 +172,30 @@ def plot(
 
 @app.command(short_help="Search for hyperparameters, or go on with a search.")
 def run(
-    asked: Asked,
-    place: opt.Place,
-    name: str = SEARCH,
-    preset: str = opt.option("--preset", "|".join(spec.PRESETS), "How much to search.", default="quick"),
-    trials: Any = opt.count("--trials", "How many trials, those stored among them."),
-    seeds: Any = opt.seeds(
-        "--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED
-    ),
-    steps: Any = opt.STEPS,
-    retry_failed: bool = opt.RETRY_FAILED,
-    quiet: bool = opt.QUIET,
+    name: SearchName,
+    preset: Annotated[str, opt.option("--preset", "|".join(spec.PRESETS), "How much to search.")] = "quick",
+    trials: Annotated[Any, opt.count("--trials", "How many trials, those stored among them.")] = None,
+    seeds: Annotated[
+        Any,
+        opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED),
+    ] = None,
+    steps: opt.Steps = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    workers: opt.Workers = None,
+    executor: opt.Executor = None,
+    address: opt.Address = None,
+    slurm: opt.Slurm = None,
+    retry_failed: opt.RetryFailed = False,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Search for hyperparameters, going on where it was stopped; several processes share the work."""
     from pneuma.search.record import STATES, Task
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
 
+    asked = Asked(set_, world, results)
     store, tell = asked.store, partial(say, aside=True, quiet=quiet)
     search = load_search(name, asked.world, asked.settings)
     if preset not in (presets := search.spec.presets):
@@ -188,7 +204,12 @@ def run(
     given = {key: value for key, value in amount.items() if value is not None}
     task = Task(search, presets[preset].model_copy(update=given))
     train_trials = partial(
-        train, store=store, how=place.config(), retry_failed=retry_failed, quiet=quiet, noted=set()
+        train,
+        store=store,
+        how=opt.place(workers, executor, address, slurm),
+        retry_failed=retry_failed,
+        quiet=quiet,
+        noted=set(),
     )
     document: dict[str, Any] = {"search": task.search.name, "trials": [], "best": None}
     told, code = set[int](), 0
@@ -258,18 +279,25 @@ def _value(trial: FrozenTrial) -> str:
 
 @app.command(short_help="Train winners of searches on fresh seeds.")
 def promote(
-    asked: Asked,
-    names: list[str] = opt.argument("NAME", "Searches, or their files; several must be tuned alike."),
-    seeds: Any = opt.seeds_of_runs("10"),
-    steps: Any = opt.STEPS,
-    trial: int | None = opt.number("--trial", "Which trial (default: the best)."),
-    out: Path | None = opt.option("--out", "FILE", "Write the study to a .toml file; train nothing."),
-    workers: Any = opt.WORKERS,
-    quiet: bool = opt.QUIET,
+    names: Annotated[
+        list[str], opt.argument("NAME", "Searches, or their files; several must be tuned alike.")
+    ],
+    seeds: opt.Seeds = "10",
+    steps: opt.Steps = None,
+    trial: Annotated[int | None, opt.number("--trial", "Which trial (default: the best).")] = None,
+    out: Annotated[
+        Path | None, opt.option("--out", "FILE", "Write the study to a .toml file; train nothing.")
+    ] = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    workers: opt.Workers = None,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search import promote as promotion
 
+    asked = Asked(set_, world, results)
     promoted = promotion.promote(
         store := asked.store, names, seeds, steps, trial, asked.world, asked.settings
     )
@@ -287,7 +315,7 @@ def promote(
     planned, path = promoted.plan(store), promoted.path(store)
     for line in (f"wrote {path}", promoted.budgets):
         say(line, aside=True, quiet=quiet)
-    how = ExecutorConfig(workers=opt.most_workers(workers))
+    how = opt.place(workers)
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ids = {
         arm: [cell.run_id for cell in planned.cells if cell.condition == arm] for arm in planned.conditions

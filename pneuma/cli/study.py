@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import delete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
@@ -13,12 +13,12 @@ from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, spec
-from pneuma.study.store import Store
+from pneuma.study.store import FINISHED, Store
 from pneuma.values import shown_value
 
 if TYPE_CHECKING:
-    from pneuma.analysis.asked import Asked
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.study_data import StudyData
 
 app = opt.Commands("Compare conditions over many seeds.")
 
@@ -43,11 +43,11 @@ def list_() -> Result:
 
 @app.command(short_help="Write a study file to edit.")
 def new(
-    name: str = opt.argument("NAME", "The new study's name."),
-    source: str = opt.option(
-        "--from", "STUDY", "The shipped study to copy, without its words on the thesis.", default="activation"
-    ),
-) -> None:
+    name: Annotated[str, opt.argument("NAME", "The new study's name.")],
+    source: Annotated[
+        str, opt.option("--from", "STUDY", "The shipped study to copy, without its words on the thesis.")
+    ] = "activation",
+) -> Result:
     """Write NAME.toml into this folder: a copy of a shipped study, to be edited."""
     if not re.fullmatch(r"[\w-]+", name):
         raise UserError(f"{name}: a study's name has letters, digits, - and _ alone")
@@ -64,29 +64,28 @@ def new(
     for module in re.findall(r'"(\w+):\w+"', text):  # a study's own files are beside it
         if (source_file := spec.studies_folder() / f"{module}.py").is_file():
             create_whole(path.with_name(source_file.name), source_file.read_bytes())
-    print(f"wrote {path}: edit it, then run: pneuma study run {path}")
+    return Result({"file": path}, [f"wrote {path}: edit it, then run: pneuma study run {path}"])
 
 
 # --- show ------------------------------------------------------------------------------------------
 
 
 @app.command(short_help="Show what a study compares, and its presets.")
-def show(name: str = opt.STUDY, world: opt.Text = opt.WORLD, results: Path = opt.RESULTS) -> Result:
+def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HERE) -> Result:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    from pneuma.analysis.asked import ask
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex, find_study
 
-    asked = ask(RunIndex(Store(results)), name, world=world)
-    study = asked.study
+    data = find_study(RunIndex(Store(results)), name, world=world)
+    study = data.study
     keys = ("section", "about", "world", "worlds") if study.path else ()
     about = {key: getattr(study, key) for key in keys}
     presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()}
     head = {"study": study.name, "title": study.title, "baseline": study.baseline}
-    return Result({**head, **about, "conditions": asked.fields, "presets": presets}, _show(asked))
+    return Result({**head, **about, "conditions": data.fields, "presets": presets}, _show(data))
 
 
-def _show(asked: Asked) -> Iterator[str | Table]:
-    study, fields = asked.study, asked.fields
+def _show(data: StudyData) -> Iterator[str | Table]:
+    study, fields = data.study, data.fields
     several, differing = len(fields) > 1, plan.differing_fields(fields)
     yield study.title + (f" (thesis section {study.section})" if study.section else "")
     if study.path:
@@ -103,9 +102,9 @@ def _show(asked: Asked) -> Iterator[str | Table]:
         if key not in (*differing, "seed", "steps"):
             yield f"  {key} = {shown_value(value)}"
     if study.path is None:
-        yield f"Seeds: {', '.join(dict.fromkeys(str(seed) for _, seed in asked.listed.values()))}"
+        yield f"Seeds: {', '.join(map(str, dict.fromkeys(data.runs['seed'])))}"
         return
-    from pneuma.analysis.claims import fixed_amounts
+    from pneuma.analysis.claim_runs import fixed_amounts
 
     yield ""
     yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
@@ -135,53 +134,56 @@ def _who_has(values: Mapping[str, Any]) -> str:
 
 @app.command(short_help="Say how far the runs of a study are.")
 def status(
-    picked: opt.Picked,
-    name: opt.Text = opt.argument("NAME", "A study; left out: all that were run.", default=None),
-    format: str = opt.OUTPUT_FORMAT,
+    name: Annotated[str | None, opt.argument("NAME", "A study; left out: all that were run.")] = None,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    format: opt.Format = opt.TABLE,
 ) -> Result:
     """Say how far the runs of a study are."""
-    from pneuma.analysis.asked import answer, ask
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex, choose_runs, find_study
 
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     index = RunIndex(picked.store)
     if name is None:
         return _every_status(index, picked.world, format)
     jobs = _queued(picked.store)
-    shown = answer(index, ask(index, name, picked.selection, picked.world), picked.selection)
-    say(shown.told(index.store.root), aside=True)
+    data = choose_runs(index, find_study(index, name, picked.selection, picked.world), picked.selection)
+    say(data.text(index.store.root), aside=True)
     for problem in index.problems:
         say(f"Note: {problem}.", aside=True)
     runs: list[dict[str, Any]] = []
     table = []
-    for condition, seed, entry in shown.runs:
-        about = {"run_id": entry.run_id, "condition": condition, "seed": seed}
-        published = entry.table is not None
-        runs.append({**about, "status": entry.status, "step": entry.step, "published": published})
-        label = f"{entry.status} as published" if published else entry.status
-        label += f" at step {entry.step:,}" if entry.step and not entry.finished else ""
-        if job := jobs.get(entry.run_id):
+    for run in data.runs.assign(step=data.runs["end"], published=data.runs["where"] != "").to_dict("records"):
+        keys = ("run_id", "condition", "seed", "status", "step", "published")
+        runs.append({key: run[key] for key in keys})
+        label = f"{run['status']} as published" if run["published"] else run["status"]
+        label += f" at step {run['step']:,}" if run["step"] and run["status"] not in FINISHED else ""
+        if job := jobs.get(run["run_id"]):
             label += f" job {job['job']} {job['state'].lower()}"
-        table.append((f"  {condition}", f"seed {seed}", entry.run_id, label))
+        table.append((f"  {run['condition']}", f"seed {run['seed']}", run["run_id"], label))
     queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
-    told: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
-    told += [f"Stored too: {other}" for other in shown.others]
-    document = {"study": shown.asked.study.name, "runs": runs, "jobs": queued}
-    return Result(document, told, table=runs, form=format)
+    text: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
+    text += [f"Stored too: {other}" for other in data.others]
+    document = {"study": data.study.name, "runs": runs, "jobs": queued}
+    return Result(document, text, table=runs, form=format)
 
 
 def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
-    from pneuma.analysis.held import studies_here
+    from pneuma.analysis.runs import studies_here
 
-    held, keys = studies_here(index, world), ("run_id", "status", "step")
-    studies = [
-        {"study": one.name, "world": one.world,
-         "runs": [{key: getattr(entry, key) for key in keys} for entry in one.entries]}
-        for one in held
-    ]  # fmt: skip
-    table = [
-        {"study": one.name, "world": one.world, "runs": tallied(entry.status for entry in one.entries)}
-        for one in held
-    ]
+    studies, table = [], []
+    for data in studies_here(index, world):
+        about = {
+            "study": data.study.own_path or data.study.name,
+            "world": data.study.world if data.study.path else "",
+        }
+        runs = data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
+        studies.append({**about, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
+        table.append({**about, "runs": tallied(runs["status"])})
     nothing = f"No study was run in {index.store.root} yet."
     shown = Table([""] * 3, [[*row.values()] for row in table]) if table else nothing
     return Result({"studies": studies}, [shown], table=table, form=format)

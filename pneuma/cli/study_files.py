@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli import options as opt
@@ -22,7 +22,7 @@ from pneuma.study.quantities import (
 )
 
 if TYPE_CHECKING:
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
     from pneuma.figures.grid import Page
 
 EVERY_QUANTITY, ACTIONS = "all", "actions"
@@ -38,30 +38,48 @@ PUBLISHED_CURVES = (
 
 
 def plot(
-    picked: opt.Picked,
-    names: opt.Several = opt.argument("NAME", "Studies; left out: all that were run.", default=None),
-    figure: opt.Text = opt.choice(
-        "--figure", FIGURE_KINDS, "Curves over steps (default for seven conditions or less), or a summary."
-    ),
-    quantity: opt.SeveralRead = opt.choice(
-        "--quantity",
-        (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
-        "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
-        "NAME",
-    ),
-    band: opt.Text = opt.choice(
-        "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
-    ),
-    window: opt.Text = opt.choice("--window", WINDOWS, "Which episodes a point averages."),
-    beside: opt.Text = opt.option(
-        "--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."
-    ),
-    format: opt.SeveralRead = opt.FORMATS,
-    out: Path | None = opt.PLOT_FOLDER,
+    names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    figure: Annotated[
+        str | None,
+        opt.choice(
+            "--figure",
+            FIGURE_KINDS,
+            "Curves over steps (default for seven conditions or less), or a summary.",
+        ),
+    ] = None,
+    quantity: Annotated[
+        opt.SeveralRead,
+        opt.choice(
+            "--quantity",
+            (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
+            "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
+            "NAME",
+        ),
+    ] = None,
+    band: Annotated[
+        str | None,
+        opt.choice(
+            "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
+        ),
+    ] = None,
+    window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
+    beside: Annotated[
+        str | None,
+        opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
+    ] = None,
+    format: opt.Formats = None,
+    out: opt.PlotFolder = None,
 ) -> Result:
     """Draw a study: curves over its steps, or a summary of its outcomes."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
@@ -69,12 +87,11 @@ def plot(
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    all_runs = replace(picked, seeds=None, steps=None, condition=None, set_=None, world=None)
-    other = all_runs.open(beside) if beside else None
+    other = opt.RunFilter(results=results).open(beside) if beside else None
 
-    def page(name: str, picked: opt.Picked) -> tuple[Page, str]:
+    def page(name: str, picked: opt.RunFilter) -> tuple[Page, str]:
         data = picked.open(name)
-        of_curves = quantity or band or window or beside or fits_panel(data) and not data.outcomes
+        of_curves = quantity or band or window or beside or fits_panel(data) and not data.study.outcomes
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
         if kind == "summary":
             return summary_page(data), picked.again(data, "plot", name, figure=[kind], format=formats)
@@ -101,16 +118,16 @@ def plot(
     return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.Picked) -> list[tuple[str, opt.Picked]]:
+def _run_here(picked: opt.RunFilter) -> list[tuple[str, opt.RunFilter]]:
     """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
-    from pneuma.analysis.held import studies_here
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex, studies_here
 
-    held = studies_here(RunIndex(picked.store), picked.world)
-    if not any(one.whole for one in held):
-        names = ", ".join(dict.fromkeys(one.name for one in held)) or "one"
+    here = [*studies_here(RunIndex(picked.store), picked.world)]
+    whole = [data for data in here if {*data.finished["condition"]} == {*data.fields}]
+    if not whole:
+        names = ", ".join(dict.fromkeys(data.study.name for data in here)) or "one"
         raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")
-    return [(one.name, replace(picked, world=one.world or None)) for one in held if one.whole]
+    return [(data.study.file, replace(picked, world=data.world or None)) for data in whole]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -121,7 +138,7 @@ def _quantities(data: StudyData, names: list[str]) -> list[str]:
     stand_for = {EVERY_QUANTITY: known, ACTIONS: [name for name in ACTION_QUANTITIES if name in known]}
     quantities = [quantity for name in names for quantity in stand_for.get(name, [name])]
     if names and not quantities:
-        raise UserError(f"study {data.study}: {data.what} has no {names[0]}")
+        raise UserError(f"study {data.study.name}: {data.what} has no {names[0]}")
     return quantities
 
 
@@ -138,8 +155,8 @@ THESIS_ROWS = {
 
 
 def table(
-    names: opt.Several = opt.argument("TABLE", "table-6-1, table-6-2 (default: both).", default=None),
-    format: str = opt.OUTPUT_FORMAT,
+    names: Annotated[opt.Several, opt.argument("TABLE", "table-6-1, table-6-2 (default: both).")] = None,
+    format: opt.Format = opt.TABLE,
 ) -> Result:
     """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters, as printed there."""
     for name in names or ():
@@ -160,15 +177,21 @@ def table(
 
 
 def export(
-    picked: opt.Picked,
-    name: str = opt.STUDY,
-    table: str = opt.choice("--table", EXPORT_TABLES, "What to export.", default=opt.REQUIRED),
-    out: Path = opt.option(
-        "--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.", default=opt.REQUIRED
-    ),
-    band: opt.Text = opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd)."),
-    window: opt.Text = opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages."),
-    json: bool = opt.JSON,
+    name: opt.Study,
+    table: Annotated[str, opt.choice("--table", EXPORT_TABLES, "What to export.")],
+    out: Annotated[Path, opt.option("--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    band: Annotated[
+        str | None, opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd).")
+    ] = None,
+    window: Annotated[
+        str | None, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
+    ] = None,
 ) -> Result:
     """Write a study's records as one tidy table."""
     if (band or window) and table != "curves":
@@ -176,8 +199,7 @@ def export(
     printed = str(out) == "-"
     if not printed:
         check_file(out, EXPORT_SUFFIXES)
-    elif json:
-        raise UserError("--json: standard output is for the table; name a file by --out")
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     data = picked.open(name)
     from pneuma.analysis.export import encode_table
 
@@ -205,36 +227,42 @@ def _read_curves(text: str) -> tuple[str, ...]:
 
 
 def publish(
-    picked: opt.Picked,
-    name: str = opt.STUDY,
-    curves: Any = opt.option(
-        "--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.", _read_curves
-    ),
+    name: opt.Study,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    curves: Annotated[
+        Any,
+        opt.option(
+            "--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.", _read_curves
+        ),
+    ] = None,
 ) -> Result:
     """Write a study's runs as rows of one small table, from which they are read where they are not stored.
 
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
-    store = picked.store
-    data = picked.open(name)
-    from pneuma.analysis.frames import table_name
-    from pneuma.analysis.run_index import RunIndex
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
+    store, data = picked.store, picked.open(name)
+    from pneuma.analysis.runs import RunIndex
     from pneuma.study.locks import run_lock
     from pneuma.study.published import encode_published
-    from pneuma.study.spec import list_studies
 
     with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
         if not alone:
             raise UserError(f"another command publishes from {store.root}: try again when it has ended")
-        stem = table_name(data)
-        new = {run.run_id: run for run in data.runs if not run.published}
+        stem = data.table_name
+        new = {run.run_id: run for run in data.rows if not run.published}
         if not new:
             nothing = f"its runs are not in {store.root}: nothing is new to publish"
-            raise UserError(f"study {data.study}: {nothing}")
+            raise UserError(f"study {data.study.name}: {nothing}")
         before = RunIndex(store, shipped=False).tables.get(stem)
         rows = {**(before.rows() if before else {}), **new}
-        listing = None if data.study in list_studies() else store.listing(data.study)
-        about = {"study": data.study, "world": data.world or None, "settings": dict(data.changed)}
+        listing = store.listing(data.study.name) if data.study.path is None else None
+        about = {"study": data.study.name, "world": data.world or None, "settings": dict(data.study.settings)}
         about |= {"listing": listing} if listing else {}
         order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
         kept = PUBLISHED_CURVES if curves is None else curves
@@ -242,6 +270,6 @@ def publish(
         store.write(path, encoded)
     staying = len(rows) - len(new)
     more = f", {staying} as they were published before" if staying else ""
-    told = f"wrote {path}: {counted(len(new), 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
-    written = {"study": data.study, "file": path, "bytes": len(encoded)}
-    return Result({**written, "runs": len(new), "staying": staying}, [told])
+    text = f"wrote {path}: {counted(len(new), 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
+    written = {"study": data.study.name, "file": path, "bytes": len(encoded)}
+    return Result({**written, "runs": len(new), "staying": staying}, [text])

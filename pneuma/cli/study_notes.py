@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
 
 
 def what_is_shown(data: StudyData) -> dict[str, Any]:
     """Return which runs of a study a document is about."""
-    seeds = sorted({run.seed for run in data.runs})
-    amount = {"steps": data.steps, "seeds": seeds}
-    return {"study": data.study, "world": data.world or None, **amount, "settings": dict(data.changed)}
+    amount = {"steps": data.steps, "seeds": sorted({*data.runs["seed"].tolist()})}
+    settings = dict(data.study.settings)
+    return {"study": data.study.name, "world": data.world or None, **amount, "settings": settings}
 
 
 def nothing_yet(store: Store) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, rows_of
 from pneuma.cli.study_notes import what_is_shown
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
-from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.fork import plan_cause_forks
 
 if TYPE_CHECKING:
@@ -20,18 +19,28 @@ FORK_SEEDS = 3
 
 
 def collapse(
-    picked: opt.Picked,
-    name: str = opt.STUDY,
-    fork: bool = opt.flag("--fork", "Go on from before each collapse, changing one thing at a time."),
-    fork_seeds: Any = opt.seeds("--fork-seeds", "With --fork: seeds of the forks of each run (default: 3)."),
-    workers: Any = opt.WORKERS,
-    trust: bool = opt.TRUST,
-    quiet: bool = opt.QUIET,
+    name: opt.Study,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    fork: Annotated[
+        bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
+    ] = False,
+    fork_seeds: Annotated[
+        Any, opt.seeds("--fork-seeds", "With --fork: seeds of the forks of each run (default: 3).")
+    ] = None,
+    workers: opt.Workers = None,
+    trust: opt.Trust = False,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     of_fork = {"--fork-seeds": fork_seeds, "--workers": workers, "--trust": trust, "--quiet": quiet}
     if not fork and (given := [option for option, value in of_fork.items() if value]):
         raise UserError(f"{given[0]} requires --fork")
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     store, data = picked.store, picked.open(name)
     from pneuma.analysis.collapse import diagnoses, incidence
 
@@ -39,16 +48,16 @@ def collapse(
     shares = incidence(data, found)
     collapsed = found[found["collapsed"]]
     if fork:
-        here = {run.run_id for run in data.runs if not run.published}
+        here = {run.run_id for run in data.rows if not run.published}
         collapsed = collapsed[collapsed["run_id"].isin(here)]
         parents = dict(zip(collapsed["run_id"], map(int, collapsed["last_healthy_step"]), strict=True))
         if not parents:
             runs = counted(len(here), "run")
             raise UserError(
-                f"study {data.study}: none of its {runs} here collapsed: there is nothing to fork"
+                f"study {data.study.name}: none of its {runs} here collapsed: there is nothing to fork"
             )
-        plan = plan_cause_forks(store, data.study, parents, fork_seeds or range(FORK_SEEDS), trust=trust)
-        return train(plan, store, ExecutorConfig(workers=opt.most_workers(workers)), True, quiet)
+        plan = plan_cause_forks(store, data.study.name, parents, fork_seeds or range(FORK_SEEDS), trust=trust)
+        return train(plan, store, opt.place(workers), True, quiet)
     document = {**what_is_shown(data), "runs": found, "incidence": shares}
     return Result(document, [*_collapse_tables(collapsed, shares)])
 

@@ -7,17 +7,17 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, say, tallied
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
-from pneuma.study.identity import describe_user_code
-from pneuma.study.progress import ProgressDisplay, duration, expected_seconds, stored_paces
+from pneuma.study.progress import duration, expected_seconds, stored_paces
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
 
@@ -26,13 +26,25 @@ UNFINISHED_STATUSES = ("crashed", "killed", "damaged", "running", "partial")
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
 
-UNPUBLISHED = opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
+Unpublished = Annotated[
+    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
+]
 
 
-def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLISHED) -> Result:
+def plan_(
+    name: opt.Study,
+    seeds: opt.Seeds = None,
+    steps: opt.Steps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    preset: opt.Preset = None,
+    unpublished: Unpublished = False,
+) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
-    store = chosen.store
-    planned = _plan(chosen, name, unpublished)
+    chosen = opt.RunFilter(seeds, steps, condition, set_, world, results, preset)
+    store, planned = chosen.store, _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
     execute.check_environments(todo.values())
@@ -47,13 +59,13 @@ def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLI
         for cell in planned.cells
     ]
     rows = []
-    for condition in planned.conditions:
-        of_condition = [cell for cell in planned.cells if cell.condition == condition]
+    for each in planned.conditions:
+        of_condition = [cell for cell in planned.cells if cell.condition == each]
         counts = tallied(states[cell.run_id] for cell in of_condition)
-        rows.append((condition, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
+        rows.append((each, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     shown: list[str | Table] = [Table([""] * 3, rows), f"{tallied(states.values())}."]
     if todo:
-        known, at_once = [each for each in seconds.values() if each is not None], opt.most_workers(None)
+        known, at_once = [each for each in seconds.values() if each is not None], opt.place().workers
         expected = "unknown until a run of each kind has ended"
         if len(known) == len(seconds):
             expected = f"about {duration(max(sum(known) / at_once, *known))} with {at_once} at once"
@@ -63,57 +75,68 @@ def plan_(chosen: opt.Chosen, name: str = opt.STUDY, unpublished: bool = UNPUBLI
 
 
 def run(
-    chosen: opt.Chosen,
-    place: opt.PlaceToLeave,
-    name: str = opt.STUDY,
-    checkpoint_seconds: float = opt.number(
-        "--checkpoint-seconds", "Between two checkpoints of a run.", 15.0, metavar="S", min=0.01
-    ),
-    tensorboard: Path | None = opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train."),
-    retry_failed: bool = opt.RETRY_FAILED,
-    unpublished: bool = UNPUBLISHED,
-    quiet: bool = opt.QUIET,
+    name: opt.Study,
+    seeds: opt.Seeds = None,
+    steps: opt.Steps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    preset: opt.Preset = None,
+    workers: opt.Workers = None,
+    executor: opt.Executor = None,
+    address: opt.Address = None,
+    slurm: opt.Slurm = None,
+    detach: Annotated[
+        bool, opt.flag("--detach", "Leave once jobs of --executor slurm are submitted.")
+    ] = False,
+    checkpoint_seconds: Annotated[
+        float, opt.number("--checkpoint-seconds", "Between two checkpoints of a run.", "S", min=0.01)
+    ] = 15.0,
+    tensorboard: Annotated[
+        Path | None, opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train.")
+    ] = None,
+    retry_failed: opt.RetryFailed = False,
+    unpublished: Unpublished = False,
+    quiet: opt.Quiet = False,
 ) -> Result:
     """Train the missing runs of a study, resuming those that were stopped."""
-    store = chosen.store
-    if chosen.selection.preset == spec.CLAIMS and (changed := uncommitted()):
+    if preset == spec.CLAIMS and (changed := uncommitted()):
         raise UserError(
             f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of "
             "pneuma/ and studies/): commit first, so that each run tells the code that it was trained by"
         )
+    chosen = opt.RunFilter(seeds, steps, condition, set_, world, results, preset)
     planned = _plan(chosen, name, unpublished)
     how = replace(
-        place.config(),
+        opt.place(workers, executor, address, slurm, detach),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},
     )
-    return train(planned, store, how, retry_failed, quiet)
+    return train(planned, chosen.store, how, retry_failed, quiet)
 
 
 def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: bool, quiet: bool) -> Result:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
-    todo, notes = execute.prepare(planned, store, retry_failed)
-    _check_logs(how.logs[name] for name in todo if name in how.logs)
-    for note in (*planned.notes, *notes):
-        say(f"Note: {note}.", aside=True, quiet=quiet)
-    if todo:
-        runs = counted(len(todo), "run")
-        say(f"Training {runs}; compiling for the first time takes up to a minute.", aside=True, quiet=quiet)
-    results, told, code = [], [], STOPPED
+    from pneuma import api  # pydantic: not for `--help`
+
+    unfinished = {each.run_id for each in planned.cells if not store.status(each.run_id, quick=True).finished}
+    _check_logs(folder for name, folder in how.logs.items() if name in unfinished)
+    results, text, code = [], [], STOPPED
     try:
-        with ProgressDisplay(todo, store, quiet) as display:
-            results = execute.execute(planned, todo, store, how, display.update)
+        aside = partial(say, aside=True, quiet=quiet)
+        results = api.train_plan(planned, store, how, retry_failed=retry_failed, quiet=quiet, say=aside)
         code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
-        told = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
+        text = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
     except Detached as left:  # as --detach asks, or by Ctrl-C
         say(str(left), aside=True)
         code = 0 if left.asked else STOPPED
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.", aside=True)
-    results = results or execute.cell_results(planned, store, todo)
+    results = results or execute.cell_results(planned, store, unfinished)
     rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
-    return Result({"study": planned.study.name, "runs": rows}, notes=told, code=code)
+    return Result({"study": planned.study.name, "runs": rows}, notes=text, code=code)
 
 
 def _check_logs(folders: Iterable[str]) -> None:
@@ -141,28 +164,17 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     return {cell.run_id: str(of_study / f"{names[cell.condition]}_{cell.seed}") for cell in planned.cells}
 
 
-def _plan(chosen: opt.Chosen, name: str, unpublished: bool) -> plan.Plan:
-    """Plan a study, after naming the user's code that it runs; with `unpublished`, skip published runs."""
-    study = spec.load_study(name, chosen.world)
-    fields = [study.fields(condition, chosen.selection.settings) for condition in study.conditions]
-    named_code = dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values())
-    for use in (use for use in named_code if use.startswith("run ")):
-        say(f"Note: the study's file asks to {use}.", aside=True)
-    if chosen.selection.preset == spec.CLAIMS:
-        from pneuma.analysis.claims import with_claims
+def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
+    """Plan a study; with `unpublished`, skip published runs."""
+    from pneuma import api
 
-        study = with_claims(study, chosen.selection.steps)
-    planned = plan.make_plan(study, chosen.selection)
-    if study.outcomes:
-        from pneuma.analysis.outcomes import check_outcomes
-
-        check_outcomes(study.outcomes, {cell.run.env for cell in planned.cells})
+    planned = api.plan_study(name, chosen.selection, chosen.world, partial(say, aside=True))
     if not unpublished:
         return planned
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import RunIndex
 
     index = RunIndex(chosen.store, stored=False)
-    published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.entries)
+    published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)
     for problem in index.problems:
         say(f"Note: {problem}; its runs are trained.", aside=True)
     return replace(planned, published=published)

@@ -6,22 +6,20 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
 from pneuma.cli.study_notes import what_is_shown, with_unit
-from pneuma.errors import UserError, counted, nearest_name
+from pneuma.errors import UserError, counted
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.study.spec import list_studies
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.analysis.claims import Claim
-    from pneuma.analysis.frames import StudyData
+    from pneuma.analysis.study_data import StudyData
 
 COLUMNS = 3
 """Outcomes that `summary` prints by default."""
@@ -33,9 +31,9 @@ FEW_EPISODES = 10
 """With fewer, the last point of a return is said to average few."""
 
 
-def _told_episodes(data: StudyData, outcomes: Iterable[str]) -> str:
+def _episodes_text(data: StudyData, outcomes: Iterable[str]) -> str:
     """Say how many runs' last returns average few episodes; empty if none do."""
-    counts = sorted(run.last_episodes for run in data.runs if 0 < run.last_episodes < FEW_EPISODES)
+    counts = sorted(run.last_episodes for run in data.rows if 0 < run.last_episodes < FEW_EPISODES)
     if not counts or "final-return" not in outcomes:
         return ""
     between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
@@ -46,14 +44,22 @@ def _told_episodes(data: StudyData, outcomes: Iterable[str]) -> str:
 
 
 def summary(
-    picked: opt.Picked,
-    name: str = opt.STUDY,
-    outcome: opt.Several = opt.OUTCOMES,
-    all_: bool = opt.flag("--all", "Tell all statistics of the usual outcomes."),
-    format: str = opt.OUTPUT_FORMAT,
-    cells: opt.Text = opt.choice(
-        "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
-    ),
+    name: opt.Study,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    outcome: opt.Outcomes = None,
+    all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
+    format: opt.Format = opt.TABLE,
+    cells: Annotated[
+        str | None,
+        opt.choice(
+            "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
+        ),
+    ] = None,
 ) -> Result:
     """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
 
@@ -61,14 +67,12 @@ def summary(
     """
     if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
-    data = picked.open(name)
-    from pneuma.analysis.frames import common_step, step_note
+    data = opt.RunFilter(seeds, steps, condition, set_, world, results).open(name)
     from pneuma.analysis.intervals import LEAST_RUNS
     from pneuma.analysis.summaries import summary_table, with_cells
 
-    found, step = summary_table(data, outcome or ()), common_step(data)
-    left_out = [run.run_id for run in data.runs if run.ends_before(step)]
-    document = {**what_is_shown(data), "at_step": step, "left_out": left_out, "summary": found}
+    found = summary_table(data, outcome or ())
+    document = {**what_is_shown(data), "summary": found}
     every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
     listed = every if all_ else outcome or ()
     if format in PRINTED:
@@ -84,7 +88,7 @@ def summary(
         lacking += f" Means of fewer than {LEAST_RUNS} runs have none." * few
         legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
         shown += ["", legend]
-    notes = [step_note(data), *_told_lacks(data, found, outcome or ()), _told_episodes(data, listed)]
+    notes = [data.ends, *_lacks_text(data, found, outcome or ()), _episodes_text(data, listed)]
     return Result(document, shown, data.full_title, notes, table, found, format)
 
 
@@ -109,17 +113,8 @@ def _overview(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
     names = [*found["outcome"][found["statistic"] == "mean"].unique()][:COLUMNS]
     pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
     table = wide(found, data.conditions, pairs).set_axis([*map(with_unit, names), *shares], axis=1)
-    table.insert(0, "runs", [_told_runs(data, condition) for condition in data.conditions])
+    table.insert(0, "runs", [len(data.of_condition(condition)) for condition in data.conditions])
     return table.reset_index()
-
-
-def _told_runs(data: StudyData, condition: str) -> int | str:
-    """Return how many runs a condition has; where some are left out, how many of them count."""
-    from pneuma.analysis.frames import common_step
-
-    ends_before = [run.ends_before(common_step(data)) for run in data.of_condition(condition)]
-    count = len(ends_before)
-    return f"{ends_before.count(False)} of {count}" if any(ends_before) else count
 
 
 def _thesis_table(
@@ -153,74 +148,80 @@ def _thesis_table(
     return table.reset_index()
 
 
-def _told_lacks(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
+def _lacks_text(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
     """Say which conditions have no value of an outcome that was asked for, and why."""
-    from pneuma.analysis.frames import common_step
     from pneuma.analysis.outcomes import reason
 
-    known, told = {*zip(found["outcome"], found["condition"], strict=True)}, []
+    known, text = {*zip(found["outcome"], found["condition"], strict=True)}, []
     for outcome, condition in product(outcomes, data.conditions):
         if (outcome, condition) not in known:
             runs = data.of_condition(condition)
-            why = reason(data, runs[0], outcome, common_step(data)) if runs else "no run has finished"
-            told.append(f"{outcome}, {condition}: {why}")
-    return told
+            why = reason(runs[0], outcome) if runs else "no run has finished"
+            text.append(f"{outcome}, {condition}: {why}")
+    return text
 
 
 # --- compare --------------------------------------------------------------------------------------
 
 
 def compare(
-    picked: opt.Picked,
-    name: str = opt.STUDY,
-    a: str = opt.argument("A", "A condition; or, alone, another study or a variant."),
-    b: opt.Text = opt.argument("B", "The condition that A is compared with.", default=None),
-    outcome: opt.Several = opt.OUTCOMES,
-    plot: bool = opt.flag("--plot", "Draw the differences too."),
-    out: Path | None = opt.PLOT_FOLDER,
-    format: opt.SeveralRead = opt.choice(
-        "--format",
-        (*OUTPUT_FORMATS, *FIGURE_FORMATS),
-        "Of the table; with --plot also of figures (repeatable).",
-    ),
+    name: opt.Study,
+    a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
+    b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
+    with_: Annotated[
+        str | None,
+        opt.option("--with", "STUDY", "Compare the conditions of another study that both have, not A and B."),
+    ] = None,
+    seeds: opt.Seeds = None,
+    steps: opt.StoredSteps = None,
+    condition: opt.Conditions = None,
+    set_: opt.Settings = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+    outcome: opt.Outcomes = None,
+    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
+    out: opt.PlotFolder = None,
+    format: Annotated[
+        opt.SeveralRead,
+        opt.choice(
+            "--format",
+            (*OUTPUT_FORMATS, *FIGURE_FORMATS),
+            "Of the table; with --plot also of figures (repeatable).",
+        ),
+    ] = None,
 ) -> Result:
     """Compare two conditions: the difference of their means, and how likely a run of A is better.
 
-    Without B, each condition of NAME is compared with that of the same name of the study or variant A.
+    With --with, each condition is compared with that of the same name of another study.
     """
+    if (b is None) == (with_ is None) or (a and not b):
+        raise UserError("name two conditions, A and B, or another study by --with STUDY")
+    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     form = ["table", *(each for each in format or () if each in OUTPUT_FORMATS)][-1]
     drawn = [each for each in format or () if each in FIGURE_FORMATS]
     formats = read_formats(drawn, out, "" if plot else "--plot")
-    data, heads = (replace(picked, condition=[a, b]) if b else picked).open(name), [a, b or ""]
-    pairs = {"": (a, b or "")}
-    if b is None:
-        from pneuma.analysis.frames import join_studies
+    if a and b:
+        data, heads, pairs = replace(picked, condition=[a, b]).open(name), [a, b], {"": (a, b)}
+    else:
+        from pneuma.analysis.study_data import join_studies
 
-        if others := [condition for condition in data.conditions if condition != a and a in data.conditions]:
-            raise UserError(
-                f"{a} is a condition of {name}: name the one to compare it with, such as {others[-1]}"
-            )
-        if hint := nearest_name(a, data.conditions):
-            from pneuma.analysis.run_index import RunIndex
-
-            if not (a.endswith(".toml") or a in (*list_studies(), *RunIndex(picked.store).listings())):
-                raise UserError(f"{a} is neither a condition of {name}{hint} nor a study")
-        other = replace(picked, condition=None, set_=None).open(a)
-        heads = [data.study, other.study]
+        data, other = picked.open(name), replace(picked, condition=None, set_=None).open(str(with_))
+        heads = [data.study.name, other.study.name]
         data, pairs = join_studies(data, other)
         if not pairs:
-            raise UserError(f"{name} and {a} have no condition of one name to compare; name two conditions")
+            raise UserError(
+                f"{name} and {with_} have no condition of one name to compare; name two conditions"
+            )
     import pandas as pd
 
-    from pneuma.analysis.frames import figure_basename, step_note
     from pneuma.analysis.intervals import decimals, shown, shown_with_interval
     from pneuma.analysis.summaries import compare_conditions
 
-    claims = _claims_on(data, a, b) if b and not outcome else []
-    if b and claims:
+    claims = _claims_on(data, a, b) if a and b and not outcome else []
+    if a and b and claims:
         usual = compare_conditions(data, a, b)["outcome"]
         outcome = [*dict.fromkeys([*(name for claim in claims for name in claim.outcome), *usual])]
-    tables = {condition: compare_conditions(data, *pair, outcome or ()) for condition, pair in pairs.items()}
+    tables = {shared: compare_conditions(data, *pair, outcome or ()) for shared, pair in pairs.items()}
     table = pd.concat(tables.values(), ignore_index=True)
     if not (b or outcome):  # what one of two studies lacks, as imports do, is left out
         both = {
@@ -232,20 +233,20 @@ def compare(
         from pneuma.figures.summary import comparison_page
 
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
-        basename = figure_basename(replace(data, narrowed=narrowed), "compare", *(heads if b else heads[1:]))
-        words = ["compare", name, a, *([b] if b else []), "--plot"]
+        basename = replace(data, narrowed=narrowed).basename("compare", *(heads if b else heads[1:]))
+        words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
         again = picked.again(data, *words, outcome=outcome or (), format=formats)
         files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
     rows = []
-    compared = [(condition, row) for condition, each in tables.items() for row in each.to_dict("records")]
-    for condition, row in compared:
+    compared = [(shared, row) for shared, each in tables.items() for row in each.to_dict("records")]
+    for shared, row in compared:
         difference = row["difference"], row["low"], row["high"]
         digits = {} if math.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
         means = (shown(row[key], decimals(row[key], **digits)) for key in ("mean_a", "mean_b"))
         better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
         runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
         rows.append(
-            (condition, with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
+            (shared, with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
         )
     columns = ["", "outcome", *heads, "difference", "P(better)", "runs", "no value"]
     people = pd.DataFrame(rows, columns=columns).iloc[:, 1 if b else 0 :]
@@ -254,12 +255,12 @@ def compare(
         "probability that a run of the first is better than one of the second, from ten runs on.",
         "no value: runs left out.",
     )
-    engines, episodes = _told_engines(data, [*pairs.values()]), _told_episodes(data, [*table["outcome"]])
+    engines, episodes = _engines_text(data, [*pairs.values()]), _episodes_text(data, [*table["outcome"]])
     return Result(
         {**what_is_shown(data), "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
-        [step_note(data), *map(_told_claim, claims), engines, episodes],
+        [data.ends, *map(_claim_text, claims), engines, episodes],
         people,
         table,
         form,
@@ -274,7 +275,7 @@ def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     return [
         claim
         for claim in load_claims().claims.values()
-        if (claim.study, claim.kind) == (data.study, "mean")
+        if (claim.study, claim.kind) == (data.study.name, "mean")
         and world in claim.worlds
         and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
         and not any(MINUS in name for name in claim.outcome)
@@ -285,11 +286,11 @@ def _environments(data: StudyData) -> set[object]:
     return {fields.get("env") for fields in data.fields.values()}
 
 
-def _told_claim(claim: Claim) -> str:
+def _claim_text(claim: Claim) -> str:
     return f"The claim {claim.name} compares these conditions: its outcomes stand first (study verify)."
 
 
-def _told_engines(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
+def _engines_text(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
     """Say where what is compared was trained by different engines; claims refuse that."""
     for pair in pairs:
         if not all(data.of_condition(name) for name in pair):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table, progress_of
@@ -25,12 +25,14 @@ NAME_WIDTH = 16
 
 
 def verify(
-    claims: opt.Several = opt.argument("CLAIM", "Claims; left out: all.", default=None),
-    world: opt.Text = opt.choice("--world", WORLDS, "Only this world."),
-    file: Path | None = opt.option("--claims", "FILE", "Other claims than the thesis's."),
-    design: bool = opt.flag("--design", "Say which differences the planned runs can show, and read none."),
-    results: Path = opt.RESULTS,
-    format: str = opt.OUTPUT_FORMAT,
+    claims: Annotated[opt.Several, opt.argument("CLAIM", "Claims; left out: all.")] = None,
+    world: Annotated[str | None, opt.choice("--world", WORLDS, "Only this world.")] = None,
+    file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
+    design: Annotated[
+        bool, opt.flag("--design", "Say which differences the planned runs can show, and read none.")
+    ] = False,
+    results: opt.Results = opt.HERE,
+    format: opt.Format = opt.TABLE,
 ) -> Result:
     """Judge the thesis's sentences by the runs that each one fixed in advance.
 
@@ -85,7 +87,7 @@ def _show_claims(
         count_words,
         first_claim,
         sentence,
-        told,
+        text,
         verdicts_by_claim,
         word,
     )
@@ -103,7 +105,7 @@ def _show_claims(
         quoted.add(claim.quote)
         yield from _indented(f"{arms_in_words(claim)}:", 2)
         for one in judged.values():
-            first, *more = told(one).split("\n")
+            first, *more = text(one).split("\n")
             yield f"    {WORLD_NAMES[one.world]:{NAME_WIDTH}}{word(one):{NAME_WIDTH}}{first}".rstrip()
             yield from (" " * (4 + 2 * NAME_WIDTH) + line for line in more)
             for line in _details(one) if in_detail else ():
@@ -136,9 +138,9 @@ def _details(one: Verdict) -> Iterator[str]:
     for row in one.contrasts if not one.lacks_runs else ():
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
         smallest = f"; smallest that counts: {row.margin:g}" if row.margin else ""
-        told = f"{effect(row)}{smallest}" if row.contrast.effect == row.contrast.effect else ""
-        told = "; ".join(filter(None, (told, row.contrast.reason)))
-        yield f"{' against '.join(row.names)}, {runs} runs: {told}"
+        found = f"{effect(row)}{smallest}" if row.contrast.effect == row.contrast.effect else ""
+        found = "; ".join(filter(None, (found, row.contrast.reason)))
+        yield f"{' against '.join(row.names)}, {runs} runs: {found}"
     if one.lacks_runs:
         yield one.reason
 
@@ -160,7 +162,7 @@ def _document(one: Verdict) -> dict[str, Any]:
         ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen"),
     )
     return {
-        **_record(one.told[0]),
+        **_record(one.deciding[0]),
         "word": word(one),
         **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
         **{key: getattr(claim, key) for key in kept},

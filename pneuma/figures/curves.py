@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from pneuma.analysis.curves import BANDS, checked_band, curve_names
-from pneuma.analysis.frames import StudyData, figure_basename
 from pneuma.analysis.outcomes import have_one_return
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, counted
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel, in_grid
@@ -53,7 +53,7 @@ def curves_page(
     data = next(filter(None, columns.values()))
     if not all(fits_panel(each) for each in columns.values() if each):
         most = f"pick {style.MOST_IN_A_PANEL} at most by --condition, or --figure summary"
-        raise UserError(f"study {data.study}: its conditions do not fit one panel: {most}")
+        raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {most}")
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
     names = names or usual_quantities(data)
     drawn = {
@@ -70,7 +70,7 @@ def curves_page(
     rows = -(-len(column.quantities) // style.COLUMNS)
     across = -(-len(column.quantities) // rows)
     return Page(
-        basename or figure_basename(data, *_differences(column)),
+        basename or data.basename(*_differences(column)),
         in_grid([column.panel(name) for name in column.quantities], across),
         rows * style.PANEL_INCHES * (1.2 if across == 1 else 1),
         headline_of(data),
@@ -89,7 +89,7 @@ def _joint_label(condition: str, columns: Iterable[Column]) -> str:
     names: dict[str, str] = {}
     for column in columns:
         counts.append(len(column.data.of_condition(condition)))
-        names |= column.data.labels
+        names |= column.data.study.labels
     return f"{names.get(condition, condition)} ({', '.join(map(str, counts))})"
 
 
@@ -117,7 +117,7 @@ def _differences(column: Column) -> list[str]:
     differs += [column.band] * (column.band != USUAL_BAND)
     if column.window and column.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
         differs.append(column.window.removesuffix("%"))
-    return [*differs, *(["beside", column.beside.study] if column.beside else [])]
+    return [*differs, *(["beside", column.beside.study.name] if column.beside else [])]
 
 
 # --- Worlds beside each other ------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def _columns_page(
     together = len(drawn) > style.COLUMNS or not all(column.at_ends for column in drawn.values())
     if together:  # one legend for all columns
         notes.append("In brackets: runs in each column.")
-        every = dict.fromkeys(name for column in drawn.values() for name in column.data.every)
+        every = dict.fromkeys(name for column in drawn.values() for name in column.data.study.conditions)
         labels = {name: _joint_label(name, drawn.values()) for name in every}
         drawn = {title: replace(column, labels=labels) for title, column in drawn.items()}
 
@@ -147,12 +147,13 @@ def _columns_page(
         label, steps = QUANTITIES[name].title * (title == first), "Environment steps" * low
         return replace(column.panel(name), title=title * top, x=steps, y=label)
 
+    title = drawn[first].data.study.title
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
     return Page(
         basename,
         [[panel(title, name) for title in columns] for name in quantities],
         0.95 * len(quantities) * style.PANEL_INCHES,
-        ": ".join(filter(None, [drawn[first].data.title, after_thesis(basename) or "by world" * by_world])),
+        ": ".join(filter(None, [title, after_thesis(basename) or "by world" * by_world])),
         runs,
         meanings,
         notes,

@@ -20,9 +20,9 @@ from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import BANDS, Curve, curve_names, random_levels, study_curves
-from pneuma.analysis.frames import StudyData, common_step, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import without_monsters
+from pneuma.analysis.study_data import StudyData
 from pneuma.env.fields import ACTION_NAMES
 from pneuma.errors import UserError
 from pneuma.figures import grid, style
@@ -112,7 +112,7 @@ class Column:
         known = [name for name in self.quantities if name in curve_names(self.beside)]
         if not known:
             names = " or ".join(self.quantities)
-            raise UserError(f"study {self.beside.study} has no {names} to draw beside")
+            raise UserError(f"study {self.beside.study.name} has no {names} to draw beside")
         return study_curves(self.beside, known, window)
 
     @cached_property
@@ -187,8 +187,6 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
                 _name_end(axes, curve, curve.condition, BESIDE_COLOUR)
     colours = {condition: look["color"] for condition, look in column.styles.items()}
     grid.draw_random_player(axes, random_levels(data, name), column._highest(name), colours)
-    if (step := common_step(data)) is not None:  # at which conditions of unlike budgets are compared
-        axes.axvline(step, color=style.GREY, linewidth=0.9, zorder=1.2)
     axes.set_xlim(0, max(data.budget, column.beside.budget if column.beside else 0))
     if percent:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
@@ -271,8 +269,6 @@ def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str
     every = [*chain.from_iterable(curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     notes += ["Faint, without an interval: some run has no value there."] * any(map(_has_gaps, every))
-    if note := step_note(data):
-        notes.append(f"{note} An upright line marks it.")
     if any(QUANTITIES[name].log for name in curves):
         notes.append("On logarithmic axes means and bands are of logarithms, without values of 0.")
     blank: dict[str, int] = {}

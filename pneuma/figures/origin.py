@@ -18,7 +18,7 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, FailFast
 
 from pneuma import __version__
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, plain
 from pneuma.files import checksum, read_whole
 from pneuma.values import shown_seeds
@@ -59,7 +59,7 @@ class Origin(BaseModel):
 def samples_of(*studies: StudyData) -> list[Sample]:
     """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
     return [
-        sample(data.study, name, (run.config_id for run in runs), [run.seed for run in runs])
+        sample(data.study.name, name, (run.config_id for run in runs), [run.seed for run in runs])
         for data in studies
         for name in data.conditions
         if (runs := data.of_condition(name))

@@ -23,8 +23,8 @@ from markupsafe import Markup
 from pneuma import __version__
 from pneuma.analysis import verdict_words
 from pneuma.analysis.curves import curve_names
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.judgement import Verdict
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import wide, with_cells
 from pneuma.errors import counted
 from pneuma.figures.curves import curves_page
@@ -152,6 +152,6 @@ def study_pictures(data: StudyData, words: str) -> list[dict[str, str]]:
         with TemporaryDirectory() as folder:
             (path,) = save_page(page, Path(folder), ("png",), again)
             source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
-        alternative = f"{data.title}: {what}, for {'; '.join(data.conditions)}."
+        alternative = f"{data.study.title}: {what}, for {'; '.join(data.conditions)}."
         pictures.append({"source": source, "alt": alternative, "caption": f"{what}: {again}."})
     return pictures

@@ -24,8 +24,8 @@ from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.trial import FrozenTrial, TrialState
 from optuna.visualization import matplotlib as pictures
 
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted, plain
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel

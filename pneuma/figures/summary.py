@@ -17,7 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, random_levels
-from pneuma.analysis.frames import StudyData, common_step, figure_basename, step_note
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import (
     PRIMARY,
@@ -27,6 +26,7 @@ from pneuma.analysis.outcomes import (
     outcome_values,
     primary,
 )
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import grid, style
 from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel, in_grid
@@ -143,7 +143,7 @@ class OutcomeRows:
 
     @property
     def notes(self) -> list[str]:
-        notes = [*notes_of(self.data, is_return(self.outcome)), step_note(self.data)]
+        notes = [*notes_of(self.data, is_return(self.outcome)), self.data.ends]
         for name, known in self.values.items():
             total = len(self.data.of_condition(name))
             if not len(known):
@@ -166,12 +166,14 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     """
     columns: Mapping[str, OutcomeRows | None]
     if isinstance(studies, StudyData):
-        every = [OutcomeRows(studies, name) for name in studies.outcomes or [""]]
+        every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
         short_titles = {each.heading: each for each in every}
         columns = short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
     else:
         columns = {
-            title: OutcomeRows(data, data.outcomes[0] if len(data.outcomes) == 1 else "") if data else None
+            title: OutcomeRows(data, "".join(data.study.outcomes[: len(data.study.outcomes) == 1]))
+            if data
+            else None
             for title, data in studies.items()
         }
     drawn = {title: found for title, found in columns.items() if found}
@@ -199,14 +201,15 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
             for title, found in drawn.items()
         }
     )
-    step, budgets = common_step(alone.data), {run.budget for each in drawn.values() for run in each.data.runs}
-    shown = f"at {step:,} steps" if step else "at the end of training"
-    shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else shown
+    budgets = {steps for each in drawn.values() for steps in each.data.runs["steps"]}
+    shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
     return Page(
-        basename or figure_basename(alone.data, "summary"),
+        basename or alone.data.basename("summary"),
         [panels],
         max(pitch * len(names) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline_of(alone.data, shown) if isinstance(studies, StudyData) else f"{alone.data.title}: {shown}",
+        headline_of(alone.data, shown)
+        if isinstance(studies, StudyData)
+        else f"{alone.data.study.title}: {shown}",
         samples_of(*(found.data for found in drawn.values())),
         _marks([*drawn.values()]),
         [*notes, parts and f"Rows: {parts}."],
@@ -292,7 +295,7 @@ def comparison_page(data: StudyData, table: pd.DataFrame, basename: str) -> Page
     if lacking := [name for name in every if name not in finite]:
         caption.append(f"Without a finite difference: {', '.join(lacking)}.")
     inches = rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
-    notes, runs = [*caption, step_note(data)], samples_of(data)
+    notes, runs = [*caption, data.ends], samples_of(data)
     headline = headline_of(data, "differences")
     return Page(basename, in_grid(panels, columns), inches, headline, runs, caption=notes)
 

@@ -6,15 +6,15 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import kinds_of_return
+from pneuma.analysis.study_data import StudyData
 from pneuma.figures.style import MOST_IN_A_PANEL, condition_styles
 from pneuma.values import shown_settings
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
     """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
-    return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.figure)]))
+    return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.study.figure)]))
 
 
 def after_thesis(figure: str) -> str:
@@ -34,7 +34,7 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
-    parents = {run.fields.get("parent") for run in data.runs} - {None, ""}
+    parents = {run.fields.get("parent") for run in data.rows} - {None, ""}
     if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
         notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
     if absent := [name for name in data.conditions if not data.of_condition(name)]:
@@ -55,7 +55,8 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
     """
     found: dict[str, list[str]] = {}
     for title, (data, notes) in columns.items():
-        changed = f"runs with {shown_settings(data.changed)}." * bool(data.changed and len(columns) > 1)
+        settings = data.study.settings if len(columns) > 1 else {}
+        changed = f"runs with {shown_settings(settings)}." if settings else ""
         for note in filter(None, [changed, *notes]):
             found.setdefault(note, []).append(title)
     return [
@@ -70,18 +71,20 @@ def _within(titles: Sequence[str]) -> list[str]:
 
 
 def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    return f"{name or data.labels.get(condition, condition)} ({len(data.of_condition(condition))})"
+    return f"{name or data.study.labels.get(condition, condition)} ({len(data.of_condition(condition))})"
 
 
 def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
     """Return the styles of conditions, which they keep where a part of the study is drawn, if it is small."""
     trained = [name for name in data.conditions if data.of_condition(name)]
-    few = [names for names in (data.every, data.conditions) if 0 < len(names) <= MOST_IN_A_PANEL]
+    few = [
+        names for names in ([*data.study.conditions], data.conditions) if 0 < len(names) <= MOST_IN_A_PANEL
+    ]
     return condition_styles([*few, trained][0])
 
 
 def fits_panel(data: StudyData) -> bool:
-    return len({run.condition for run in data.runs}) <= MOST_IN_A_PANEL
+    return data.runs["condition"].nunique() <= MOST_IN_A_PANEL
 
 
 def capital(words: str) -> str:

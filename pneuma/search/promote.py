@@ -18,10 +18,9 @@ import numpy as np
 import pandas as pd
 from optuna.trial import FrozenTrial, TrialState
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import difference_interval
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.config import OF_WORLDS
 from pneuma.errors import UserError, counted
 from pneuma.schema import shown
@@ -254,7 +253,7 @@ def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> list[
     """Return the outcomes of the winner's runs and of its base's, as a search counts them."""
     search = winner.searched.task.search
     return [
-        np.array([counted_outcome(search, data, run, objective.outcome) for run in data.of_condition(name)])
+        np.array([counted_outcome(search, run, objective.outcome) for run in data.of_condition(name)])
         for name in (winner.tuned, winner.name)
     ]
 

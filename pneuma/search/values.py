@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.config import as_fields
 from pneuma.search.spec import OVER_SEEDS, Objective, Search
 from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell
@@ -26,30 +24,22 @@ class Outcomes:
 
     def read(self, cell: Cell, name: str) -> float:
         """Return an outcome of a finished run; NaN if it has none."""
-        run = replace(stored_row(self.store, cell.run_id), condition=cell.condition)
-        return counted_outcome(self.search, self._data(run, cell), run, name)
+        return counted_outcome(self.search, stored_row(self.store, cell.run_id), name)
 
     def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
         """Return an outcome as it is at steps before the run's end, in their order; NaN if there is none."""
         status = self.store.status(cell.run_id)
         healthy = [step for step in steps if status.name != "diverged" or step < status.step]
-        values = []
-        if healthy:
-            row = row_until(self.store, cell.run_id, cell.run, healthy[-1])
-            run = replace(row, condition=cell.condition)
-            values = [outcome(self._data(run, cell), run, name, step) for step in healthy]
+        rows = (row_until(self.store, cell.run_id, cell.run, step) for step in healthy)
+        values = [outcome(row, name) for row in rows]
         return values + [self.read(cell, name) for _ in steps[len(healthy) :]]
 
     def diverged(self, cell: Cell) -> bool:
         return self.store.status(cell.run_id).name == "diverged"
 
-    def _data(self, run: Row, cell: Cell) -> StudyData:
-        title = self.search.title
-        return StudyData(title, title, title, cell.condition, {cell.condition: as_fields(cell.run)}, [run])
 
-
-def counted_outcome(search: Search, data: StudyData, run: Row, name: str) -> float:
-    """Return an outcome of a run of some data as a search counts it.
+def counted_outcome(search: Search, run: Row, name: str) -> float:
+    """Return an outcome of a run as a search counts it.
 
     A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the
     outcome has no bound.
@@ -62,7 +52,7 @@ def counted_outcome(search: Search, data: StudyData, run: Row, name: str) -> flo
         worst = find_outcome(name).bounds[minimized]
         if np.isfinite(worst):
             return float(worst)
-    return outcome(data, run, name)
+    return outcome(run, name)
 
 
 def objective_value(objective: Objective, values: np.ndarray, diverged: bool) -> float:

@@ -6,25 +6,28 @@ from functools import cache
 from typing import Annotated, Any, Literal, NotRequired
 
 from annotated_types import MinLen
-from pydantic import StringConstraints, TypeAdapter, ValidationError
+from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
+
+_Int64 = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+"""What a column of a table holds."""
 
 
 class Manifest(TypedDict):
     """A run's status.json."""
 
     status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
-    step: int
+    step: _Int64
     files: dict[str, str]
     config_id: NotRequired[str]
-    seed: NotRequired[int]
-    steps: NotRequired[int]
+    seed: NotRequired[_Int64]
+    steps: NotRequired[_Int64]
 
 
 class _Listed(TypedDict):
     run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
     condition: str
-    seed: int
+    seed: _Int64
 
 
 class Listing(TypedDict):

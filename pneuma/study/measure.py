@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -162,7 +162,7 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
         files = table_files(latest.records)
     tables = {table: record_table(data, table) for table, data in files.items()}
     tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
-    status, fields = Status("done", step, identity=run_identity(run)), as_fields(run)
+    status, fields = Status("done", step, identity=run_identity(run)), as_fields(replace(run, steps=step))
     return decode_row(encode_row(row_cells(name, status, fields, of_tables(fields, tables), {})))
 
 

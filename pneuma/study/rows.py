@@ -25,7 +25,16 @@ import pyarrow as pa
 from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
 from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import EXTREMES, GRID_POINTS, SLACK, Stretch, make_grid, unpack_signs
+from pneuma.study.series import (
+    EXTREMES,
+    GRID_POINTS,
+    STATISTICS,
+    Series,
+    Stretch,
+    known_points,
+    make_grid,
+    unpack_signs,
+)
 from pneuma.study.tables import from_ipc
 
 NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
@@ -214,8 +223,18 @@ class Row:
         """Agent steps with which the run began: for a fork, those of its parent."""
         return self.fields.get("fork_step") or 0
 
-    def ends_before(self, step: float | None) -> bool:
-        return step is not None and self.budget * (1 + SLACK) < step
+    @property
+    def what(self) -> str:
+        """Where it is, for messages."""
+        if self.averaged_over:
+            return "a study of imported logs"
+        return "the published table" if self.published else "the results folder"
+
+    @property
+    def update_steps(self) -> int | None:
+        """Agent steps of one update; None if its fields do not say."""
+        counts = self.fields.get("horizon"), self.fields.get("slots"), self.fields.get("players", 1)
+        return math.prod(counts) or None if all(isinstance(count, int) for count in counts) else None
 
     @cached_property
     def grid(self) -> np.ndarray:
@@ -256,6 +275,21 @@ class Row:
             return np.full(GRID_POINTS, np.nan)
         return values.to_numpy(zero_copy_only=False).astype(float)
 
+    def known_curve(self, quantity: str) -> Series:
+        """Return the points of a curve that have a value; empty if there is no such curve."""
+        return known_points(self.grid, self.curve(quantity))
+
+    def known_peaks(self, quantity: str) -> Series:
+        return known_points(self.grid, self.peaks(quantity))
+
+    def statistic(self, quantity: str, name: str) -> float:
+        """Return one of `STATISTICS` of a curve, exact where that is kept; NaN if it has no value."""
+        exact = self.exact(quantity, name)
+        if not math.isnan(exact):
+            return exact
+        step, values = self.known_curve(quantity)
+        return STATISTICS[name](step, values, self.budget) if len(values) else math.nan
+
     def exact(self, quantity: str, statistic: str) -> float:
         """Return a statistic of a curve at the run's end, with all digits; NaN if it is not kept."""
         value = self.cell(f"{quantity} {statistic}")
@@ -283,6 +317,12 @@ class Row:
     def evaluations(self, column: str) -> np.ndarray:
         """Return a column of its evaluations, in their order; empty if it has no such column."""
         return self._evaluations.get(column, np.empty(0)).astype(float)
+
+    def known_evaluations(self, column: str) -> Series:
+        """Return a column's finite values with their steps; empty if it has no such column."""
+        if column not in self._evaluations:
+            return np.empty(0), np.empty(0)
+        return known_points(self.evaluations("step"), self.evaluations(column))
 
     def evaluations_table(self) -> pa.Table:
         return pa.table(dict(self._evaluations))

@@ -1,4 +1,4 @@
-"""What one run's rows come to: curves on a grid of steps, and where signs of collapse hold.
+"""Resample a run's records to 200 points, and find where signs of collapse hold.
 
 Every function takes values with their steps. A curve is an array (points,) with NaN where there is no value.
 No point uses later values, and nothing is extrapolated past the run's end. A sign of collapse is stored as
@@ -86,6 +86,12 @@ def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int)
     """Return, at each t, the last value at or before t; one that is NaN or infinite is a blank."""
     curve = np.concatenate([[np.nan], values])[np.searchsorted(step, grid, side="right")]
     return np.where(np.isfinite(curve) & (grid <= end), curve, np.nan)
+
+
+def known_points(step: np.ndarray, values: np.ndarray) -> Series:
+    """Return the finite values with their steps."""
+    finite = np.isfinite(values)
+    return step[finite], values[finite]
 
 
 def _single(curve: np.ndarray) -> np.ndarray:

@@ -218,6 +218,11 @@ class Study(Table):
             return None
         return str(self.path.resolve())
 
+    @property
+    def file(self) -> str:
+        """What finds the study again: its name, or the path of a user's own file."""
+        return self.own_path or self.name
+
 
 def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Combine fields with a base and with the defaults of the environment that they choose."""
@@ -392,8 +397,7 @@ def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
 
 def asked_words(study: Study) -> list[str]:
     """Return a command's words for a study as it is: its name or file, world and changed fields."""
-    asked = study.name if study.own_path is None else study.own_path
-    return [asked, *world_option(study.world, study.worlds), *setting_words(study.settings)]
+    return [study.file, *world_option(study.world, study.worlds), *setting_words(study.settings)]
 
 
 def run_command(study: Study) -> str:

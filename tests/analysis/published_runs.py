@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.study.published import encode_published
 from pneuma.study.store import Store
@@ -48,15 +47,16 @@ def save_run(
 
 def publish(data: StudyData, store: Store, *curves: str) -> Path:
     """Write a study's runs as a published table into a results folder, with curves of these, or of all."""
-    runs = [{"run_id": run.run_id, "condition": run.condition, "seed": run.seed} for run in data.runs]
-    listing = {"study": data.study, "title": data.title, "baseline": data.baseline, "runs": runs}
-    path = store.published_path(data.study)
-    about = {"study": data.study, "world": None, "settings": {}, "listing": listing}
-    store.write(path, encode_published(data.runs, about, curves or None))
+    study = data.study
+    runs = [{"run_id": run.run_id, "condition": run.condition, "seed": run.seed} for run in data.rows]
+    listing = {"study": study.name, "title": study.title, "baseline": study.baseline, "runs": runs}
+    path = store.published_path(study.name)
+    about = {"study": study.name, "world": None, "settings": {}, "listing": listing}
+    store.write(path, encode_published(data.rows, about, curves or None))
     return path
 
 
 def republished(data: StudyData, folder: Path, *curves: str) -> StudyData:
     """Return a study as it is read from its published table in a folder that holds nothing else."""
     publish(data, clone := Store(folder / "clone"), *curves)
-    return open_study(RunIndex(clone, shipped=False), data.study)
+    return open_study(RunIndex(clone, shipped=False), data.study.name)

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pneuma.analysis.claim_runs import with_claims
 from pneuma.analysis.claim_table import plan_contrasts
-from pneuma.analysis.claims import load_claims, with_claims
+from pneuma.analysis.claims import load_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -98,6 +99,10 @@ def test_thresholds_and_directions_are_of_each_outcome(tmp_path: Path) -> None:
             [('b = "low"', "value = { final-share-killed = { arena = 1 } }")],
         ),
         ("two conditions or more", [('"mean"', '"range"')]),
+        (
+            "steps: .* end at one step",
+            [('direction = "greater"', 'direction = "greater"\nsteps = { high = 1024, low = 512 }')],
+        ),
         ("of other conditions", [('b = "low"', "value = 1"), ('"mean"', '"spread"')]),
         ("'control'", [('b = "low"', 'b = "low"\ncontrol = "middle"')]),
         ("as many conditions in b", [('b = "low"', 'b = ["low", "middle"]\npaired = true')]),

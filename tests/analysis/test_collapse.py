@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis.asked import open_study
 from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
-from pneuma.analysis.frames import StudyData, view
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.study import series
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
@@ -20,14 +19,12 @@ from pneuma.study.store import Store
 from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events
 
 
-def diagnosed(
-    folder: Path, updates: np.ndarray, shares: np.ndarray, at_step: float | None = None, **more: Any
-) -> Diagnosis:
-    """Return the diagnosis of a run as it stood at a step; `more` as `save_collapse` takes it."""
+def diagnosed(folder: Path, updates: np.ndarray, shares: np.ndarray, **more: Any) -> Diagnosis:
+    """Return the diagnosis of a run; `more` as `save_collapse` takes it."""
     store = Store(folder / "results")
     save_collapse(store, "a0" * 8, updates, shares, **more)
     data = study_of(store, {("a", 0): "a0" * 8})
-    return diagnose(view(data, data.runs[0], at_step))
+    return diagnose(data.rows[0])
 
 
 def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.ndarray:
@@ -57,8 +54,6 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
         one_action(61), learning(), {"end": 8000},
         {"collapsed": True, "onset_update": 61},
     ),
-    "as it stood before": (one_action(61), learning(), {"at_step": 6000}, {"collapsed": False}),
-    "as it stood after": (one_action(61), learning(), {"at_step": 8000}, {"onset_update": 61}),
     # From update 61 at step 6,100 on, a twentieth of the budget, 500 steps, is over at update 66.
     "shorter than a twentieth": (one_action(61, 65), learning(), {}, {"collapsed": False}),
     "as long as a twentieth": (one_action(61, 66), learning(), {}, {"collapsed": True}),
@@ -163,7 +158,7 @@ def test_logs_are_judged_by_their_entropy_alone(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(RunIndex(store), "logs")
-    found = diagnose(view(data, data.runs[0]))
+    found = diagnose(data.rows[0])
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
     assert data.budget == BUDGET
 

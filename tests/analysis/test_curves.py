@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.curves import Curve, curves_table, evaluation_curves, training_curves
-from pneuma.analysis.frames import StudyData
+from pneuma.analysis.study_data import StudyData
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.series import held_curve, make_grid, update_curve
 from pneuma.study.store import Store

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData, common_step, step_note
-from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values, reason
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
@@ -119,7 +119,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
     ],
 )
 def test_a_done_runs_outcome(data: StudyData, name: str, expected: float) -> None:
-    assert outcome(data, data.runs[0], name) == pytest.approx(float(expected), rel=1e-6)
+    assert outcome(data.rows[0], name) == pytest.approx(float(expected), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -137,46 +137,14 @@ def test_a_done_runs_outcome(data: StudyData, name: str, expected: float) -> Non
 def test_a_diverged_run_counts_with_its_last_recorded_values(
     data: StudyData, name: str, expected: float
 ) -> None:
-    assert outcome(data, data.runs[2], name) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("final-share-killed", 0.6),
-        ("auc-share-killed", 0.4),
-        ("final-return", 10 / 3),
-        ("auc-return", (757.5 + 100 / 3) / 460),  # to 510: what lies less than 2.5 % beyond counts as there
-        ("final-entropy", np.float32(1.1)),
-        ("steps-to:0.5", 500),
-        ("least-entropy", np.float32(1.1)),
-        ("fall-from-best", 0.0),
-        ("wall-seconds", 4),
-    ],
-)
-def test_a_run_as_it_stood_at_a_step(data: StudyData, name: str, expected: float) -> None:
-    """Of a curve, which is rounded: returns to 1/64, their range being 6.3, entropies to 1/512."""
-    tolerance = 1 / 128 if "return" in name else 1 / 1024 if "entropy" in name else 1e-9
-    assert outcome(data, data.runs[0], name, at_step=500) == pytest.approx(float(expected), abs=tolerance)
-
-
-def test_means_over_evaluations_of_unlike_budgets_are_over_the_same_steps(tmp_path: Path) -> None:
-    """The longer is first evaluated at 500: from there to 1,000 the shorter comes to 0.475, by trapezoids."""
-    store = Store(tmp_path / "results")
-    save(store, "a0" * 8)
-    save(store, "a1" * 8, (0.3,), end=300)
-    save(store, "b0" * 8, (0.2, 0.4, 0.9, 0.9), 2000, {"steps": 2000}, step=(500, 1000, 1500, 2000))
-    data = study_of(store, CELLS)
-    found = [outcome(data, run, "auc-share-killed", common_step(data)) for run in data.runs]
-    assert found == pytest.approx([0.475, 0.3, 0.3])
-    assert outcome(data, data.runs[0], "auc-share-killed") == pytest.approx(0.45)
+    assert outcome(data.rows[2], name) == pytest.approx(expected)
 
 
 def test_overestimation_is_the_estimate_less_the_truth(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save(store, "a0" * 8, q_estimate=(1, 2, 3, 9.5), q_true=(1, 1, 1, 2))
     data = study_of(store, {("a", 0): "a0" * 8})
-    assert outcome(data, data.runs[0], "q-overestimation") == 7.5
+    assert outcome(data.rows[0], "q-overestimation") == 7.5
 
 
 def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) -> None:
@@ -189,10 +157,8 @@ def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) 
     save_collapse(store, ids["a", 2], gaps, learning(), 7_000)
     save_collapse(store, ids["a", 3], one_action(61), learning(), fork_step=5_000)
     data = study_of(store, ids)
-    found = [outcome(data, run, "low-entropy-share") for run in data.runs]
+    found = [outcome(run, "low-entropy-share") for run in data.rows]
     assert found == pytest.approx([0, 0.5, 20 / 70, 40 / 50])
-    assert outcome(data, data.runs[1], "low-entropy-share", at_step=5_000) == pytest.approx(0.2)
-    assert outcome(data, data.runs[1], "low-entropy-share", at_step=2_500) == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
@@ -206,25 +172,23 @@ def test_what_a_team_does_is_a_mean_of_the_last_five_evaluations(
     values: dict[str, Any] = {column: (9, 0.5, 0.5, 0, 1, 0.5)}
     save(store, "a0" * 8, (0.1,) * 6, 600, step=range(100, 700, 100), **values)
     data = study_of(store, {("a", 0): "a0" * 8})
-    assert outcome(data, data.runs[0], name) == 0.5
+    assert outcome(data.rows[0], name) == 0.5
 
 
 # --- What there is not ----------------------------------------------------------------------------
 
 
-def test_logs_are_compared_where_two_thirds_of_them_end_and_shorter_ones_are_left_out(tmp_path: Path) -> None:
+def test_runs_that_end_at_unlike_steps_count_at_their_own_ends_and_that_is_said(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
-    for seed, end in enumerate((1000, 1000, 1000, 980, 400, 100)):
+    for seed, end in enumerate((1000, 1000, 980, 400)):
         points = [("rollout/ep_rew_mean", step, float(step + seed)) for step in (10, end)]
         write_events(tmp_path / "logs" / f"a_{seed}" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(RunIndex(store), "logs")
-    at_step = common_step(data)
-    assert at_step == 980
     found = outcome_values(data, "a", "final-return")
-    np.testing.assert_allclose(found, [1000, 1001, 1002, 983, np.nan, np.nan], atol=1)  # in steps of 2
-    assert "the run ends at step 400" in reason(data, data.runs[4], "final-return", at_step)
-    assert step_note(data).endswith("(left out, as they end before: a 4, a 5).")
+    np.testing.assert_allclose(found, [1000, 1001, 982, 403], atol=1)  # in steps of 2
+    assert data.ends == "Runs end at 400 to 1,000 steps, and each counts at its own end."
+    assert replace(data, runs=data.runs[:3]).ends == ""
 
 
 # --- Laws -----------------------------------------------------------------------------------------
@@ -237,7 +201,7 @@ def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has |= {"low-entropy-share"}  # of runs that do not tell how many steps an update has
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
-        values = [outcome(data, run, name) for run in data.runs]
+        values = [outcome(run, name) for run in data.rows]
         assert all(np.isnan(value) or low <= value <= high for value in values), name
         assert np.isnan(values).all() == (name in none_has), name
 
@@ -246,6 +210,5 @@ def test_a_forks_time_is_of_the_steps_after_it(tmp_path: Path) -> None:
     """8 seconds for the 500 steps from its fork at 500."""
     save(store := Store(tmp_path / "results"), "a0" * 8, fields={"fork_step": 500})
     data = study_of(store, {("a", 0): "a0" * 8})
-    assert outcome(data, data.runs[0], "wall-seconds") == pytest.approx(8)
-    assert outcome(data, data.runs[0], "steps-per-second") == pytest.approx(62.5)
-    assert outcome(data, data.runs[0], "wall-seconds", 500) == 0
+    assert outcome(data.rows[0], "wall-seconds") == pytest.approx(8)
+    assert outcome(data.rows[0], "steps-per-second") == pytest.approx(62.5)

@@ -16,10 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis.asked import open_study
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.study.measure import _rounded, stored_row
@@ -42,24 +41,21 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def outcomes_of(data: StudyData, at_step: float | None = None) -> bytes:
+def outcomes_of(data: StudyData) -> bytes:
     """Return every outcome of every run, to the bit."""
-    return np.array([[outcome(data, run, name, at_step) for name in OUTCOMES] for run in data.runs]).tobytes()
+    return np.array([[outcome(run, name) for name in OUTCOMES] for run in data.rows]).tobytes()
 
 
 # --- One run, one row -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("at_step", [None, 500])
-def test_a_run_and_its_published_row_give_the_same_bits(
-    store: Store, tmp_path: Path, at_step: int | None
-) -> None:
+def test_a_run_and_its_published_row_give_the_same_bits(store: Store, tmp_path: Path) -> None:
     save_run(store, "b1" * 8, 1, end=600, status="diverged")
     data = hand_made.study_of(store, CELLS)
     again = republished(data, tmp_path)
-    assert [run.published for run in again.runs] == [True] * 4
-    assert outcomes_of(again, at_step) == outcomes_of(data, at_step)
-    for run, other in zip(data.runs, again.runs, strict=True):
+    assert [run.published for run in again.rows] == [True] * 4
+    assert outcomes_of(again) == outcomes_of(data)
+    for run, other in zip(data.rows, again.rows, strict=True):
         assert other.same_numbers(run) and other.fields == run.fields
         assert (other.condition, other.seed) == (run.condition, run.seed)
 
@@ -138,7 +134,7 @@ def test_a_folder_on_a_read_only_disk_can_be_read(store: Store, monkeypatch: pyt
     for name in ("replace", "link", "mkdir", "unlink"):
         monkeypatch.setattr(os, name, refuse)
     data = open_study(RunIndex(store, shipped=False), "mine")
-    assert len(data.runs) == 4 and np.isfinite(outcome(data, data.runs[0], "final-return"))
+    assert len(data.rows) == 4 and np.isfinite(outcome(data.rows[0], "final-return"))
     assert written and not (store.run_folder(RUN) / ROW_FILE).exists()
 
 
@@ -175,7 +171,7 @@ def test_only_the_curves_that_are_named_are_published_but_all_outcomes(store: St
     few = republished(data, tmp_path, "entropy")
     assert few.quantities == ["entropy"]
     for name in ("final-return", "median-grad-norm", "max-grad-norm", "mean-kl", "final-share-killed"):
-        assert outcome(few, few.runs[0], name) == outcome(data, data.runs[0], name), name
+        assert outcome(few.rows[0], name) == outcome(data.rows[0], name), name
 
 
 def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -> None:
@@ -183,9 +179,9 @@ def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -
     save_run(store, "b0" * 8, 0, valued=True, played=50.5)
     again = republished(data := hand_made.study_of(store, CELLS), tmp_path)
     assert outcomes_of(again) == outcomes_of(data)
-    assert all(run.same_numbers(own) for run, own in zip(again.runs, data.runs, strict=True))
-    assert "q_estimate" in again.runs[1].evaluation_columns
-    assert "q_estimate" not in again.runs[0].evaluation_columns
+    assert all(run.same_numbers(own) for run, own in zip(again.rows, data.rows, strict=True))
+    assert "q_estimate" in again.rows[1].evaluation_columns
+    assert "q_estimate" not in again.rows[0].evaluation_columns
 
 
 def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
@@ -232,17 +228,17 @@ def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wi
     index = RunIndex(store, shipped=False)
     told: list[str] = []
     hand_made.save_listing(store, CELLS)
-    data = open_study(index, "mine", tell=told.append)
+    data = open_study(index, "mine", say=told.append)
     path = store.published_path("elsewhere")
     assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
-    assert not any(run.published for run in data.runs)
-    assert outcome(data, data.runs[0], "best-return") == pytest.approx(20 / 3)
+    assert not any(run.published for run in data.rows)
+    assert outcome(data.rows[0], "best-return") == pytest.approx(20 / 3)
 
 
 def test_a_table_lends_its_runs_to_other_studies_and_their_longer_grid(store: Store, tmp_path: Path) -> None:
     """On the longer grid a point has the last value up to it, and none beyond the run's end."""
     own = republished(hand_made.study_of(store, CELLS), tmp_path)
-    longer = replace(own, budget=2000)
+    longer = replace(own, runs=own.runs.assign(steps=2000))
     for quantity in ("return", "entropy"):
-        curve, held = own.curve(own.runs[0], quantity), longer.curve(own.runs[0], quantity)
+        curve, held = own.curve(own.rows[0], quantity), longer.curve(own.rows[0], quantity)
         np.testing.assert_array_equal(held, [*curve[1::2], *[np.nan] * 100])

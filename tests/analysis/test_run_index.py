@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pneuma.analysis.asked import open_study
 from pneuma.analysis.curves import training_curves
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.frames import StudyData
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.study.imported import import_tensorboard
 from pneuma.study.plan import Selection
@@ -58,18 +57,18 @@ def data(request: pytest.FixtureRequest, store: Store, tmp_path: Path) -> StudyD
         return republished(data, tmp_path)
     if request.param.startswith("partly"):
         publish(data, store)
-        for run in data.runs[1:]:
+        for run in data.rows[1:]:
             shutil.rmtree(store.run_folder(run.run_id))
-        store.save_run(data.runs[2].run_id, Status("crashed", 100), {})
-        data = open_study(RunIndex(store, shipped=False), data.study)
-        assert [run.published for run in data.runs] == [False, True, True]
+        store.save_run(data.rows[2].run_id, Status("crashed", 100), {})
+        data = open_study(RunIndex(store, shipped=False), data.study.name)
+        assert [run.published for run in data.rows] == [False, True, True]
     return data
 
 
 def test_every_quantity_has_a_curve_that_ends_with_its_run(data: StudyData) -> None:
     assert {"return", "entropy"} <= {*data.quantities} <= {*TRAINING_QUANTITIES}
     for quantity in data.quantities:
-        for run in data.runs:
+        for run in data.rows:
             for window in {*data.windows} & {*run.windows_of(quantity)}:
                 curve = data.curve(run, quantity, window)
                 assert curve.shape == (200,)
@@ -85,9 +84,9 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
     data: StudyData, store: Store, tmp_path: Path
 ) -> None:
     again = republished(data, tmp_path / "again")
-    for key in ("conditions", "baseline", "same", "title", "figure", "fields", "windows", "quantities"):
+    for key in ("study", "conditions", "same", "fields", "windows", "quantities"):
         assert getattr(again, key) == getattr(data, key)
-    for run, other in zip(data.runs, again.runs, strict=True):
+    for run, other in zip(data.rows, again.rows, strict=True):
         assert other.same_numbers(run) and other.fields == run.fields
         assert (other.condition, other.seed) == (run.condition, run.seed)
     for table in ("curves", "summary", *(["evaluations"] if data.evaluated else [])):
@@ -102,7 +101,7 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(RunIndex(store), "logs")
-    (a,) = data.runs
+    (a,) = data.rows
     at = {int(step): place for place, step in enumerate(data.grid)}
     curve = data.curve(a, "return")
     places = [at[95], at[100], at[195], at[200], at[300]]
@@ -122,7 +121,7 @@ def test_only_finished_runs_count_and_it_is_said_how_many_do_not(store: Store) -
     store.save_run(A1, Status("crashed"), {})
     save_listing(store, {**CELLS, ("a", 1): A1})
     told: list[str] = []
-    assert len(open_study(RunIndex(store, shipped=False), "mine", tell=told.append).runs) == 3
+    assert len(open_study(RunIndex(store, shipped=False), "mine", say=told.append).runs) == 3
     assert told[-1] == "Note: 1 of 4 runs are not finished or damaged, and left out."
     with pytest.raises(UserError, match="no finished run of study mine is in"):
         open_study(RunIndex(store, shipped=False), "mine", Selection(seeds=(1,), conditions=("a",)))
@@ -133,7 +132,7 @@ def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no
     store: Store, name: str
 ) -> None:
     """Names become those of figures and published tables, and the folder may be anybody's."""
-    row = trained(store).runs[0]
+    row = trained(store).rows[0]
     runs = [{"run_id": row.run_id, "condition": "a", "seed": 0}]
     for listing in ({"study": name, "title": "", "baseline": "a", "runs": runs}, {"study": "table"}, [1]):
         about = {"study": "table", "listing": listing}
@@ -152,9 +151,9 @@ def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: St
     trained(store)
     index = RunIndex(store)
     theirs = open_study(index, "activation", Selection(conditions=("tanh",), seeds=(100, 101)), "godot")
-    assert [run.published for run in theirs.runs] == [True, True]
-    ids = [run.run_id for run in theirs.runs]
+    assert [run.published for run in theirs.rows] == [True, True]
+    ids = [run.run_id for run in theirs.rows]
     save_listing(store, {("tanh", 0): ids[0], ("tanh", 1): ids[1], ("ours", 0): A0}, name="both")
     data = open_study(RunIndex(store), "both")
-    assert {run.run_id: run.published for run in data.runs} == {ids[0]: True, ids[1]: True, A0: False}
-    assert {*ids} <= {*index.entries} and not {*ids} & {*RunIndex(store, shipped=False).entries}
+    assert {run.run_id: run.published for run in data.rows} == {ids[0]: True, ids[1]: True, A0: False}
+    assert {*ids} <= {*index.frame.index} and not {*ids} & {*RunIndex(store, shipped=False).frame.index}

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.frames import StudyData
 from pneuma.analysis.intervals import shown_with_interval
+from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import compare_conditions, summary_table
 from pneuma.study.store import Store
 

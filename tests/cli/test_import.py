@@ -58,19 +58,16 @@ def test_a_log_with_evaluations_of_its_own_is_drawn(tmp_path: Path) -> None:
     assert call("study", "plot", "own", "--quantity", "success", *at)[0] == 0
 
 
-def test_a_log_that_is_left_out_is_not_counted(logs: Path, tmp_path: Path) -> None:
-    """Two of three reach step 1,000, where values are compared."""
+def test_a_log_that_was_cut_short_counts_at_its_end_and_that_is_said(logs: Path, tmp_path: Path) -> None:
     (short,) = logs.glob("tanh_2/*")
     short.unlink()
     write_events(short, [(RETURN, 100, 1.0)])
     at = ("--results", tmp_path / "results")
     printed("import", "tensorboard", logs, *at)
     told = printed("study", "summary", "old", *at)
-    rows = [line.split("  ") for line in told.splitlines() if line.startswith(("tanh", "relu"))]
-    assert {row[0]: next(filter(None, map(str.strip, row[1:]))) for row in rows} == {
-        "relu": "1",
-        "tanh": "1 of 2",
-    }
+    assert "Runs end at 100 to 1,000 steps, and each counts at its own end." in told
+    rows = [line.split() for line in told.splitlines() if line.startswith(("tanh", "relu"))]
+    assert {row[0]: row[1] for row in rows} == {"relu": "1", "tanh": "2"}
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -78,13 +75,15 @@ def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path
     """In the conditions that both have; the reward behind a log is not known, and its return is compared."""
     at = ("--results", shutil.copytree(trained, tmp_path / "results"))
     printed("import", "tensorboard", logs, *at)
-    told = printed("study", "compare", "activation", "old", *SETTINGS, "--outcome", "final-return", *at)
+    told = printed(
+        "study", "compare", "activation", "--with", "old", *SETTINGS, "--outcome", "final-return", *at
+    )
     rows = [line.split("  ") for line in told.splitlines() if line.startswith(("tanh", "relu"))]
     found = {row[0]: row[-2].strip() or row[-3] for row in rows}
     assert {name: runs.strip() for name, runs in found.items()} == {"tanh": "2 and 2", "relu": "2 and 1"}
     assert "Activation function in the arena" in told or "Activation function, and old" in told
     only = ("--condition", "leaky-relu")
-    assert "no runs" in refused("study", "compare", "activation", "old", *only, *SETTINGS, *at)
+    assert "no runs" in refused("study", "compare", "activation", "--with", "old", *only, *SETTINGS, *at)
 
 
 # --- CSV ------------------------------------------------------------------------------------------

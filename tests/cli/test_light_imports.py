@@ -12,7 +12,7 @@ HEAVY = ("torch", "jax", "numba", "pandas", "matplotlib", "optuna")
 STATEMENTS = {
     "pneuma --help": "from pneuma.cli import main; assert main(['--help']) == 0",
     "pneuma study run --help": "from pneuma.cli import main; assert main(['study', 'run', '--help']) == 0",
-    "pneuma run list": "from pneuma.cli import main; assert main(['run', 'list', '--results', '/no']) == 0",
+    "pneuma study list": "from pneuma.cli import main; assert main(['study', 'list']) == 0",
     "gymnasium's registry": "import gymnasium, pneuma; gymnasium.spec('pneuma/Pneuma-v0')",
 }
 

@@ -34,6 +34,7 @@ def store(plan: Plan, store: Store, monkeypatch: pytest.MonkeyPatch, unshipped: 
     monkeypatch.setenv("PNEUMA_RESULTS", str(store.root))
     for cell in plan.cells:
         save_finished(store, cell.run, **MACHINE)
+    store.save_last_steps("activation", "text", 640)
     return store
 
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.asked import answer, ask
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, choose_runs, find_study
 from pneuma.api import open_data
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
@@ -32,8 +31,8 @@ def _finish(
 def _ask(store: Store, name: str, world: str | None = None, **selection: Any) -> tuple[list[str], str]:
     """Return the ids of the runs that answer a question, and the sentence on what is shown."""
     index, picked = RunIndex(store), Selection(**selection)
-    shown = answer(index, ask(index, name, picked, world), picked)
-    return [entry.run_id for *_, entry in shown.runs], shown.told(Path("here"))
+    data = choose_runs(index, find_study(index, name, picked, world), picked)
+    return [*data.runs["run_id"]], data.text(Path("here"))
 
 
 # --- Budgets, fields and worlds --------------------------------------------------------------------
@@ -52,7 +51,7 @@ def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(
     more = _finish(store, seeds=(2,), steps=512)
     assert _ask(store, "activation")[0] == [*first, *more]
     data = open_data("activation", store.root, seeds=[1, 2], conditions="tanh")
-    assert [run.run_id for run in data.runs] == [first[2], more[0]]
+    assert [run.run_id for run in data.rows] == [first[2], more[0]]
     words = ("study", "status", "activation", "--results", store.root)
     assert "--steps 4096: activation in the arena has runs of 1,024, 2,048 steps" in refused(
         *words, "--steps", "4096"
@@ -121,8 +120,8 @@ def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
     """With one slot, 2,000 steps are 2,048 with either horizon, and 1,500 are 1,536 with that of 256."""
     study = "hyperparameters"
     index, million = RunIndex(store), Selection(steps=1_000_000)
-    published = answer(index, ask(index, study, million), million)
-    assert {entry.steps for *_, entry in published.runs} == {1_000_448, 1_007_616}  # of 4 x 256 and 4 x 2,048
+    published = choose_runs(index, find_study(index, study, million), million)
+    assert {*published.runs["steps"]} == {1_000_448, 1_007_616}  # of 4 x 256 and 4 x 2,048
     what: dict[str, Any] = {"conditions": ("table-6-2", "horizon-2048"), "settings": {"slots": 1}}
     ids = {steps: _finish(store, study, seeds=(0,), steps=steps, **what) for steps in (1500, 2000)}
     assert all(_ask(store, study, steps=steps, **what)[0] == ids[steps] for steps in ids)

@@ -11,7 +11,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from pneuma.cli.options import Commands, Picked, selecting_words
+from pneuma.cli import options as opt
+from pneuma.cli.output import Result
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import list_studies, load_study
 
@@ -124,11 +125,17 @@ def test_a_copy_of_any_shipped_study_plans_the_same_runs(
 )
 def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], words: str) -> None:
     selection = Selection(**{"settings": {}, **given})
-    told, app, read = selecting_words(selection), Commands(""), []
+    told, app, read = opt.selecting_words(selection), opt.Commands(""), []
 
     @app.command()
-    def take(picked: Picked) -> None:
-        read.append(picked.selection)
+    def take(
+        seeds: opt.Seeds = None,
+        steps: opt.StoredSteps = None,
+        condition: opt.Conditions = None,
+        set_: opt.Settings = None,
+    ) -> Result:
+        read.append(opt.RunFilter(seeds, steps, condition, set_).selection)
+        return Result({})
 
     assert " ".join(told) == words
     app(told, standalone_mode=False)

@@ -42,7 +42,8 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
 def test_every_run_of_another_study_is_drawn_beside(
     study: HandMade, tmp_path: Path, drawn: list[Figure], quantity: str
 ) -> None:
-    other = replace(study.data, study="other", title="Another")
+    data = study.data
+    other = replace(data, study=data.study.model_copy(update={"name": "other", "title": "Another"}))
     study.draw(tmp_path, quantities=(quantity,))
     (path,) = study.draw(tmp_path, quantities=(quantity,), beside=other)
     alone, beside = (figure.axes[0] for figure in drawn)

@@ -188,7 +188,6 @@ class _Row:
 
     status: str = "done"
     end: int = 0
-    condition: str = ""
 
 
 def test_a_run_that_diverges_after_a_pause_had_its_values_there(
@@ -201,7 +200,6 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
     monkeypatch.setattr(values, "stored_row", lambda *_: _Row("diverged"))
     monkeypatch.setattr(values, "row_until", lambda *asked: _Row(end=asked[-1]))
-    monkeypatch.setattr(Outcomes, "_data", lambda *_: None)
-    monkeypatch.setattr(values, "outcome", lambda _, run, name, step: step / run.end)
+    monkeypatch.setattr(values, "outcome", lambda run, name: run.end)
     early = Outcomes(task.search, store).read_early(cell, "final-share-killed", [100, 200, 300])
-    assert early == [0.5, 1.0, 0.0]  # the worst share from where it diverged on
+    assert early == [100, 200, 0.0]  # the worst share from where it diverged on

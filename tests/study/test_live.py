@@ -34,7 +34,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
     described("import", "tensorboard", logs, "--name", "again", "--results", logged, "--json")
     again = open_data("again", logged)
     store = Store(logged)
-    for back in again.runs:
+    for back in again.rows:
         (path,) = (logs / f"{back.condition}_5").iterdir()
         scalars, _ = read_event_file(path)
         points: dict[str, list[tuple[int, float]]] = {}

@@ -1,4 +1,4 @@
-"""The runs that a claim fixed in a world, found by their ids → arms.
+"""The runs that claims fix: in a world, found by their ids → arms; and of a study, as a preset to train.
 
 An arm has one value per run, or says why its runs cannot be compared.
 """
@@ -11,18 +11,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import pandas as pd
 
-from pneuma.analysis.asked import Asked, Stored, ask, read_runs
-from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.frames import StudyData, view
+from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
-from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import RunIndex, find_runs, finished_rows
+from pneuma.analysis.study_data import StudyData
+from pneuma.errors import UserError
 from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
-from pneuma.study.series import SLACK
-from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Study
+from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Amount, Preset, Study
 from pneuma.values import shown_seeds
 from pneuma.worlds import world_option
 
@@ -54,16 +54,14 @@ class ClaimRuns:
     """The runs that a claim fixed in one world.
 
     Attributes:
-        asked: its conditions, as its study has them in the world.
-        data: the finished runs; None if there are none.
+        data: its conditions, as its study has them in the world, and their finished runs; there may be none.
         fix: the end of a reason if runs are missing, with the command that trains them.
         damaged: published tables that could not be read, and may contain them.
     """
 
     claim: Claim
     world: str
-    asked: Asked
-    data: StudyData | None
+    data: StudyData
     fix: str
     damaged: Sequence[str]
 
@@ -74,23 +72,23 @@ class ClaimRuns:
         return tuple(sorted({str(origin.get("commit")).removesuffix("-dirty") for origin in origins}))
 
     def budget(self, condition: str) -> int:
-        return round_up(self.asked.runs[condition], self.claim.steps[condition])
+        return round_up(self.data.configurations[condition], self.claim.steps[condition])
 
     def found(self, condition: str) -> list[Row]:
-        return self.data.of_condition(condition) if self.data else []
+        return self.data.of_condition(condition)
 
     def why_incomparable(self, outcome: str, names: Sequence[str]) -> str:
         """Return why arms cannot be compared, before any value is read; empty if they can."""
-        if any(len({*names} & {*group}) > 1 for group in self.asked.same):
+        if any(len({*names} & {*group}) > 1 for group in self.data.same):
             return f"A/A: {' and '.join(names)} resolve to the same configuration"
-        engines = [self.asked.runs[name].engine for name in names]
+        engines = [self.data.configurations[name].engine for name in names]
         if len({*engines}) > 1:
             mixed = ", ".join(map("{} by {}".format, names, engines))
             return f"engines are mixed: {mixed}"
         if missing := [*filter(None, map(self._missing, names))]:
             return "; ".join([*missing, self.fix])
         parts = outcome.split(MINUS)
-        if self.data and any(map(is_return, parts)) and not have_one_return(self.data, names):
+        if any(map(is_return, parts)) and not have_one_return(self.data, names):
             return "returns of unlike rewards"
         timed = any(find_outcome(part).source == "times" for part in parts)
         return self._machines(names) if timed else ""
@@ -115,33 +113,25 @@ class ClaimRuns:
 
     def arm(self, name: str, condition: str) -> Arm:
         """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
-        claim, data, runs = self.claim, self.data, self.found(condition)
-        assert data is not None
-        # budgets are rounded up to whole horizons; claims are judged at the steps that they state
-        budgets = [self.budget(name) for name in claim.compared]
-        unlike = max(budgets) > min(budgets) * (1 + SLACK)
-        at_step = float(min(claim.steps.values())) if unlike else None
-        parts, why = name.split(MINUS), ""
-        values = np.subtract.reduce([[outcome(data, run, part, at_step) for run in runs] for part in parts])
+        claim, runs, parts, why = self.claim, self.found(condition), name.split(MINUS), ""
+        values = np.subtract.reduce([[outcome(run, part) for run in runs] for part in parts])
         for run, value in zip(runs, values, strict=True):
             if not why and np.isnan(value):
-                why = f"{condition} seed {run.seed}: " + next(
-                    filter(None, (reason(data, run, part, at_step) for part in parts))
-                )
+                why = f"{condition} seed {run.seed}: " + next(filter(None, (reason(run, p) for p in parts)))
         if claim.counts:
             values = claim.has_event(name, values).astype(float)
         # steps to what is never reached are at least those of the run
-        values = np.where(np.isinf(values), at_step or self.budget(condition), values)
-        return Arm(values, why, _learned(data, runs, at_step))
+        values = np.where(np.isinf(values), self.budget(condition), values)
+        return Arm(values, why, _learned(runs))
 
 
-def _learned(data: StudyData, runs: Sequence[Row], at_step: float | None) -> bool | None:
+def _learned(runs: Sequence[Row]) -> bool | None:
     """Return whether an arm plays better than the random player: its interval of the mean is above it.
 
     Of each run its mean score over all evaluations counts, where 0 is the random player; the greatest score
     would be above 0 by chance alone. None if a run has no score.
     """
-    every = [view(data, run, at_step).evaluations("score")[1] for run in runs]
+    every = [run.known_evaluations("score")[1] for run in runs]
     scores = np.array([scores.mean() if len(scores) else np.nan for scores in every])
     if not np.isfinite(scores).all() or scores.size < 2:
         return None
@@ -156,34 +146,28 @@ Wanted = Callable[[Claim, str], bool]
 """Whether a claim is to be judged in a world."""
 
 
-def find_runs(
+def find_claim_runs(
     index: RunIndex, claims: ClaimList, wanted: Wanted = lambda claim, world: True
 ) -> Iterator[ClaimRuns]:
     """Yield the runs of each claim that is asked for, in each of its worlds, in the list's order."""
     rest = " --unpublished" if index.store.published(shipped=False) else ""
     for claim in claims.claims.values():
-        is_path = claim.study.endswith(".toml")
-        path = str(claims.path.parent / claim.study) if is_path else claim.study
         for world in filter(partial(wanted, claim), claim.worlds):
-            asked = ask(index, path, Selection(conditions=claim.compared), world)
-            commands = _commands(claims, claim, asked.study)
+            study = claims.studies[claim.study].in_world(world)
+            data = find_runs(index, study, Selection(conditions=claim.compared))
+            commands = _commands(claims, claim, data.study)
             fix = f"{TRAIN_WITH} {' && '.join(shlex.join(words) + rest for words in commands)}"
-            runs = ClaimRuns(claim, world, asked, None, fix, index.problems)
-            yield replace(runs, data=read_runs(index, asked, _fixed(index, runs)))
+            runs = ClaimRuns(claim, world, data, fix, index.problems)
+            yield replace(runs, data=finished_rows(index, replace(data, runs=_fixed(runs))))
 
 
-def _fixed(index: RunIndex, runs: ClaimRuns) -> list[Stored]:
-    """Return those of the runs that a claim fixed which are stored, condition by condition."""
-    found: list[Stored] = []
-    for name in runs.claim.compared:
-        stored = {
-            entry.seed: entry
-            for entry in index.of_run(runs.asked.runs[name])
-            if entry.steps == runs.budget(name)
-        }
-        seeds = runs.claim.seeds[name]
-        found += [(name, seed, stored[seed]) for seed in seeds if seed in stored]
-    return found
+def _fixed(runs: ClaimRuns) -> pd.DataFrame:
+    """Return those of the runs that a claim fixed which are stored, seed by seed."""
+    every = runs.data.runs.sort_values("seed", kind="stable")
+    budgets = {name: runs.budget(name) for name in runs.claim.compared}
+    of_each = zip(every["condition"], every["seed"], every["steps"], strict=True)
+    fixed = [seed in runs.claim.seeds[name] and steps == budgets[name] for name, seed, steps in of_each]
+    return every.loc[fixed]
 
 
 def _commands(claims: ClaimList, claim: Claim, study: Study) -> Iterator[list[str]]:
@@ -206,3 +190,50 @@ def _commands(claims: ClaimList, claim: Claim, study: Study) -> Iterator[list[st
     for (seeds, steps), names in amounts.items():
         conditions = [word for name in names for word in ("--condition", name)]
         yield [*words, *world, *conditions, "--seeds", seeds, "--steps", str(steps)]
+
+
+# --- The preset `claims`: runs to train ----------------------------------------------------------------
+
+
+def with_claims(study: Study, steps: int | None = None) -> Study:
+    """Return a study with the preset `claims`: the runs that claims beside its file fix in its world.
+
+    Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
+    claims fix several budgets, `steps` chooses one; any other number chooses the conditions of all.
+
+    Raises:
+        UserError: when no claim is about the study, or several budgets are possible.
+    """
+    found = fixed_amounts(study)
+    if not found:
+        raise UserError(
+            f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it in this world"
+        )
+    if len(found) > 1 and steps is None:
+        budgets = " or ".join(f"{each:,}" for each in found)
+        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
+    every = {name: preset for each in found.values() for name, preset in each.items()}
+    steps = steps or next(iter(found))
+    preset = Preset.model_construct(seeds=(), steps=steps, conditions=found.get(steps, every))
+    return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
+
+
+def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
+    """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
+    if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
+        return {}
+    found: dict[int, dict[str, set[int]]] = {}
+    for claim in load_claims(beside).claims.values():
+        own = (beside.parent / claim.study).resolve() == study.path.resolve()
+        shipped = study.own_path is None and claim.study == study.path.stem
+        if (own or shipped) and study.world in claim.worlds:
+            for condition, seeds in claim.seeds.items():
+                found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
+    return {
+        steps: {
+            name: Amount.model_construct(seeds=tuple(sorted(seeds_of[name])), steps=steps)
+            for name in study.conditions
+            if name in seeds_of
+        }
+        for steps, seeds_of in found.items()
+    }

@@ -1,0 +1,400 @@
+"""Which runs there are, and which of them a study's name and options mean.
+
+    results folder, published tables → RunIndex.frame: a row for each run, finished or not
+    a study's name, world, changed fields → `find_study`: its conditions, each with its configuration's id,
+        joined with the frame: every run of the study
+    steps and seeds → `choose_runs`: those of one budget → `read_runs`: the finished ones, with their rows
+
+A study is a question: the runs that have its configurations are its runs, wherever they are. Only studies
+without a file (imported logs, forks, a search's trials) list theirs. Everything after is
+`data.runs.groupby("condition")`.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache, cached_property, lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.analysis.study_data import StudyData
+from pneuma.config import Run, as_fields
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.files import read_whole
+from pneuma.study.identity import config_id
+from pneuma.study.measure import UNKNOWN, stored_row
+from pneuma.study.plan import Selection, configure, round_up
+from pneuma.study.published import Published
+from pneuma.study.rows import Row
+from pneuma.study.spec import Study, list_studies, load_study, run_command
+from pneuma.study.store import FINISHED, Identity, Store
+from pneuma.values import as_tuple, setting_words
+from pneuma.worlds import TEXT, WORLDS
+
+ALL = Selection()
+Say = Callable[[str], object]
+"""Says something to the user."""
+COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
+"""Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
+
+
+class RunIndex:
+    """The runs of a results folder and of published tables.
+
+    With `stored = False` only published tables are used; with `shipped = False` not those that come with
+    Pneuma.
+
+    Attributes:
+        problems: messages on what cannot be read, or contradicts itself.
+        row: returns the row of a run by its id; None if it cannot be read.
+    """
+
+    def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
+        self.store = store
+        self._stored = stored
+        self._shipped = shipped
+        self.problems: list[str] = []
+        self.row = cache(self._read_row)
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:
+        """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
+        here = [*self._runs_here()] if self._stored else []
+        published = [(*run, str(table.path)) for table in self.tables.values() for run in table.index]
+        finished = [run for run in here if run[COLUMNS.index("status")] in FINISHED]
+        every = pd.DataFrame([*here, *published, *finished], columns=COLUMNS)
+        every = every.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
+        return every.astype({"seed": int, "steps": int, "end": int})
+
+    @cached_property
+    def tables(self) -> dict[str, Published]:
+        return {
+            name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
+        }
+
+    @cached_property
+    def places(self) -> Mapping[Any, Any]:
+        """The places in the frame of each configuration's runs, of any seed and budget."""
+        return self.frame.groupby("config_id").indices
+
+    @cached_property
+    def _where(self) -> Mapping[str, str]:
+        return dict(zip(self.frame.index, self.frame["where"], strict=True))
+
+    def engine_of(self, run: Run) -> str:
+        """Return the engine of a run's configuration, or another by which there are runs of it alone."""
+        engines = dict.fromkeys([run.engine, *ALGORITHM_ENGINES[run.algorithm]])
+        known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
+        return next(known, run.engine)
+
+    def listing(self, name: str) -> dict[str, Any] | None:
+        """Return the record of a study without a file, from here or from its published table."""
+        listing = self.store.listing(name) if self._stored else None
+        if listing is None and name in self.tables:
+            from pneuma.study.documents import checked_listing
+
+            listing = checked_listing(self.tables[name].about.get("listing"), name)
+        return listing
+
+    def listings(self) -> list[str]:
+        """Return the names of studies without a file that are recorded here or published."""
+        listed = (name for name, table in self.tables.items() if table.about.get("listing"))
+        here = self.store.listings() if self._stored else ()
+        return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
+
+    def _runs_here(self) -> Iterator[tuple[Any, ...]]:
+        for run_id in self.store.runs():
+            status = self.store.status(run_id, quick=True)
+            if status.identity is None and status.name == "damaged":
+                folder = self.store.run_folder(run_id)
+                self.problems.append(
+                    f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
+                )
+            about = status.identity or Identity(UNKNOWN, 0, 0)
+            yield run_id, about.config_id, about.seed, about.steps, status.name, status.step, ""
+
+    def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
+        try:
+            about = path.stat()
+            yield path.stem, _read_table(path, about.st_ino, about.st_mtime_ns, about.st_size)
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            self.problems.append(
+                f"{path}: cannot be read ({reason}); take it from version control again, or publish it anew"
+            )
+
+    def _read_row(self, run_id: str) -> Row | None:
+        if where := self._where[run_id]:
+            return next((row for _, row in self._published(run_id, where)), None)
+        try:
+            row = stored_row(self.store, run_id)
+        except UserError as error:
+            self.problems.append(str(error))
+            return next((row for _, row in self._published(run_id)), None)
+        for path, other in self._published(run_id):
+            if not other.same_numbers(row):
+                self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
+        return row
+
+    def _published(self, run_id: str, alone: str = "") -> Iterator[tuple[Path, Row]]:
+        """Yield the rows of a run in published tables, or in one of them."""
+        for table in self.tables.values():
+            if run_id in table.places and alone in ("", str(table.path)):
+                try:
+                    yield table.path, table.row(run_id)
+                except ValueError as error:
+                    self.problems.append(f"{table.path}: {error}")
+
+
+@lru_cache(maxsize=100)
+def _read_table(path: Path, *_version: int) -> Published:
+    """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
+    return Published(path, read_whole(path))
+
+
+# --- The runs of a study ----------------------------------------------------------------------------
+
+
+def find_study(index: RunIndex, name: str, picked: Selection = ALL, world: str | None = None) -> StudyData:
+    """Return a study in a world, with changed fields, and all its runs of any budget.
+
+    Raises:
+        UserError: for an unknown study, world or condition, or fields that do not go together.
+    """
+    of_file = name in list_studies() or name.endswith(".toml")
+    if not of_file and (listing := index.listing(name)) is not None:
+        return _find_listed(index, listing, picked)
+    return find_runs(index, load_study(name, world, () if of_file else index.listings()), picked)
+
+
+def find_runs(index: RunIndex, study: Study, picked: Selection = ALL) -> StudyData:
+    """Return a study of a file in its world, with changed fields, and all its runs of any budget."""
+    found = configure(study, picked.settings, picked.conditions, index.engine_of)
+    places = {condition: index.places.get(config_id(run), ()) for condition, run in found.runs.items()}
+    runs = index.frame.iloc[[place for each in places.values() for place in each]].reset_index(drop=True)
+    runs = runs.assign(condition=[condition for condition, each in places.items() for _ in each])
+    fields = {condition: _without_amount(as_fields(run)) for condition, run in found.runs.items()}
+    return StudyData(found.study, fields, runs, found.runs)
+
+
+def _find_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) -> StudyData:
+    name = listing["study"]
+    every: dict[str, dict[str, Any]] = {run["condition"]: {} for run in listing["runs"]}
+    for condition in picked.conditions:
+        if condition not in every:
+            raise unknown_name(f"condition of study {name}", condition, every)
+    if picked.settings:
+        raise UserError(f"--set: study {name} has no file whose fields could be changed")
+    listed = pd.DataFrame(listing["runs"])[["run_id", "condition", "seed"]]
+    listed = listed.drop_duplicates("run_id", keep="last")
+    listed = listed[listed["condition"].isin(picked.conditions or every)]
+    runs = listed.merge(index.frame.drop(columns="seed").reset_index(drop=True), on="run_id")
+    fields: dict[str, Mapping[str, Any]] = {each: {} for each in every if each in {*listed["condition"]}}
+    baseline, title = listing["baseline"], listing["title"]
+    study = Study.without_file(name, title, every, baseline=baseline, worlds=(TEXT,))
+    data = StudyData(study, fields, runs)
+    known = {run.condition: _without_amount(run.fields) for run in finished_rows(index, data).rows}
+    return replace(data, fields={**fields, **known})
+
+
+def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in fields.items() if key not in ("seed", "steps")}
+
+
+def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> StudyData:
+    """Return a study with those of its runs that have the steps and seeds that were asked for, seed by seed.
+
+    Without steps these are the runs of the budget of this study's last `study run` here, or else of the
+    published budget with most conditions and runs. What other studies train changes neither. Budgets without
+    any of the seeds that were asked for are passed over.
+
+    Raises:
+        UserError: when nothing is stored that is asked for.
+    """
+    runs, study = data.runs, data.study
+    if not data.configurations:
+        runs = runs if picked.steps is None else runs[runs["steps"] == picked.steps]
+        if not len(runs):
+            of = f" of {picked.steps:,} steps" if picked.steps else ""
+            raise UserError(f"study {study.name} has no runs{of} in {index.store.root}")
+        return _narrowed(replace(data, runs=runs), picked)
+    if not len(runs):
+        raise UserError(_nothing(index, data))
+    budgets, last_here = _by_budget(data), False
+    if picked.steps is None:
+        having = {
+            steps: each
+            for steps, each in budgets.items()
+            if picked.seeds is None or each["seed"].isin(picked.seeds).any()
+        }
+        budget, last_here = _usual_budget(index, study, having or budgets)
+    elif len(chosen := _of_budget(data, picked.steps)):
+        budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
+    else:
+        known = ", ".join(f"{steps:,}" for steps in budgets)
+        raise UserError(f"--steps {picked.steps}: {data.where} has runs of {known} steps")
+    shown, others = budgets[budget], []
+    for steps, each in sorted(budgets.items(), key=lambda each: -len(each[1])):
+        if not each.equals(shown):
+            published = ", published" if (each["where"] != "").all() else ""
+            others.append(f"{counted(len(each), 'run')} of {steps:,} steps{published} (--steps {steps})")
+    others += _elsewhere(index, study)
+    chosen_data = replace(data, runs=shown, steps=budget, others=others, last_here=last_here)
+    return _narrowed(chosen_data, picked)
+
+
+def _narrowed(data: StudyData, picked: Selection) -> StudyData:
+    seeds = {*data.runs["seed"]}
+    kept = seeds if picked.seeds is None else seeds & {*picked.seeds}
+    if not kept:
+        few = ", ".join(map(str, sorted(seeds)[:10])) + (", …" if len(seeds) > 10 else "")
+        raise UserError(f"--seeds: {data.where} has none of these; it has {few or 'no runs'}")
+    narrowed = [*picked.conditions] if len(data.fields) < len(data.study.conditions) else []
+    narrowed += ["seeds", *map(str, sorted(kept))] if kept < seeds else []
+    narrowed += ["steps", str(picked.steps)] if picked.steps else []
+    runs = data.runs[data.runs["seed"].isin(kept)].sort_values("seed", kind="stable")
+    return replace(data, runs=runs, narrowed=narrowed)
+
+
+def _by_budget(data: StudyData) -> dict[int, pd.DataFrame]:
+    """Return the runs of each budget, in the words of the study's presets where they have it."""
+    known = [preset.steps for preset in data.study.presets.values()]
+    found: dict[int, pd.DataFrame] = {}
+    for steps in dict.fromkeys([*known, *sorted({*data.runs["steps"]})]):
+        runs = _of_budget(data, steps)
+        if len(runs) and not any({*runs.index} <= {*others.index} for others in found.values()):
+            found[steps] = runs
+    return found
+
+
+def _of_budget(data: StudyData, steps: int) -> pd.DataFrame:
+    """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
+    amounts = dict.fromkeys(data.configurations, steps)
+    for preset in data.study.presets.values():
+        if preset.steps == steps:
+            amounts |= {name: each.steps for name, each in preset.conditions.items() if name in amounts}
+    budgets = {name: round_up(data.configurations[name], amount) for name, amount in amounts.items()}
+    return data.runs[data.runs["steps"] == data.runs["condition"].map(budgets)]
+
+
+def _usual_budget(index: RunIndex, study: Study, budgets: Mapping[int, pd.DataFrame]) -> tuple[int, bool]:
+    """Return the budget that is shown without --steps, and whether it is that of the last run here."""
+    last = index.store.last_steps(study.name, study.variant)
+    if last is not None and last in budgets:
+        return last, True
+    published = {steps: runs for steps, runs in budgets.items() if (runs["where"] != "").any()}
+    sizes = {steps: (runs["condition"].nunique(), len(runs)) for steps, runs in budgets.items()}
+    return max(published or budgets, key=sizes.__getitem__), False
+
+
+def finished_rows(index: RunIndex, data: StudyData) -> StudyData:
+    """Return a study with its finished runs alone, and their rows; there may be none."""
+    columns = (data.runs[name] for name in ("run_id", "condition", "seed", "status"))
+    rows = [
+        replace(row, condition=condition, seed=seed)
+        if status in FINISHED and (row := index.row(run_id))
+        else None
+        for run_id, condition, seed, status in zip(*columns, strict=True)
+    ]
+    runs = data.runs.loc[[row is not None for row in rows]].reset_index(drop=True)
+    return replace(data, runs=runs.assign(row=pd.Series([*filter(None, rows)], dtype=object)))
+
+
+def read_runs(index: RunIndex, data: StudyData, say: Say = lambda message: None) -> StudyData:
+    """Return a study with its finished runs and their rows, and say how many were left out.
+
+    Raises:
+        UserError: when no run of it has finished.
+    """
+    found = finished_rows(index, data)
+    for problem in index.problems:
+        say(f"Note: {problem}.")
+    if left_out := len(data.runs) - len(found.runs):
+        say(f"Note: {left_out} of {len(data.runs)} runs are not finished or damaged, and left out.")
+    if not len(found.runs):
+        train = f": run `{run_command(data.study)}` first" if data.configurations else ""
+        raise UserError(f"no finished run of study {data.where} is in {index.store.root}{train}")
+    return found
+
+
+def open_study(
+    index: RunIndex,
+    name: str,
+    picked: Selection = ALL,
+    world: str | None = None,
+    say: Say = lambda message: None,
+) -> StudyData:
+    """Return the finished runs of a study that are asked for, wherever they are.
+
+    `name` is that of a study, with or without a file, or the path of its file; `world` is one of `WORLDS`, by
+    default the arena where the study is run in it. `say` is told what is shown and what else is stored.
+
+    Raises:
+        UserError: when nothing is stored that is asked for, or no run of it has finished.
+    """
+    data = choose_runs(index, find_study(index, name, picked, world), picked)
+    say(data.text(index.store.root))
+    return read_runs(index, data, say)
+
+
+def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyData]:
+    """Yield the studies that were run in the results folder, in each of their worlds, with their runs there.
+
+    Their names are in the folder; those whose file is elsewhere are left out.
+    """
+    worlds = [each for each in WORLDS if world in (None, each)]
+    names: list[tuple[str, str | None]] = [*product(index.store.last_studies(), worlds)]
+    names += [(name, None) for name in index.store.listings() if world is None]
+    for name, each in names:
+        with suppress(UserError, OSError):
+            data = find_study(index, name, world=each)
+            if len(runs := data.runs[data.runs["where"] == ""]):
+                yield replace(data, runs=runs)
+
+
+# --- What else there is -----------------------------------------------------------------------------
+
+
+def _elsewhere(index: RunIndex, study: Study) -> list[str]:
+    """Return in which other worlds runs of a study are stored."""
+    found = []
+    for world in study.worlds:
+        if world != study.world:
+            other = configure(load_study(study.file, world), study.settings)
+            count = sum(len(index.places.get(config_id(run), ())) for run in other.runs.values())
+            found += [f"{counted(count, 'run')} in {WORLDS[world].title} (--world {world})"] if count else []
+    return found
+
+
+def _nothing(index: RunIndex, data: StudyData) -> str:
+    """Return that no runs are stored, what to run, and what is stored that differs in one field."""
+    others = [*_elsewhere(index, data.study), *_changed(index, data)]
+    stored = f" Stored are: {'; '.join(others)}." if others else ""
+    train = f"run `{run_command(data.study)}` first, or give --results"
+    damaged = "".join(f" {problem}." for problem in index.problems)
+    return f"study {data.where} has no runs in {index.store.root}: {train}.{stored}{damaged}"
+
+
+def _changed(index: RunIndex, data: StudyData) -> list[str]:
+    """Return the single fields by whose change stored runs are those of the study."""
+    counts: dict[str, int] = {}
+    sizes = index.frame["config_id"].value_counts()
+    finished = index.frame[index.frame["status"].isin(FINISHED)].drop_duplicates("config_id")
+    for known, run_id in finished[["config_id", "run_id"]].itertuples(index=False):
+        row = index.row(run_id)
+        kept = _without_amount(row.fields) if row else {}
+        for fields in data.fields.values() if row else ():
+            unlike = [
+                key for key in {**fields, **kept} if as_tuple(fields.get(key)) != as_tuple(kept.get(key))
+            ]
+            if len(unlike) == 1:
+                option = shlex.join(setting_words({unlike[0]: kept.get(unlike[0])}))
+                counts[option] = counts.get(option, 0) + int(sizes[known])
+    return [f"{counted(count, 'run')} ({option})" for option, count in counts.items()]
