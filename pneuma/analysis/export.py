@@ -1,11 +1,13 @@
-"""Export a study's records as one table in a file for other programs."""
+"""Export a study's records as one table in a file for other programs, and publish its rows."""
 
 from __future__ import annotations
 
 import math
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,10 +15,13 @@ import pandas as pd
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
+from pneuma.analysis.runs import RunIndex
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
+from pneuma.study.locks import run_lock
 from pneuma.study.measure import record_frame
+from pneuma.study.published import encode_published
 from pneuma.study.quantities import EPISODE_QUANTITIES
 from pneuma.study.store import Store
 
@@ -75,6 +80,43 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
     return table
+
+
+class Publication(NamedTuple):
+    """What `publish_runs` wrote: the file, its runs from here and from before, and its bytes."""
+
+    path: Path
+    new: int
+    staying: int
+    size: int
+
+
+def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Publication:
+    """Write a study's runs as rows of a published table, with the curves of some quantities.
+
+    Rows that the table has already stay in it. The same runs give the same bytes.
+    """
+    study, path = data.study, store.published_path(data.table_name)
+    with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
+        if not alone:
+            raise UserError(f"another command publishes from {store.root}: try again when it has ended")
+        new = {run.run_id: run for run in data.rows if not run.published}
+        if not new:
+            nothing = f"its runs are not in {store.root}: nothing is new to publish"
+            raise UserError(f"study {study.name}: {nothing}")
+        before = RunIndex(store, shipped=False).tables.get(path.stem)
+        rows = {**(before.rows() if before else {}), **new}
+        about: dict[str, Any] = {
+            "study": study.name,
+            "world": data.world or None,
+            "settings": dict(study.settings),
+        }
+        if listing := store.listing(study.name) if study.path is None else None:
+            about["listing"] = listing
+        order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
+        encoded = encode_published(order, about, curves)
+        store.write(path, encoded)
+    return Publication(path, len(new), len(rows) - len(new), len(encoded))
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:

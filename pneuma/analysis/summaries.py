@@ -8,7 +8,7 @@ at its own end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -202,3 +202,34 @@ def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Itera
         counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
         difference = means[0] - means[1] if finite else np.nan
         yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts
+
+
+def compare_pairs(
+    data: StudyData, pairs: Mapping[str, tuple[str, str]], outcomes: Sequence[str], first: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Compare pairs of conditions, each called by what is compared in it, as `compare_conditions` does.
+
+    Without outcomes, those in `first` stand before the usual ones.
+    """
+    tables = []
+    for shared, (a, b) in pairs.items():
+        usual = compare_conditions(data, a, b, outcomes)
+        named = dict.fromkeys([*first, *usual["outcome"]])
+        found = compare_conditions(data, a, b, [*named]) if first else usual
+        tables.append(found.assign(condition=shared))
+    return pd.concat(tables, ignore_index=True)
+
+
+def comparison_cells(table: pd.DataFrame, heads: Sequence[str]) -> pd.DataFrame:
+    """Return the numbers of `compare_pairs` as text; `heads` are what is compared."""
+    rows = []
+    for row in table.to_dict("records"):
+        ends = {} if np.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
+        means = (shown(row[key], intervals.decimals(row[key], **ends)) for key in ("mean_a", "mean_b"))
+        better = NO_CELL if np.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
+        difference = intervals.shown_with_interval(row["difference"], row["low"], row["high"])
+        runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
+        rows.append((row["condition"], row["outcome"], *means, difference, better, *runs))
+    columns = ["", "outcome", *heads, "difference", "P(better)", "runs", "no value"]
+    cells = pd.DataFrame(rows, columns=columns)
+    return cells if cells[""].any() else cells.iloc[:, 1:]

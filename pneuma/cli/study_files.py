@@ -246,30 +246,13 @@ def publish(
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
-    store, data = picked.store, picked.open(name)
-    from pneuma.analysis.runs import RunIndex
-    from pneuma.study.locks import run_lock
-    from pneuma.study.published import encode_published
+    data = picked.open(name)
+    from pneuma.analysis.export import publish_runs
 
-    with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
-        if not alone:
-            raise UserError(f"another command publishes from {store.root}: try again when it has ended")
-        stem = data.table_name
-        new = {run.run_id: run for run in data.rows if not run.published}
-        if not new:
-            nothing = f"its runs are not in {store.root}: nothing is new to publish"
-            raise UserError(f"study {data.study.name}: {nothing}")
-        before = RunIndex(store, shipped=False).tables.get(stem)
-        rows = {**(before.rows() if before else {}), **new}
-        listing = store.listing(data.study.name) if data.study.path is None else None
-        about = {"study": data.study.name, "world": data.world or None, "settings": dict(data.study.settings)}
-        about |= {"listing": listing} if listing else {}
-        order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
-        kept = PUBLISHED_CURVES if curves is None else curves
-        path, encoded = store.published_path(stem), encode_published(order, about, kept)
-        store.write(path, encoded)
-    staying = len(rows) - len(new)
+    path, new, staying, size = publish_runs(
+        picked.store, data, PUBLISHED_CURVES if curves is None else curves
+    )
     more = f", {staying} as they were published before" if staying else ""
-    text = f"wrote {path}: {counted(len(new), 'run')} from here{more}; {len(encoded) / 1000:.0f} kB"
-    written = {"study": data.study.name, "file": path, "bytes": len(encoded)}
-    return Result({**written, "runs": len(new), "staying": staying}, [text])
+    text = f"wrote {path}: {counted(new, 'run')} from here{more}; {size / 1000:.0f} kB"
+    written = {"study": data.study.name, "file": path, "bytes": size}
+    return Result({**written, "runs": new, "staying": staying}, [text])

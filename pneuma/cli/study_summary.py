@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import OUTPUT_FORMATS, Result, Table, draw_files, frame_table, read_formats, wrote
+from pneuma.cli.output import Result, Table, draw_files, frame_table, read_formats, wrote
 from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.errors import UserError, counted
-from pneuma.figures import FIGURE_FORMATS
 from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
@@ -179,16 +177,9 @@ def compare(
     world: opt.World = None,
     results: opt.Results = opt.HERE,
     outcome: opt.Outcomes = None,
-    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too.")] = False,
+    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too, as PNG and SVG.")] = False,
     out: opt.PlotFolder = None,
-    format: Annotated[
-        opt.SeveralRead,
-        opt.choice(
-            "--format",
-            (*OUTPUT_FORMATS, *FIGURE_FORMATS),
-            "Of the table; with --plot also of figures (repeatable).",
-        ),
-    ] = None,
+    format: opt.Format = opt.TABLE,
 ) -> Result:
     """Compare two conditions: the difference of their means, and how likely a run of A is better.
 
@@ -196,38 +187,26 @@ def compare(
     """
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
+    formats = read_formats(None, out, "" if plot else "--plot")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
-    form = ["table", *(each for each in format or () if each in OUTPUT_FORMATS)][-1]
-    drawn = [each for each in format or () if each in FIGURE_FORMATS]
-    formats = read_formats(drawn, out, "" if plot else "--plot")
+    from pneuma.analysis.study_data import join_studies
+    from pneuma.analysis.summaries import compare_pairs, comparison_cells
+
+    claims: list[Claim] = []
     if a and b:
         data, heads, pairs = replace(picked, condition=[a, b]).open(name), [a, b], {"": (a, b)}
+        claims = [] if outcome else _claims_on(data, a, b)
     else:
-        from pneuma.analysis.study_data import join_studies
-
         data, other = picked.open(name), replace(picked, condition=None, set_=None).open(str(with_))
         heads = [data.study.name, other.study.name]
         data, pairs = join_studies(data, other)
         if not pairs:
-            raise UserError(
-                f"{name} and {with_} have no condition of one name to compare; name two conditions"
-            )
-    import pandas as pd
-
-    from pneuma.analysis.intervals import decimals, shown, shown_with_interval
-    from pneuma.analysis.summaries import compare_conditions
-
-    claims = _claims_on(data, a, b) if a and b and not outcome else []
-    if a and b and claims:
-        usual = compare_conditions(data, a, b)["outcome"]
-        outcome = [*dict.fromkeys([*(name for claim in claims for name in claim.outcome), *usual])]
-    tables = {shared: compare_conditions(data, *pair, outcome or ()) for shared, pair in pairs.items()}
-    table = pd.concat(tables.values(), ignore_index=True)
-    if not (b or outcome):  # what one of two studies lacks, as imports do, is left out
-        both = {
-            name: table[(table["seeds_a"] > 0) & (table["seeds_b"] > 0)] for name, table in tables.items()
-        }
-        tables, table = both, pd.concat(both.values(), ignore_index=True)
+            raise UserError(f"{name} and {with_} have no condition of one name: name two conditions instead")
+    table = compare_pairs(data, pairs, outcome or (), [name for claim in claims for name in claim.outcome])
+    if with_ and not outcome:  # what one of two studies lacks, as imports do, is left out
+        table = table[(table["seeds_a"] > 0) & (table["seeds_b"] > 0)]
+    people = comparison_cells(table.assign(outcome=table["outcome"].map(with_unit)), heads)
+    table = table.drop(columns="condition")
     files = []
     if plot:
         from pneuma.figures.summary import comparison_page
@@ -235,21 +214,8 @@ def compare(
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
         basename = replace(data, narrowed=narrowed).basename("compare", *(heads if b else heads[1:]))
         words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
-        again = picked.again(data, *words, outcome=outcome or (), format=formats)
+        again = picked.again(data, *words, outcome=outcome or ())
         files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
-    rows = []
-    compared = [(shared, row) for shared, each in tables.items() for row in each.to_dict("records")]
-    for shared, row in compared:
-        difference = row["difference"], row["low"], row["high"]
-        digits = {} if math.isnan(row["low"]) else {"low": row["low"], "high": row["high"]}
-        means = (shown(row[key], decimals(row[key], **digits)) for key in ("mean_a", "mean_b"))
-        better = "–" if math.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
-        runs = f"{row['seeds_a']} and {row['seeds_b']}", row["without_value"]
-        rows.append(
-            (shared, with_unit(row["outcome"]), *means, shown_with_interval(*difference), better, *runs)
-        )
-    columns = ["", "outcome", *heads, "difference", "P(better)", "runs", "no value"]
-    people = pd.DataFrame(rows, columns=columns).iloc[:, 1 if b else 0 :]
     legend = (
         "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
         "probability that a run of the first is better than one of the second, from ten runs on.",
@@ -263,7 +229,7 @@ def compare(
         [data.ends, *map(_claim_text, claims), engines, episodes],
         people,
         table,
-        form,
+        format,
     )
 
 

@@ -41,7 +41,7 @@ MISTAKES = {
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "--table",
     "study plot algorithms --world text": "pneuma study run algorithms",
-    "study compare activation tanh relu --format svg": "--format: goes with --plot",
+    "study compare activation tanh relu --format svg": "--format svg: must be one of table",
     f"{RUN} --executor slurm": "--executor slurm",  # before it says that it trains
     "study plan breakout": "pip install '.[minatar]' in Pneuma's folder",
 }
