@@ -15,7 +15,7 @@ from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.files import to_json
-from pneuma.study.measure import UNKNOWN
+from pneuma.study.row_builder import UNKNOWN
 from pneuma.study.store import Identity, Status, Store
 from pneuma.study.tables import to_parquet
 

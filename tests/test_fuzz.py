@@ -24,7 +24,7 @@ from pneuma.files import checksum, dump_checksummed
 from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
 from pneuma.study.imported import read_event_file
-from pneuma.study.measure import Recorded, row_cells
+from pneuma.study.row_builder import Recorded, row_cells
 from pneuma.study.rows import decode_row, encode_row
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, read_checkpoint_name

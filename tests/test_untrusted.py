@@ -21,8 +21,8 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.files import checksum, read_json, read_whole
 from pneuma.study import tables
-from pneuma.study.measure import stored_row
 from pneuma.study.published import encode_published
+from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import decode_row
 from pneuma.study.store import ROW_FILE, Status, Store
 from pneuma.study.tables import from_ipc, from_parquet

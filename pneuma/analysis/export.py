@@ -20,9 +20,9 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
 from pneuma.study.locks import run_lock
-from pneuma.study.measure import record_frame
 from pneuma.study.published import encode_published
 from pneuma.study.quantities import EPISODE_QUANTITIES
+from pneuma.study.row_builder import record_frame
 from pneuma.study.store import Store
 
 

@@ -29,9 +29,9 @@ from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import read_whole
 from pneuma.study.identity import config_id
-from pneuma.study.measure import UNKNOWN, stored_row
 from pneuma.study.plan import Selection, configure, round_up
 from pneuma.study.published import Published
+from pneuma.study.row_builder import UNKNOWN, stored_row
 from pneuma.study.rows import Row
 from pneuma.study.spec import Study, list_studies, load_study, run_command
 from pneuma.study.store import FINISHED, Identity, Store

@@ -9,8 +9,8 @@ import numpy as np
 
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.search.spec import OVER_SEEDS, Objective, Search
-from pneuma.study.measure import row_until, stored_row
 from pneuma.study.plan import Cell
+from pneuma.study.row_builder import row_until, stored_row
 from pneuma.study.rows import Row
 from pneuma.study.store import Store
 

@@ -21,7 +21,7 @@ import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import checksum, read_whole, to_json
-from pneuma.study.measure import cells_of_files
+from pneuma.study.row_builder import cells_of_files
 from pneuma.study.rows import encode_row
 from pneuma.study.spec import list_studies
 from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store

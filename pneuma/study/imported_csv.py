@@ -19,8 +19,8 @@ import pandas as pd
 from pneuma.errors import UserError, counted
 from pneuma.files import checksum, read_whole
 from pneuma.study.imported import AGENT_STEPS, ImportedRun, Log, find_study_name, name_logs, store_runs
-from pneuma.study.measure import ONE_EPISODE
 from pneuma.study.quantities import TAGS
+from pneuma.study.row_builder import ONE_EPISODE
 from pneuma.study.series import TRAILING_EPISODES
 from pneuma.study.store import Store
 

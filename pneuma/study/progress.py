@@ -55,7 +55,7 @@ def duration(seconds: float) -> str:
 
 def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
-    from pneuma.study.measure import stored_row  # safetensors, pyarrow: not for `--help`
+    from pneuma.study.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
     found: dict[str, list[float]] = {}
     for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):

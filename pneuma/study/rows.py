@@ -1,6 +1,6 @@
 """A row: what one finished run comes to. It is all that figures, tables and tests read of a run.
 
-    a run's files → `measure.py` → cells → `encode_row` → row.arrow in its folder
+    a run's files → `row_builder.py` → cells → `encode_row` → row.arrow in its folder
     row.arrow → `decode_row` → Row
 
 Curves are on 200 points of the run's *own* budget and are rounded when the row is written, so that a run and

@@ -38,8 +38,8 @@ from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, read_job
 from pneuma.study.identity import run_id
 from pneuma.study.live import open_log
 from pneuma.study.locks import remove_lock
-from pneuma.study.measure import cells_of_files
 from pneuma.study.provenance import Attempt, finished_provenance
+from pneuma.study.row_builder import cells_of_files
 from pneuma.study.rows import encode_row
 from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
 

@@ -10,9 +10,9 @@ from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import Verdict, judge
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.measure import stored_row
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.published import encode_published
+from pneuma.study.row_builder import stored_row
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 

@@ -21,8 +21,8 @@ from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
-from pneuma.study.measure import _rounded, stored_row
 from pneuma.study.published import Published, encode_published
+from pneuma.study.row_builder import _rounded, stored_row
 from pneuma.study.series import GRID_POINTS
 from pneuma.study.store import ROW_FILE, Status, Store
 from pneuma.study.tables import from_ipc

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.measure import record_frame
+from pneuma.study.row_builder import record_frame
 from pneuma.study.store import Store
 
 from ..hand_made import write_events

@@ -13,8 +13,8 @@ from pneuma.analysis import runs
 from pneuma.api import promote
 from pneuma.engines import loop
 from pneuma.search.trials import Unfinished
-from pneuma.study.measure import stored_row
 from pneuma.study.plan import Plan
+from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import Row
 from pneuma.study.spec import studies_folder
 from pneuma.study.store import Status, Store

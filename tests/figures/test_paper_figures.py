@@ -11,9 +11,9 @@ from pneuma.analysis.runs import RunIndex
 from pneuma.config import make_run
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
-from pneuma.study.measure import stored_row
 from pneuma.study.plan import configure
 from pneuma.study.published import encode_published
+from pneuma.study.row_builder import stored_row
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from tools import COMMAND, figures

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pneuma.study.executors.local import worker_environment
-from pneuma.study.measure import stored_row
+from pneuma.study.row_builder import stored_row
 from pneuma.study.store import ROW_FILE, Store
 
 STUDY = """\

@@ -14,8 +14,8 @@ import pytest
 
 from pneuma.study.execute import CellResult, OnProgress, execute, prepare
 from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.measure import stored_row
 from pneuma.study.plan import Plan
+from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import decode_row
 from pneuma.study.store import Status, Store, run_identity
 

@@ -22,7 +22,7 @@ from pneuma.study.imported import (
     import_tensorboard,
     read_event_file,
 )
-from pneuma.study.measure import stored_row
+from pneuma.study.row_builder import stored_row
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
 

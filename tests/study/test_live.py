@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.api import open_data
 from pneuma.study.imported import read_event_file
-from pneuma.study.measure import record_frame, stored_row
+from pneuma.study.row_builder import record_frame, stored_row
 from pneuma.study.store import Store
 
 from ..cli.calls import TINY, described, printed, refused

@@ -1,4 +1,4 @@
-"""Measuring: from what a finished run recorded to the cells of its row (`rows.py`).
+"""Build the row of a finished run: from what it recorded to the cells of `rows.py`.
 
     tables of an engine's records, or points of an imported log → `Recorded` → `row_cells`
 
