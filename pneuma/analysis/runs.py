@@ -5,9 +5,8 @@
         joined with the frame: every run of the study
     steps and seeds → `choose_runs`: those of one budget → `read_runs`: the finished ones, with their rows
 
-A study is a question: the runs that have its configurations are its runs, wherever they are. Only studies
-without a file (imported logs, forks, a search's trials) list theirs. Everything after is
-`data.runs.groupby("condition")`.
+The runs that have a study's configurations are its runs, wherever they are. Only studies without a file
+(imported logs, forks, a search's trials) list theirs.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +38,6 @@ from pneuma.worlds import TEXT, WORLDS
 
 ALL = Selection()
 Say = Callable[[str], object]
-"""Says something to the user."""
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
 
@@ -220,7 +217,7 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
     """
     runs, study = data.runs, data.study
     if not data.configurations:
-        runs = runs if picked.steps is None else runs[runs["steps"] == picked.steps]
+        runs = runs[runs["steps"] == picked.steps] if picked.steps else runs
         if not len(runs):
             of = f" of {picked.steps:,} steps" if picked.steps else ""
             raise UserError(f"study {study.name} has no runs{of} in {index.store.root}")
@@ -303,16 +300,12 @@ def finished_rows(index: RunIndex, data: StudyData) -> StudyData:
         else None
         for run_id, condition, seed, status in zip(*columns, strict=True)
     ]
-    runs = data.runs.loc[[row is not None for row in rows]].reset_index(drop=True)
-    return replace(data, runs=runs.assign(row=pd.Series([*filter(None, rows)], dtype=object)))
+    runs = data.runs.assign(row=pd.Series(rows, data.runs.index, dtype=object))
+    return replace(data, runs=runs.dropna(subset="row").reset_index(drop=True))
 
 
 def read_runs(index: RunIndex, data: StudyData, say: Say = lambda message: None) -> StudyData:
-    """Return a study with its finished runs and their rows, and say how many were left out.
-
-    Raises:
-        UserError: when no run of it has finished.
-    """
+    """Return a study with its finished runs and their rows; a UserError if there are none."""
     found = finished_rows(index, data)
     for problem in index.problems:
         say(f"Note: {problem}.")
@@ -333,8 +326,8 @@ def open_study(
 ) -> StudyData:
     """Return the finished runs of a study that are asked for, wherever they are.
 
-    `name` is that of a study, with or without a file, or the path of its file; `world` is one of `WORLDS`, by
-    default the arena where the study is run in it. `say` is told what is shown and what else is stored.
+    `name` may be the path of a file; `world` is by default the arena where the study is run in it. `say` is
+    told what is shown and what else is stored.
 
     Raises:
         UserError: when nothing is stored that is asked for, or no run of it has finished.
@@ -349,14 +342,18 @@ def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyDat
 
     Their names are in the folder; those whose file is elsewhere are left out.
     """
-    worlds = [each for each in WORLDS if world in (None, each)]
-    names: list[tuple[str, str | None]] = [*product(index.store.last_studies(), worlds)]
-    names += [(name, None) for name in index.store.listings() if world is None]
-    for name, each in names:
+    found: list[StudyData] = []
+    for name in index.store.last_studies():
         with suppress(UserError, OSError):
-            data = find_study(index, name, world=each)
-            if len(runs := data.runs[data.runs["where"] == ""]):
-                yield replace(data, runs=runs)
+            study = load_study(name)
+            worlds = [each for each in study.worlds if world in (None, each)]
+            found += [find_runs(index, study.in_world(each)) for each in worlds]
+    for name in index.store.listings() if world is None else ():
+        with suppress(UserError):  # its record is damaged
+            found.append(find_study(index, name))
+    for data in found:
+        if len(runs := data.runs[data.runs["where"] == ""]):
+            yield replace(data, runs=runs)
 
 
 # --- What else there is -----------------------------------------------------------------------------
