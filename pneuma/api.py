@@ -1,6 +1,6 @@
-"""The functions that scripts and notebooks call.
+"""The functions that scripts, notebooks and the command line call.
 
-    run_study(study)      as `pneuma study run` does
+    run_study(study)      trains what is missing, and opens it: `plan_study`, `train_plan`, `open_data`
     open_data(study)      a study's data, for `pneuma.analysis`
     compare(study, a, b)  the differences of two conditions, with intervals
     promote(search)       trains a search's winner and its base on fresh seeds: what was gained
