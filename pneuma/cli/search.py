@@ -84,7 +84,7 @@ def list_() -> Result:
     return listed_result("search", "searches", spec.studies_folder() / "search")
 
 
-@app.command()
+@app.command(short_help="Show a search's file.")
 def show(name: SearchName, world: opt.World = None) -> Result:
     """Show a search's file: what it varies, what it seeks, and its presets."""
     from pneuma.search.spec import load_search

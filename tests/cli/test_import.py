@@ -166,6 +166,6 @@ def test_a_csv_file_that_does_not_tell_its_columns_is_refused(tmp_path: Path) ->
 def test_an_export_of_wandb_is_compared_with_a_study_in_what_both_have(tmp_path: Path) -> None:
     at = ("--results", tmp_path / "results")
     assert "4 runs" in printed("import", "csv", WANDB, *at)
-    told = described("study", "compare", "activation", "wandb", "--json", *at)
+    told = described("study", "compare", "activation", "--with", "wandb", "--json", *at)
     assert {row["outcome"] for row in told["comparisons"]} == {"final-return", "auc-return"}
     assert {(row["seeds_a"], row["seeds_b"]) for row in told["comparisons"]} == {(30, 2)}
