@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pneuma.figures.grid import Page
+    from pneuma.figures.style import Look
 
 WIDEST = 10_000
 """Characters per line if the output is no terminal, so that tables are not folded."""
@@ -240,29 +241,44 @@ def write_file(out: Path, data: bytes) -> None:
 
 
 def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "") -> tuple[str, ...]:
-    """Return the formats of figures; refuse a file given as their folder.
+    """Return the formats of figures; that of a file which `--out` names.
 
     `lacking` is the option without which nothing is drawn, if it was not given.
     """
     if lacking and (asked or out):
         raise UserError(f"{'--format' if asked else '--out'}: goes with {lacking}")
-    if out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir():
-        raise UserError(f"--out {out}: is the folder of figures; name one, and --format {out.suffix[1:]}")
+    if names_figure(out):
+        assert out is not None
+        if asked:
+            raise UserError(f"--format: --out {out} has its format by its name")
+        return (out.suffix[1:],)
     return tuple(asked or ("png", "svg"))
 
 
+def names_figure(out: Path | None) -> bool:
+    """Return whether `--out` is the file of a figure, and not the folder of all."""
+    return out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir()
+
+
 def draw_files(
-    store: Store, out: Path | None, formats: Sequence[str], pages: Iterable[tuple[Page, str]]
+    store: Store,
+    out: Path | None,
+    formats: Sequence[str],
+    pages: Iterable[tuple[Page, str]],
+    look: Look | None = None,
 ) -> list[Path]:
-    """Write figures into a folder given by the user, or into `figures` of the results; return the files.
+    """Write figures into a file or folder given by the user, or into `figures` of the results; return the files.
 
     Each page comes with the command that draws it. In a results folder, which may be untrusted, no link is
     followed. If drawing fails, nothing is written.
     """
-    from pneuma.figures.grid import save_page
+    from pneuma.figures.grid import USUAL_LOOK, save_page
 
     def draw(folder: Path) -> list[Path]:
-        return [path for page, again in pages for path in save_page(page, folder, formats, again)]
+        drawn = [save_page(page, folder, formats, again, look or USUAL_LOOK) for page, again in pages]
+        if out and names_figure(out) and len(drawn) > 1:
+            raise UserError(f"--out {out}: is one file, and these are {len(drawn)} figures; name a folder")
+        return [path for each in drawn for path in each]
 
     return keep_files(store, out, draw)
 
@@ -273,9 +289,10 @@ def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[P
     with TemporaryDirectory() as folder:
         drawn = draw(Path(folder))
         files = {path.name: path.read_bytes() for path in drawn}
-    for name, content in files.items():
-        write(target / name, content)
-    return [target / name for name in files]
+    paths = [target if names_figure(out) else target / name for name in files]
+    for path, content in zip(paths, files.values(), strict=True):
+        write(path, content)
+    return paths
 
 
 def wrote(files: Iterable[Path]) -> list[str]:

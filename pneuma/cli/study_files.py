@@ -75,31 +75,56 @@ def plot(
     ] = None,
     format: opt.Formats = None,
     out: opt.PlotFolder = None,
+    width: Annotated[float, opt.number("--width", "In inches.", "INCHES", min=1.5, max=30)] = 7.0,
+    height: Annotated[
+        float | None, opt.number("--height", "In inches, with all words.", "INCHES", min=1, max=30)
+    ] = None,
+    title: Annotated[str | None, opt.option("--title", "TEXT", "In place of the study's.")] = None,
+    style: Annotated[
+        str, opt.option("--style", "NAME|FILE", "A style sheet of matplotlib, over Pneuma's.")
+    ] = "",
+    plain: Annotated[
+        bool, opt.flag("--plain", "Without headline and caption, as a paper has its own.")
+    ] = False,
 ) -> Result:
-    """Draw a study: curves over its steps, or a summary of its outcomes."""
+    """Draw a study: curves over its steps, or a summary of its outcomes; of several environments a panel each."""
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
+    from pneuma.analysis.environments import by_environment
     from pneuma.figures.curves import curves_page
+    from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
+    look = Look(width, height, title, style, plain)
+    asked_look = {
+        "width": [f"{width:g}"] * (width != Look.width),
+        "height": [f"{height:g}"] if height else [],
+    }
+    asked_look |= {"title": [] if title is None else [title], "style": [style] * bool(style)}
     other = opt.RunFilter(results=results).open(beside) if beside else None
 
     def page(name: str, picked: opt.RunFilter) -> tuple[Page, str]:
         data = picked.open(name)
-        of_curves = quantity or band or window or beside or fits_panel(data) and not data.study.outcomes
+        parts = by_environment(data)
+        shown = parts if len(parts) > 1 else data
+        fits = all(map(fits_panel, parts.values()))
+        of_curves = quantity or band or window or beside or fits and not data.study.outcomes
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
+        words = ["plot", name, *["--plain"] * plain]
         if kind == "summary":
-            return summary_page(data), picked.again(data, "plot", name, figure=[kind], format=formats)
+            return summary_page(shown), picked.again(
+                data, *words, figure=[kind], format=formats, **asked_look
+            )
         quantities = _quantities(data, quantity or [])
         given = {"band": band, "window": window, "beside": beside}
-        look = {key: [value] for key, value in given.items() if value}
-        again = picked.again(data, "plot", name, figure=[kind], format=formats, quantity=quantities, **look)
-        return curves_page(data, quantities, band, window, beside=other), again
+        options = {key: [value] for key, value in given.items() if value} | asked_look
+        again = picked.again(data, *words, figure=[kind], format=formats, quantity=quantities, **options)
+        return curves_page(shown, quantities, band, window, beside=other), again
 
     def pages() -> Iterator[tuple[Page, str]]:
         asked = [(name, picked) for name in names] if names else _run_here(picked)
@@ -114,7 +139,7 @@ def plot(
         for problem in problems:
             say(f"Note: {problem}.", aside=True)
 
-    files = draw_files(store, out, formats, pages())
+    files = draw_files(store, out, formats, pages(), look)
     return Result({"figures": files}, wrote(files))
 
 

@@ -65,7 +65,8 @@ def curves_page(
     }
     runs = samples_of(*(each.data for each in drawn.values()), *filter(None, [beside]))
     if len(columns) > 1:
-        return _columns_page({title: drawn.get(title) for title in columns}, names, basename, runs)
+        name = basename or data.basename(*_differences(next(iter(drawn.values()))))
+        return _columns_page({title: drawn.get(title) for title in columns}, names, name, runs)
     (column,) = drawn.values()
     rows = -(-len(column.quantities) // style.COLUMNS)
     across = -(-len(column.quantities) // rows)

@@ -124,6 +124,19 @@ class Preset(Amount):
         }
 
 
+class Scale(Table):
+    """[scores.ENVIRONMENT]: the outcomes that are scores of 0 and 1 there."""
+
+    random: float
+    expert: float
+
+    @model_validator(mode="after")
+    def _not_flat(self) -> Scale:
+        if self.random == self.expert:
+            raise wrong(f"random and expert are both {self.random:g}: a scale needs two numbers", "expert")
+        return self
+
+
 class Study(Table):
     """A comparison: named conditions that differ in what they set. Its file has no keys for the last five.
 
@@ -140,6 +153,7 @@ class Study(Table):
         factors: what each value of each factor sets.
         conditions: what each condition sets on top; once it is read, crossed with the factors.
         labels: what conditions are called in figures, where not by their names.
+        scores: by an environment's id, the scale of its scores.
         levels: for each condition of a crossed study, its value of each factor.
         path: the file; None for a study without a file, such as a fork.
         world: one of `WORLDS`.
@@ -159,6 +173,7 @@ class Study(Table):
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
     conditions: dict[Name, Fields] = {}
     labels: dict[str, Annotated[str, MinLen(1)]] = {}
+    scores: dict[str, Scale] = {}
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Preset], MinLen(1)]
 
     name: str = Field("", exclude=True)
