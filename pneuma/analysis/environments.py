@@ -21,6 +21,8 @@ from pneuma.errors import UserError
 
 OUTCOME = "evaluated-return"
 """Of which scores are made, unless another is asked for."""
+FEWEST = 3
+"""Fewer runs in an environment are too few to draw anew."""
 Parts = Mapping[str, StudyData]
 Statistic = Callable[..., np.ndarray]
 
@@ -131,7 +133,7 @@ def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
 
 
 def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
-    """Return how likely a run of `a` is above one of `b`, over all environments, and differences of scores."""
+    """Return how likely a run of `a` is above one of `b` over all environments, and differences of scores."""
     found = scores(parts, outcome)
     for name in (a, b):
         if name not in found:
@@ -149,6 +151,6 @@ def _difference(aggregate: Statistic, a: Scores, b: Scores) -> np.ndarray:
 
 
 def _ends(statistic: Statistic, *groups: Scores) -> tuple[float, float]:
-    few = min(len(runs) for group in groups for runs in group) < 2
+    few = min(len(runs) for group in groups for runs in group) < FEWEST
     ends = no_interval() if few else bootstrap(statistic, *groups)
     return ends.low, ends.high

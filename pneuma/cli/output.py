@@ -267,7 +267,7 @@ def draw_files(
     pages: Iterable[tuple[Page, str]],
     look: Look | None = None,
 ) -> list[Path]:
-    """Write figures into a file or folder given by the user, or into `figures` of the results; return the files.
+    """Write figures into a file or folder given by the user, or into `figures` of the results; return them.
 
     Each page comes with the command that draws it. In a results folder, which may be untrusted, no link is
     followed. If drawing fails, nothing is written.

@@ -87,7 +87,10 @@ def plot(
         bool, opt.flag("--plain", "Without headline and caption, as a paper has its own.")
     ] = False,
 ) -> Result:
-    """Draw a study: curves over its steps, or a summary of its outcomes; of several environments a panel each."""
+    """Draw a study: curves over its steps, or a summary of its outcomes.
+
+    A study of several environments has a panel for each.
+    """
     if figure == "summary" and (quantity or band or window or beside):
         raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)

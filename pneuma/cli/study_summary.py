@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, draw_files, frame_table, read_formats, wrote
+from pneuma.cli.study_environments import (
+    compare_in_environments,
+    crosses_environments,
+    summary_of_environments,
+)
 from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.errors import UserError, counted
 from pneuma.worlds import WORLDS
@@ -66,9 +71,13 @@ def summary(
     if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
     data = opt.RunFilter(seeds, steps, condition, set_, world, results).open(name)
+    from pneuma.analysis.environments import by_environment
     from pneuma.analysis.intervals import LEAST_RUNS
     from pneuma.analysis.summaries import summary_table, with_cells
 
+    parts = by_environment(data)
+    if len(parts) > 1 and data.study.factors and not all_ and len(outcome or ()) <= 1:
+        return summary_of_environments(data, parts, outcome or (), format)
     found = summary_table(data, outcome or ())
     document = {**what_is_shown(data), "summary": found}
     every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
@@ -183,12 +192,15 @@ def compare(
 ) -> Result:
     """Compare two conditions: the difference of their means, and how likely a run of A is better.
 
-    With --with, each condition is compared with that of the same name of another study.
+    With --with, each condition is compared with that of the same name of another study. In a study of several
+    environments A and B are compared in each, and their scores over all.
     """
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
     formats = read_formats(None, out, "" if plot else "--plot")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
+    if a and b and crosses_environments(name, a):
+        return compare_in_environments(picked.open(name), a, b, outcome or (), format)
     from pneuma.analysis.study_data import join_studies
     from pneuma.analysis.summaries import compare_pairs, comparison_cells
 
