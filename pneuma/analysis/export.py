@@ -119,6 +119,12 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
     return Publication(path, len(new), len(rows) - len(new), len(encoded))
 
 
+_MINUS = re.compile(r"(?<![\w.$-])-(?=[\d.])")
+"""A hyphen that is the sign of a number."""
+CHARACTERS_OF_A_LINE = 72
+"""In LaTeX's article; a table of more is set in smaller type."""
+
+
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
     if form == "csv":  # so that spreadsheets run no text: names may be untrusted
@@ -134,7 +140,10 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         lines = shown.map(lambda cell: cell.replace("\n", _NEW_LINE))
         long = len(frame) > LINES_OF_A_PAGE
         text = lines.to_latex(index=False, escape=True, column_format=columns, longtable=long)
-        text = text.replace(_NEW_LINE, r" \newline ").translate(_LATEX)
+        text = _MINUS.sub("$-$", text.replace(_NEW_LINE, r" \newline ").translate(_LATEX))
+        widths = [max(len(str(name)), *map(len, shown[name])) for name in shown]
+        if sum(widths) > CHARACTERS_OF_A_LINE and "p{" not in columns:
+            text = f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{2pt}}\n{text}}}\n"
         packages = "booktabs and longtable" if long else "booktabs"
         return f"% needs the package{'s' * long} {packages}\n{text}".encode()
     rows = [

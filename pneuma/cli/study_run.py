@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, say, tallied
+from pneuma.cli.study_seeds import seeds_result
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
@@ -41,9 +42,23 @@ def plan_(
     results: opt.Results = opt.HERE,
     preset: opt.Preset = None,
     unpublished: Unpublished = False,
+    detect: Annotated[
+        float | None,
+        opt.number("--detect", "How many seeds find a difference of X, by the runs there are.", "X"),
+    ] = None,
+    outcome: Annotated[
+        str | None, opt.option("--outcome", "NAME", "With --detect: of what (default: the study's).")
+    ] = None,
+    sd: Annotated[
+        float | None, opt.number("--sd", "With --detect: the SD between runs, where there are none.", "SD")
+    ] = None,
 ) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
     chosen = opt.RunFilter(seeds, steps, condition, set_, world, results, preset)
+    if detect is not None:
+        return seeds_result(None if sd else chosen.open(name), detect, outcome, sd)
+    if outcome or sd:
+        raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     store, planned = chosen.store, _plan(chosen, name, unpublished)
     statuses = {cell.run_id: store.status(cell.run_id) for cell in planned.cells}
     todo = execute.missing(planned, statuses)
