@@ -143,7 +143,7 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         text = _MINUS.sub("$-$", text.replace(_NEW_LINE, r" \newline ").translate(_LATEX))
         widths = [max(len(str(name)), *map(len, shown[name])) for name in shown]
         if sum(widths) > CHARACTERS_OF_A_LINE and "p{" not in columns:
-            text = f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{2pt}}\n{text}}}\n"
+            text = f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{1.5pt}}\n{text}}}\n"
         packages = "booktabs and longtable" if long else "booktabs"
         return f"% needs the package{'s' * long} {packages}\n{text}".encode()
     rows = [
