@@ -86,7 +86,7 @@ def list_() -> Result:
 
 @app.command(short_help="Show a search's file.")
 def show(name: SearchName, world: opt.World = None) -> Result:
-    """Show a search's file: what it varies, what it seeks, and its presets."""
+    """Show what a search varies and seeks, and its presets."""
     from pneuma.search.spec import load_search
 
     search = load_search(name, world)  # which checks it
