@@ -1,0 +1,103 @@
+"""Studies of several environments: scores by hand, a panel each, and what cannot be scaled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pneuma.config import as_fields
+from pneuma.study.identity import config_id, run_id
+from pneuma.study.plan import Selection, make_plan
+from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+
+from ..hand_made import save_run
+from .calls import call, refused
+
+TOML = """
+title = "Two"
+base = "stable-baselines3"
+[factors.env]
+pole = { env = "CartPole-v1" }
+arms = { env = "Acrobot-v1" }
+[factors.algorithm]
+ppo = { algorithm = "ppo" }
+a2c = { algorithm = "a2c" }
+[scores.CartPole-v1]
+random = 0
+expert = 100
+[scores.Acrobot-v1]
+random = -500
+expert = -100
+[presets.quick]
+seeds = 4
+steps = 4_096
+"""
+RETURNED = {"pole, ppo": 100, "pole, a2c": 50, "arms, ppo": -200, "arms, a2c": -400}
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study whose runs return what `RETURNED` says in their only evaluation, and up to 3 more."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "two.toml"
+    path.write_text(TOML)
+    store = Store(tmp_path / "results")
+    plan = make_plan(load_study(str(path)), Selection())
+    for cell in plan.cells:
+        step = cell.run.steps
+        evaluations = [
+            {
+                "step": step,
+                "return": RETURNED[cell.condition] + cell.seed,
+                "random_return": 20.0,
+                "random_spread": 5.0,
+            }
+        ]
+        fields, config = as_fields(cell.run), config_id(cell.run)
+        save_run(store, run_id(cell.run), [], [], evaluations, step, "done", fields, config)
+    return path
+
+
+def test_summary_has_a_column_for_each_environment_and_scores_over_all(study: Path) -> None:
+    document = call("study", "summary", study, "--json").document
+    means = {(row["condition"], row["environment"]): row["value"] for row in document["summary"]}
+    assert means == {  # of seeds 0 to 3
+        ("ppo", "CartPole-v1"): 101.5, ("a2c", "CartPole-v1"): 51.5,
+        ("ppo", "Acrobot-v1"): -198.5, ("a2c", "Acrobot-v1"): -398.5,
+    }  # fmt: skip
+    scores = {(row["condition"], row["statistic"]): row["value"] for row in document["scores"]}
+    assert scores["ppo", "mean"] == pytest.approx((1.015 + 301.5 / 400) / 2)
+    assert scores["a2c", "mean"] == pytest.approx((0.515 + 101.5 / 400) / 2)
+    gap = 1 - (4 * 1.0 + 4 * 301.5 / 400) / 8  # above 1 counts as 1
+    assert scores["ppo", "optimality gap"] == pytest.approx(gap)
+
+
+def test_compare_takes_conditions_in_each_environment_and_over_all(study: Path) -> None:
+    document = call("study", "compare", study, "ppo", "a2c", "--json").document
+    differences = {row["environment"]: row["difference"] for row in document["comparisons"]}
+    assert differences == {"CartPole-v1": 50, "Acrobot-v1": 200}
+    over = {row["statistic"]: row for row in document["scores"]}
+    assert over["P(better)"]["value"] == over["P(better)"]["low"] == 1  # every run is above every other
+    assert over["mean, difference"]["value"] == pytest.approx((0.5 + 0.5) / 2)
+
+
+def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
+    drawn = call("study", "plot", study, "--quantity", "evaluated_return", "--out", "two.svg")
+    assert drawn.code == 0, drawn.err
+    assert (study.parent / "two.svg").is_file()
+    assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
+
+
+def test_a_scale_of_nothing_is_refused(study: Path) -> None:
+    study.write_text(TOML.replace("expert = 100", "expert = 0"))
+    assert "random and expert are both 0: a scale needs two numbers" in refused("study", "summary", study)
+
+
+def test_how_many_seeds_find_a_difference(study: Path) -> None:
+    told = call("study", "plan", study, "--detect", "1", "--sd", "1", "--json").document
+    assert told["seeds"] == [{"SD": "1", "seeds": "17"}]  # Cohen (1988), Table 2.4.1
+    asked = ("study", "plan", study, "--detect", "2", "--outcome", "evaluated-return", "--json")
+    rows = call(*asked).document["seeds"]
+    assert {row["runs"] for row in rows} == {"4 and 4"}
