@@ -15,17 +15,7 @@ from numba.core import event, types
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, step_world
-from pneuma.env.state import (
-    ARRAYS,
-    HANDLE,
-    Array,
-    array_at,
-    entry,
-    inlined,
-    native,
-    open_state,
-    typed_pointer,
-)
+from pneuma.env.state import HANDLE, Array, array_at, cached, entry, inlined, open_state, typed_pointer
 
 GO_ON = -2
 """In place of a start place in `begins`: this world is not reset."""
@@ -41,7 +31,9 @@ Inlined it would be compiled again with each of them, 12 s a time. `load_rules` 
 @cache
 def load_rules() -> None:
     """Compile `_run_worlds`, or load it."""
-    binding.add_symbol(SYMBOL, native(types.int64(_STATE, _ACTIONS, types.int64))(_run_worlds).address)
+    signature = types.int64(_STATE, _ACTIONS, types.int64)
+    compiled = cached(signature, using=numba.cfunc, error_model="numpy", _nrt=False)(_run_worlds)
+    binding.add_symbol(SYMBOL, compiled.address)
 
 
 @entry
@@ -61,7 +53,7 @@ def _run_worlds(handle: Any, actions: Any, steps: int) -> int:
             empty events, until it is reset.
         steps: whether worlds advance.
     """
-    s = open_state(array_at(handle, (ARRAYS,), HANDLE))
+    s = open_state(array_at(handle, (16,), HANDLE))
     taken = array_at(actions, (s.players.shape[0], s.players.shape[1]), np.int64)
     ended = 0
     for w in range(s.worlds.shape[0]):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import cfunc, njit, types
+from numba import njit, types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
@@ -264,7 +264,6 @@ DTYPES = State(
     EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
     np.dtype(np.float64), np.dtype(np.int64),
 )  # fmt: skip
-ARRAYS = len(DTYPES)
 DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 2, 1)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
@@ -306,43 +305,25 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
 # use code from other files.
 
 
-def cached(**options: Any) -> Callable[[Any], Any]:
-    """Return `njit` with its cache; where no folder can be written, each process compiles anew.
+def cached(*signature: Any, using: Any = njit, **options: Any) -> Callable[[Any], Any]:
+    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
 
-    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR. If none of these can be written,
-    as in some containers, it raises an error, and the function is compiled without a cache.
+    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
+    to none of them.
     """
 
     def compiled(function: Any) -> Any:
         try:
-            made = njit(cache=True, **options)(function)
-        except RuntimeError:
-            return njit(**options)(function)
-        _forget_unreadable(made._cache)
-        return made
-
-    return compiled
-
-
-def native(signature: Any) -> Callable[[Any], Any]:
-    """Return numba's `cfunc`, which is called by its address, with its cache as that of `cached`."""
-
-    def compiled(function: Any) -> Any:
+            cache = typed_cache(function)
+        except RuntimeError:  # no such folder
+            return using(*signature, **options)(function)
         try:
-            _forget_unreadable(typed_cache(function))
-            return cfunc(signature, cache=True, **_UNCOUNTED_NATIVE)(function)
-        except RuntimeError:
-            return cfunc(signature, **_UNCOUNTED_NATIVE)(function)
+            cache._cache_file._load_index()
+        except Exception:  # it names a class that is gone, and is read whole before its age is seen
+            cache.flush()
+        return using(*signature, cache=True, **options)(function)
 
     return compiled
-
-
-def _forget_unreadable(cache: Any) -> None:
-    """Empty a cache that names a class that is gone, as it is read whole before its age is seen."""
-    try:
-        cache._cache_file._load_index()
-    except Exception:
-        cache.flush()
 
 
 # Only the call from outside can be called from outside: the code that takes Python's arguments
@@ -351,7 +332,6 @@ def _forget_unreadable(cache: Any) -> None:
 _INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _UNCOUNTED: Any = {**_INNER, "_nrt": False}
 entry: Any = cached(error_model="numpy", nogil=True)
-_UNCOUNTED_NATIVE: Any = {"error_model": "numpy", "_nrt": False}
 inlined_counted: Any = njit(**_INNER, forceinline=True)
 kernel: Any = njit(**_UNCOUNTED)
 inlined: Any = njit(**_UNCOUNTED, forceinline=True)
