@@ -38,7 +38,7 @@ from pneuma.study.provenance import machine
 
 ARENA, TEXT = "pneuma/PneumaArena-v0", "pneuma/Pneuma-v0"
 ROUNDS = 5
-KERNEL_STEPS, STEPS, SB3_STEPS = 12_800, 50_000, 4_096
+KERNEL_STEPS, STEPS, SB3_STEPS = 12_800, 50_000, 2_048
 SEEDS, ENVIRONMENTS = (10, 30), (1, 4)
 SETTINGS: dict[str, Any] = {**BASES["table-6-2"], "env": TEXT, "betas": (0.9, 0.9), "steps": STEPS}
 """Of the study `optimizer`, condition `non-stationary`, at its quick preset."""
