@@ -18,6 +18,7 @@ def seeds_result(data: StudyData | None, detect: float, outcome: str | None, sd:
     """Return how many seeds a condition needs, by the runs there are or by a standard deviation."""
     import pandas as pd
 
+    from pneuma.analysis.environments import by_environment
     from pneuma.analysis.outcomes import primary
     from pneuma.analysis.power import POWER, seeds_for_means
 
@@ -31,7 +32,14 @@ def seeds_result(data: StudyData | None, detect: float, outcome: str | None, sd:
     else:
         assert data is not None
         name = outcome or primary(data)
-        table, title = _by_runs(data, name, detect), f"{data.full_title}: seeds to detect {detect:g}"
+        parts = by_environment(data) if data.study.factors else {"": data}
+        rows = {env: _by_runs(part, name, detect) for env, part in parts.items()}
+        table = (
+            pd.concat(rows, names=["environment"]).reset_index(level=0)
+            if len(rows) > 1
+            else rows.popitem()[1]
+        )
+        title = f"{data.full_title}: seeds to detect {detect:g}"
     legend = (
         f"Seeds of each condition with which the 95 % interval of the difference leaves out 0 in {POWER:.0%}"
     )
