@@ -10,7 +10,7 @@ PIP = $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 HASHED = --no-deps --require-hashes --requirement
 OWN = --no-build-isolation --constraint constraints.txt --editable
 
-.PHONY: help install constraints study figures docs test storm test-all lint clean
+.PHONY: help install constraints study figures docs test storm test-all slow-0 slow-1 slow-2 lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
@@ -92,8 +92,15 @@ test: lint  ## Check style and types, and run the fast tests
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
 
-test-all: test docs  ## The same, then the slow tests, and the links of the pages
-	$(BIN)/python -m pytest -m slow
+test-all: test docs slow-0 slow-1 slow-2  ## The same, then the slow tests, and the links of the pages
+
+# The slow tests in three parts: `.ci/run` runs one of them, by the day of the year, so that none rots.
+SLOW_0 = tests/test_*.py tests/env tests/godot tests/figures
+SLOW_1 = tests/engines tests/search
+SLOW_2 = tests/study
+
+slow-0 slow-1 slow-2: slow-%: $(TESTED)
+	$(BIN)/python -m pytest -m slow $(SLOW_$*)
 
 lint: $(TESTED)
 	$(BIN)/ruff check .

@@ -2,6 +2,6 @@
 
 EDGED_BANDS = ("sd", "variance", "ci", "minmax")
 """Bands with a lower and an upper edge, the default first; `variance` is another name of `sd`."""
-BAND_NAMES = (*EDGED_BANDS, "runs")
+BAND_NAMES = (*EDGED_BANDS, "runs", "none")
 EXPORT_TABLES = ("episodes", "metrics", "evaluations", "curves", "summary")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}

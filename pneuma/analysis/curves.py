@@ -265,6 +265,7 @@ BANDS = {
     "ci": Band("95 % interval of the mean", _t_interval, LEAST_RUNS, 20),
     "minmax": Band("least to greatest run", _extremes),
     "runs": Band("every run", None),
+    "none": Band("", None, least_runs=0),
 }
 
 

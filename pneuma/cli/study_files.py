@@ -73,6 +73,7 @@ def plot(
         str | None,
         opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
     ] = None,
+    log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False,
     format: opt.Formats = None,
     out: opt.PlotFolder = None,
     width: Annotated[float, opt.number("--width", "In inches.", "INCHES", min=1.5, max=30)] = 7.0,
@@ -91,8 +92,8 @@ def plot(
 
     A study of several environments has a panel for each.
     """
-    if figure == "summary" and (quantity or band or window or beside):
-        raise UserError("--quantity, --band, --window and --beside: are of --figure curves")
+    if figure == "summary" and (quantity or band or window or beside or log):
+        raise UserError("--quantity, --band, --window, --beside and --log: are of --figure curves")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
@@ -116,9 +117,9 @@ def plot(
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
         fits = all(map(fits_panel, parts.values()))
-        of_curves = quantity or band or window or beside or fits and not data.study.outcomes
+        of_curves = quantity or band or window or beside or log or fits and not data.study.outcomes
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
-        words = ["plot", name, *["--plain"] * plain]
+        words = ["plot", name, *["--plain"] * plain, *["--log"] * log]
         if kind == "summary":
             return summary_page(shown), picked.again(
                 data, *words, figure=[kind], format=formats, **asked_look
@@ -127,7 +128,7 @@ def plot(
         given = {"band": band, "window": window, "beside": beside}
         options = {key: [value] for key, value in given.items() if value} | asked_look
         again = picked.again(data, *words, figure=[kind], format=formats, quantity=quantities, **options)
-        return curves_page(shown, quantities, band, window, beside=other), again
+        return curves_page(shown, quantities, band, window, beside=other, log=log), again
 
     def pages() -> Iterator[tuple[Page, str]]:
         asked = [(name, picked) for name in names] if names else _run_here(picked)

@@ -31,6 +31,7 @@ def curves_page(
     *,
     beside: StudyData | None = None,
     basename: str = "",
+    log: bool = False,
 ) -> Page:
     """Return the figure of the curves of a study's finished runs.
 
@@ -42,6 +43,7 @@ def curves_page(
         band: one of `BANDS`; default: the deviation, and inside it the interval of the mean.
         window: one of the study's windows; default: the first.
         beside: another study, whose runs are dashed lines.
+        log: whether axes of values are logarithmic.
         basename: of the files; default: of a single study its figure, and how this one differs from the
             usual.
 
@@ -58,7 +60,12 @@ def curves_page(
     names = names or usual_quantities(data)
     drawn = {
         title: Column(
-            each, names if len(columns) == 1 else _known(each, names), _asked_band(each, band), window, beside
+            each,
+            names if len(columns) == 1 else _known(each, names),
+            _asked_band(each, band),
+            window,
+            beside,
+            log=log,
         )
         for title, each in columns.items()
         if each
@@ -115,7 +122,7 @@ def _differences(column: Column) -> list[str]:
     data, names, differs = column.data, list(column.quantities), []
     if names != usual_quantities(data):
         differs.append("all" if names == curve_names(data) else "-".join(names))
-    differs += [column.band] * (column.band != USUAL_BAND)
+    differs += [column.band] * (column.band != USUAL_BAND) + ["log"] * column.log
     if column.window and column.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
         differs.append(column.window.removesuffix("%"))
     return [*differs, *(["beside", column.beside.study.name] if column.beside else [])]

@@ -32,7 +32,7 @@ from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDO
 from pneuma.study.series import SLACK
 
 _, TRAILING_WINDOW = WINDOWS
-USUAL_BAND, INTERVAL, RUNS = BAND_NAMES[0], "ci", "runs"
+USUAL_BAND, INTERVAL, RUNS, NO_BAND = BAND_NAMES[0], "ci", "runs", "none"
 PALE, DARK = 0.13, 0.30
 """Opacity of a band, and of the interval of the mean inside it."""
 MOST_AT_ENDS, LONGEST_AT_END = 5, 16
@@ -85,6 +85,8 @@ class Column:
     Attributes:
         window: of the study's windows; None for the first.
         beside: a study whose runs are drawn as dashed lines.
+        log: whether all axes of values are logarithmic, and not only those of quantities that go through
+            powers of ten.
         labels: names of conditions in the legend, if not with the number of their runs.
     """
 
@@ -94,14 +96,17 @@ class Column:
     window: str | None = None
     beside: StudyData | None = None
     labels: Mapping[str, str] | None = None
+    log: bool = False
+
+    def is_log(self, name: str) -> bool:
+        return self.log or QUANTITIES[name].log
 
     @cached_property
     def curves(self) -> dict[str, list[Curve]]:
         """The curves of each quantity; on a logarithmic axis, means and bands are of logarithms."""
         found = study_curves(self.data, self.quantities, self.window)
         return {
-            name: [replace(curve, log=QUANTITIES[name].log) for curve in group]
-            for name, group in found.items()
+            name: [replace(curve, log=self.is_log(name)) for curve in group] for name, group in found.items()
         }
 
     @cached_property
@@ -134,10 +139,11 @@ class Column:
         title = of.title
         if name.startswith("action_") and without_monsters(self.data):
             title = f"Share of action {name.removeprefix('action_')}"
-        numbers = grid.powers if of.log and self._highest(name) > 0 else grid.numbers
-        draw = partial(_draw, column=self, name=name)
+        numbers: grid.Ticks = grid.shares if of.percent else grid.numbers
+        if self.is_log(name) and self._highest(name) > 0:
+            numbers = grid.powers
         return Panel(
-            draw, title, "Environment steps", label, grid.steps, grid.shares if of.percent else numbers
+            partial(_draw, column=self, name=name), title, "Environment steps", label, grid.steps, numbers
         )
 
     def _highest(self, name: str) -> float:
@@ -165,7 +171,8 @@ class Column:
     @property
     def notes(self) -> list[str]:
         returns, window = "return" in self.curves, self.window or self.data.windows[0]
-        return [*notes_of(self.data, returns, self.beside), *_caption(self.data, self.curves, window)]
+        log = any(self.is_log(name) and self._highest(name) > 0 for name in self.curves)
+        return [*notes_of(self.data, returns, self.beside), *_caption(self.data, self.curves, window, log)]
 
 
 # --- What is drawn -----------------------------------------------------------------------------------
@@ -188,7 +195,7 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
     colours = {condition: look["color"] for condition, look in column.styles.items()}
     grid.draw_random_player(axes, random_levels(data, name), column._highest(name), colours)
     axes.set_xlim(0, max(data.budget, column.beside.budget if column.beside else 0))
-    if percent:
+    if percent and not column.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
 
@@ -196,11 +203,13 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
     count = len(curve.runs)
+    if band == NO_BAND:
+        return False
     return band == RUNS or 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
 
 
 def _shows_band(curve: Curve, band: str) -> bool:
-    return band != RUNS and len(curve.runs) >= BANDS[band].least_runs
+    return band not in (RUNS, NO_BAND) and len(curve.runs) >= BANDS[band].least_runs
 
 
 def _draw_bands(axes: Axes, curve: Curve, column: Column, percent: bool, alpha: float) -> None:
@@ -265,11 +274,11 @@ def _has_gaps(curve: Curve) -> bool:
     return not curve.stops and len(whole) > 0 and len(whole) < len(curve.count) - whole[0]
 
 
-def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str) -> list[str]:
+def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str, log: bool) -> list[str]:
     every = [*chain.from_iterable(curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     notes += ["Faint, without an interval: some run has no value there."] * any(map(_has_gaps, every))
-    if any(QUANTITIES[name].log for name in curves):
+    if log:
         notes.append("On logarithmic axes means and bands are of logarithms, without values of 0.")
     blank: dict[str, int] = {}
     for curve in every:
