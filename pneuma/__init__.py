@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pneuma.env import register_environments
 
 try:
-    __version__ = version("pneuma")
+    __version__ = version("pneuma-rl")
 except PackageNotFoundError:  # run from a source tree, by `python cli.py`
     __version__ = "0+source"
 
