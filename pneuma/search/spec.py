@@ -83,7 +83,7 @@ class SearchFile(Table):
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     base: Annotated[str, OneOf(tuple(BASES))]
-    start: tuple[Annotated[str | Fields, BeforeValidator(_known_base)], ...] = ()
+    start: tuple[Annotated[Fields | str, BeforeValidator(_known_base)], ...] = ()
     """The search begins with a trial of each: of a base's values, or of these."""
     warm_start: str = ""
     """Another search, with whose best trials this one goes on, as many as a generation has."""
