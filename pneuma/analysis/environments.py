@@ -122,13 +122,11 @@ def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
 
 
 def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
-    """Return condition, statistic, value, low, high: of `AGGREGATES`, and the score in each environment."""
+    """Return condition, statistic, value, low, high: one row for each of `AGGREGATES`."""
     rows = []
     for condition, each in scores(parts, outcome).items():
         for name, aggregate in AGGREGATES.items():
             rows.append((condition, name, float(aggregate(each)), *_ends(aggregate, each)))
-        for env, runs in zip(parts, each, strict=True):
-            rows.append((condition, env, float(runs.mean()), np.nan, np.nan))
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 

@@ -50,8 +50,7 @@ def summary_of_environments(data: StudyData, parts: Parts, outcomes: Sequence[st
     names = [*dict.fromkeys(every["condition"])]
     table = wide(every, names, [*parts], of=["environment"])
     over = over_environments(parts, outcome)
-    over = over[~over["statistic"].isin([*parts])]
-    scored = wide(with_cells_of(over), names, [*dict.fromkeys(over["statistic"])], of=["statistic"])
+    scored = wide(_with_cells(over), names, [*dict.fromkeys(over["statistic"])], of=["statistic"])
     table = pd.concat([table, scored], axis=1).fillna(NO_CELL)
     table.columns = [str(column) for column in table.columns]
     runs = [", ".join(str(len(part.of_condition(name))) for part in parts.values()) for name in names]
@@ -63,7 +62,7 @@ def summary_of_environments(data: StudyData, parts: Parts, outcomes: Sequence[st
     return Result(document, shown, data.full_title, [data.ends], table, every, format)
 
 
-def with_cells_of(numbers: pd.DataFrame) -> pd.DataFrame:
+def _with_cells(numbers: pd.DataFrame) -> pd.DataFrame:
     from pneuma.analysis.intervals import shown_with_interval
 
     rows = zip(numbers["value"], numbers["low"], numbers["high"], strict=True)
@@ -87,7 +86,7 @@ def compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence[
     over = improvements(parts, a, b, outcomes[0])
     people = comparison_cells(table.assign(outcome=table["outcome"].map(with_unit)), [a, b])
     people = people.rename(columns={"": "environment"})
-    scores = with_cells_of(over)[["statistic", "cell"]].set_axis(
+    scores = _with_cells(over)[["statistic", "cell"]].set_axis(
         ["scores over all", f"{a} against {b}"], axis=1
     )
     table = table.rename(columns={"condition": "environment"})

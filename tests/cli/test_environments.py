@@ -84,9 +84,10 @@ def test_compare_takes_conditions_in_each_environment_and_over_all(study: Path) 
 
 
 def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
-    drawn = call("study", "plot", study, "--quantity", "evaluated_return", "--out", "two.svg")
-    assert drawn.code == 0, drawn.err
-    assert (study.parent / "two.svg").is_file()
+    called = call("study", "plot", study, "--quantity", "evaluated_return", "--out", "two.svg")
+    assert called.code == 0, called.err
+    panels = [part.startswith('id="axes_') for part in (study.parent / "two.svg").read_text().split("<g ")]
+    assert sum(panels) == 2
     assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
 
 
