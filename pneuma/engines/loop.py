@@ -156,7 +156,7 @@ def evaluation_updates(run: Run) -> set[int]:
     """Return the updates, counted from 1, after which a run is evaluated.
 
     They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer,
-    and a short one half as many: evaluations cost at most a fifth of a run's time.
+    and a short one half as many.
     """
     return _spread(run.updates, EVALUATIONS // 2 if _is_short(run) else EVALUATIONS)
 

@@ -159,8 +159,8 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
         runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
         notes.append(f"{runs} published, and not trained: figures and numbers take them from there")
     if open_ones := sum(map(is_open, todo.values())):
-        whose = f"{counted(open_ones, 'run')} of a learner of one's own setting"
-        notes.append(f"{whose} cannot be resumed: stopped or killed, it begins anew")
+        runs = "1 run has" if open_ones == 1 else f"{open_ones} runs have"
+        notes.append(f"{runs} a learner whose state is not stored: stopped or killed, it begins anew")
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))

@@ -22,6 +22,8 @@ _FILES = {
     **dict.fromkeys(("reward", "env_module", "wrappers", "callback"), _MODULE_FILES),
 }
 """By field: the function that returns the user's files to hash. None imports them."""
+CLASSES = ("reward", "wrappers", "callback")
+"""Fields that name something inside a module."""
 _USES = {
     "reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper",
     "callback": "run the callback",
@@ -46,9 +48,7 @@ def config_id(run: Run) -> str:
 def _digest(run: Run, without: Sequence[str] = ()) -> str:
     usual, fields = as_fields(Run()), as_fields(run)
     hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
-    hashed |= dict.fromkeys(
-        own_names(fields).keys() - {"reward", "wrappers", "callback"}, "of the user's own"
-    )
+    hashed |= dict.fromkeys(own_names(fields).keys() - {*CLASSES}, "of the user's own")
     if "wrappers" in hashed:
         hashed["wrappers"] = [_by_file(name) for name in fields["wrappers"]]
     if "callback" in hashed:
@@ -90,7 +90,7 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     for key, named in own_names(fields).items():
         module, function = _FILES[key]
         every = [named] if isinstance(named, str) else named
-        names = [name.partition("{")[0].rpartition(":")[0] or name for name in every]
+        names = [name.partition("{")[0].rpartition(":")[0] if key in CLASSES else name for name in every]
         for name in names:
             paths += getattr(import_module(module), function)(name)
     digest = hashlib.sha256()
@@ -121,10 +121,6 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
         else:
             over[key] = tuple(_beside(path.parent, key, one) if one in own else one for one in fields[key])
     return {**fields, **over}
-
-
-CLASSES = ("reward", "wrappers", "callback")
-"""Fields that name something inside a module."""
 
 
 def _beside(folder: Path, key: str, name: str) -> str:
