@@ -71,7 +71,7 @@ def run_study(
         steps: agent steps of each run, instead of the preset's.
         conditions: names of conditions; default: all.
         settings: fields to set in every condition.
-        world: a key of `pneuma.worlds.WORLDS`; default: the arena where the study is run in it.
+        world: a key of `pneuma.presets.WORLDS`; default: the arena where the study is run in it.
         workers: number of runs that train at once, each in a process of one thread; default: one per core.
         on_progress: called with a cell and an event, such as a step, instead of showing progress.
         quiet: show no progress.
@@ -164,7 +164,7 @@ def open_data(
         seeds: a count or a list of seeds; default: all.
         conditions: names of conditions; default: all.
         settings: fields that are set in every condition.
-        world: a key of `pneuma.worlds.WORLDS`; default: the arena where the study is run in it.
+        world: a key of `pneuma.presets.WORLDS`; default: the arena where the study is run in it.
         say: is told what is shown, and what else is stored.
 
     Raises:
@@ -219,7 +219,7 @@ def promote(
         seeds: a count or a list of seeds that no search has used.
         steps: agent steps of each run, instead of the searches'.
         trial: which trial of a single search, instead of the best.
-        world: a key of `pneuma.worlds.WORLDS` in which they were searched; default: the arena.
+        world: a key of `pneuma.presets.WORLDS` in which they were searched; default: the arena.
         workers: number of runs that train at once; default: one per core.
         quiet: show no progress.
 

@@ -33,7 +33,6 @@ from pneuma.algorithms import (
     TABULAR,
     VALUE_BASED,
 )
-from pneuma.bases import BASES as BASES
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
 from pneuma.schema import plain

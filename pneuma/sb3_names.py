@@ -14,14 +14,6 @@ from typing import Any
 from pneuma.algorithms import VALUE_BASED
 from pneuma.errors import UserError
 
-DEFAULTS: dict[str, Any] = {
-    "actor": (64, 64), "critic": (64, 64), "activation": "tanh", "slots": 1, "horizon": 2048, "minibatch": 64,
-    "epochs": 10, "learning_rate": 3e-4, "gamma": 0.99, "gae_lambda": 0.95, "clip_range": 0.2,
-    "entropy_coefficient": 0.0, "value_coefficient": 0.5, "gradient_limit": 0.5, "clip": "joint",
-    "optimizer": "adam", "betas": (0.9, 0.999), "epsilon": 1e-5,
-}  # fmt: skip
-"""What Stable-Baselines3's PPO is without any setting."""
-
 NAMES = {
     "n_timesteps": "steps",
     "n_envs": "slots",

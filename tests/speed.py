@@ -25,13 +25,13 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from pneuma.bases import BASES
 from pneuma.config import Run, make_run
 from pneuma.engines import mlp
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.loop import Progress, train_run
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds
+from pneuma.presets import BASES
 from pneuma.study.execute import MOST_IN_GROUP
 from pneuma.study.executors.local import XLA_FLAGS, worker_environment
 from pneuma.study.provenance import machine

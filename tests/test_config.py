@@ -11,12 +11,12 @@ import pytest
 
 from pneuma.algorithms import ALGORITHMS, MAILMAN, OPEN_LEARNERS, TABULAR, VALUE_BASED
 from pneuma.config import (
-    BASES,
     as_fields,
     make_run,
     stream_seed,
 )
 from pneuma.errors import UserError
+from pneuma.presets import BASES
 
 # Design section 3, row by row: what each of the thesis's two tables says.
 COMMON_OF_BOTH_TABLES: dict[str, Any] = {

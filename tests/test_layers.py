@@ -16,7 +16,7 @@ MODULES = {
 
 BASE = (
     "pneuma.errors", "pneuma.values", "pneuma.files", "pneuma.schema", "pneuma.algorithms",
-    "pneuma.sb3_names", "pneuma.bases", "pneuma.worlds", "pneuma.own_modules", "pneuma.env.fields",
+    "pneuma.sb3_names", "pneuma.presets", "pneuma.own_modules", "pneuma.env.fields",
     "pneuma.config",
 )  # fmt: skip
 """Modules that all may import."""

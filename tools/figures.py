@@ -27,7 +27,7 @@ from pneuma.analysis.judgement import judge
 from pneuma.analysis.runs import RunIndex, find_study, open_study, read_runs
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.verdict_words import verdicts_by_claim
-from pneuma.config import BASES, as_fields, make_run
+from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page
@@ -36,6 +36,7 @@ from pneuma.figures.origin import read_origin
 from pneuma.figures.search import draw_search, winners_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
+from pneuma.presets import BASES, WORLDS
 from pneuma.search.promote import find_winners
 from pneuma.search.record import read_record
 from pneuma.search.spec import load_search
@@ -44,7 +45,6 @@ from pneuma.study.provenance import available_cores
 from pneuma.study.series import SLACK
 from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
-from pneuma.worlds import WORLDS
 from tools import COMMAND, noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery

@@ -25,7 +25,7 @@ from pneuma.figures.origin import Origin, sample
 from pneuma.figures.report import Verdicts
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
 from pneuma.files import write_whole
-from pneuma.worlds import WORLDS
+from pneuma.presets import WORLDS
 from tools import COMMAND
 
 STEM = "verdicts"

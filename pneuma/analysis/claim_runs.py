@@ -19,12 +19,12 @@ from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_retur
 from pneuma.analysis.runs import RunIndex, find_runs, finished_rows
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
+from pneuma.presets import world_option
 from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
 from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Amount, Preset, Study
 from pneuma.values import shown_seeds
-from pneuma.worlds import world_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""

@@ -27,6 +27,7 @@ from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
+from pneuma.presets import WORLDS
 from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
 from pneuma.study.spec import (
     CLAIMS_FILE,
@@ -35,7 +36,6 @@ from pneuma.study.spec import (
     studies_folder,
 )
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
-from pneuma.worlds import WORLDS
 
 MINUS = " - "
 """Separates two outcomes of a run whose difference is tested."""

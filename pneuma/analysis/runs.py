@@ -26,6 +26,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import read_whole
+from pneuma.presets import TEXT, WORLDS
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Selection, configure, round_up
 from pneuma.study.published import Published
@@ -34,7 +35,6 @@ from pneuma.study.rows import Row
 from pneuma.study.spec import Study, list_studies, load_study, run_command
 from pneuma.study.store import FINISHED, Identity, Store
 from pneuma.values import as_tuple, setting_words
-from pneuma.worlds import TEXT, WORLDS
 
 ALL = Selection()
 Say = Callable[[str], object]

@@ -18,6 +18,7 @@ import pyarrow as pa
 from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.presets import WORLDS
 from pneuma.study.identity import config_id
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row
@@ -25,7 +26,6 @@ from pneuma.study.series import SLACK, held_curve, make_grid
 from pneuma.study.spec import Study
 from pneuma.study.store import FINISHED
 from pneuma.values import settings_name, shown_settings
-from pneuma.worlds import WORLDS
 
 LONGEST_OTHERS = 80
 """Characters for what else is stored, in the line that says what is shown."""

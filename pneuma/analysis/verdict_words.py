@@ -27,7 +27,7 @@ from pneuma.analysis.judgement import (
     Verdict,
 )
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.worlds import WORLDS
+from pneuma.presets import WORLDS
 
 HOLDS, FAILS, UNDECIDED, NOT_TESTED = "holds", "does not hold", "undecided", "not tested"
 WORDS = {

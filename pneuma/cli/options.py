@@ -20,12 +20,12 @@ from typer.main import get_command
 from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
+from pneuma.presets import WORLDS
 from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, SLURM, ExecutorConfig, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, PRESETS
 from pneuma.study.store import Store
 from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
-from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData

@@ -18,12 +18,12 @@ from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, Verdicts, numbers_table, study_pictures
+from pneuma.presets import WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
 from pneuma.study.rows import Row
 from pneuma.study.store import Store
 from pneuma.values import shown_value
-from pneuma.worlds import WORLDS
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
 """The provenance shown for runs: without times, in which equal runs differ."""

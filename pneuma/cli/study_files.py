@@ -191,7 +191,7 @@ def table(
     for name in names or ():
         if name not in THESIS_TABLES:
             raise unknown_name("table", name, THESIS_TABLES)
-    from pneuma.bases import BASES
+    from pneuma.presets import BASES
     from pneuma.values import short
 
     heads = ["Hyperparameter", *(name.replace("table-6-", "Table 6.") for name in names or THESIS_TABLES)]

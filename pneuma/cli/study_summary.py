@@ -16,7 +16,7 @@ from pneuma.cli.study_environments import (
 )
 from pneuma.cli.study_notes import what_is_shown, with_unit
 from pneuma.errors import UserError, counted
-from pneuma.worlds import WORLDS
+from pneuma.presets import WORLDS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table, progress_of
 from pneuma.errors import plain, unknown_name
+from pneuma.presets import WORLDS
 from pneuma.study.store import Store, shipped_tables
-from pneuma.worlds import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.analysis.claim_table import ClaimContrast

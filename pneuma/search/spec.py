@@ -22,9 +22,10 @@ from pydantic import AfterValidator, BeforeValidator
 
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import BASES, Run, Steps
+from pneuma.config import Run, Steps
 from pneuma.env.fields import ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
+from pneuma.presets import ARENA, BASES, TEXT, checked_world, world_fields
 from pneuma.sb3_names import own_fields
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown, wrong
 from pneuma.search import FIRST_SEED
@@ -33,7 +34,6 @@ from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.identity import files_beside
 from pneuma.study.spec import PRESETS, Fields, find_file, studies_folder
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
-from pneuma.worlds import ARENA, TEXT, checked_world, world_fields
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
     "mean": np.mean,
@@ -102,7 +102,7 @@ class SearchFile(Table):
 
 @dataclass(frozen=True)
 class Search:
-    """A search in one of `pneuma.worlds.WORLDS`."""
+    """A search in one of `pneuma.presets.WORLDS`."""
 
     name: str
     file: TomlFile
@@ -173,7 +173,7 @@ class Search:
 def load_search(name: str, world: str | None = None, settings: Mapping[str, Any] | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
-    The world is one of `pneuma.worlds.WORLDS`; default: the arena. `settings` are fields of all trials.
+    The world is one of `pneuma.presets.WORLDS`; default: the arena. `settings` are fields of all trials.
     """
     search = read_search(find_file("search", name, studies_folder() / "search"))
     world = checked_world(world) or (ARENA if search.has_worlds else "")

@@ -15,12 +15,12 @@ from pneuma.algorithms import OF_OPTIMIZERS
 from pneuma.config import FORK_FIELDS, FORK_RESETS, OF_GYMNASIUM, OF_WORLDS, Run, as_fields, make_run
 from pneuma.env.fields import read_field
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.presets import TEXT, WORLDS
 from pneuma.study.identity import run_id
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import trusted_settings
-from pneuma.worlds import TEXT, WORLDS
 
 CONTROL = "control"
 FIXED = (

@@ -26,15 +26,15 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
-from pneuma.config import BASES, FORK_FIELDS, Run, Steps, make_run, reads
+from pneuma.config import FORK_FIELDS, Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
+from pneuma.presets import BASES, TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 from pneuma.sb3_names import own_fields
 from pneuma.schema import Table, TomlFile, read_model, read_toml, shown, wrong
 from pneuma.study.identity import files_beside
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
-from pneuma.worlds import TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"

@@ -23,8 +23,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
-from pneuma.config import BASES, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines.loop import train_run
+from pneuma.presets import BASES
 from pneuma.sb3_names import own_fields
 
 matplotlib.use("Agg")

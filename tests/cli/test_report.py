@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.verdict_words import WORDS
+from pneuma.presets import WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
 
 from .calls import described, save_finished
 

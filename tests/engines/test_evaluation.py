@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneuma.config import BASES, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.loop import evaluation_episodes, evaluation_updates
 from pneuma.engines.policy import Policy
 from pneuma.env.players import Hunter
+from pneuma.presets import BASES
 
 
 def run_of(**settings: object) -> Run:

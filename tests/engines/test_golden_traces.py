@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from pneuma.algorithms import MAILMAN
-from pneuma.config import BASES, ENGINE_VERSIONS, make_run
+from pneuma.config import ENGINE_VERSIONS, make_run
 from pneuma.engines.loop import train_run
+from pneuma.presets import BASES
 
 SMALL: dict[str, Any] = {
     **BASES["table-6-2"],

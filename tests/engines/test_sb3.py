@@ -9,10 +9,11 @@ import pytest
 import torch
 from stable_baselines3.common.logger import Logger
 
-from pneuma.config import BASES, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import sb3_learners
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EPISODE_COLUMNS
+from pneuma.presets import BASES
 
 from .trained import train
 

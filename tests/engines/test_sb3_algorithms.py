@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from pneuma.algorithms import TABULAR, VALUE_BASED
-from pneuma.config import BASES, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.presets import BASES
 
 from .trained import bits, check_that_it_goes_on, train, train_once
 

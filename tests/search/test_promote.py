@@ -12,13 +12,13 @@ from optuna.trial import FrozenTrial
 
 from pneuma.errors import UserError
 from pneuma.figures.search import winners_page
+from pneuma.presets import WORLDS
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.record import Record, Task
 from pneuma.search.spec import Budget, load_search
 from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study, shipped_names, studies_folder
 from pneuma.study.store import Store
-from pneuma.worlds import WORLDS
 
 from ..hand_made import make_id, save_run, study_of
 from .conftest import MakeTask, record

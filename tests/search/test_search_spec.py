@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from pneuma.errors import UserError
+from pneuma.presets import WORLDS
 from pneuma.search.space import Parameter
 from pneuma.search.spec import Search, load_search
-from pneuma.worlds import WORLDS
 
 Load = Callable[[str], Search]
 

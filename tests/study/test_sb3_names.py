@@ -10,9 +10,10 @@ import pytest
 from stable_baselines3 import PPO
 
 from pneuma.algorithms import ALGORITHM_FIELDS, VALUE_BASED
-from pneuma.config import BASES, Run, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines.sb3_learners import LEARNERS, arguments_of
 from pneuma.errors import UserError
+from pneuma.presets import BASES
 from pneuma.sb3_names import NAMES, own_fields
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study

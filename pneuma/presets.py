@@ -1,4 +1,4 @@
-"""The worlds in which a study or a search can run: the arena, the thesis's text, and its published code."""
+"""Named sets of fields: the bases that studies and searches start from, and the worlds that they run in."""
 
 from __future__ import annotations
 
@@ -7,6 +7,28 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pneuma.errors import UserError, unknown_name
+
+_THESIS: dict[str, Any] = {
+    "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 3e-4, "minibatch": 64, "entropy_coefficient": 0.01,
+    "optimizer": "adam", "epsilon": 1e-5, "actor": (128,), "critic": (256,), "slots": 1, "clip": "joint",
+}  # fmt: skip
+BASES: dict[str, dict[str, Any]] = {
+    "table-6-1": {
+        **_THESIS, "clip_range": 0.2, "horizon": 2048, "epochs": 15, "value_coefficient": 1.0,
+        "betas": (0.9, 0.999), "activation": "relu", "gradient_limit": None,
+    },
+    "table-6-2": {
+        **_THESIS, "clip_range": 0.1, "horizon": 256, "epochs": 10, "value_coefficient": 0.5,
+        "betas": (0.9, 0.9), "activation": "tanh", "gradient_limit": 0.5,
+    },
+    "stable-baselines3": {
+        **_THESIS, "clip_range": 0.2, "horizon": 2048, "epochs": 10, "value_coefficient": 0.5,
+        "betas": (0.9, 0.999), "activation": "tanh", "gradient_limit": 0.5,
+        "entropy_coefficient": 0.0, "actor": (64, 64), "critic": (64, 64),
+    },
+}  # fmt: skip
+"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2), and what
+Stable-Baselines3's PPO is without any setting."""
 
 
 @dataclass(frozen=True)
