@@ -10,7 +10,7 @@ PIP = $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 HASHED = --no-deps --require-hashes --requirement
 OWN = --no-build-isolation --constraint constraints.txt --editable
 
-.PHONY: help install constraints study figures docs test storm test-all slow-0 slow-1 slow-2 lint clean
+.PHONY: help install constraints study figures docs test storm test-all release-check slow-0 slow-1 slow-2 lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms
 
@@ -92,7 +92,7 @@ test: lint  ## Check style and types, and run the fast tests
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.study.storm
 
-test-all: test docs slow-0 slow-1 slow-2  ## The same, then the slow tests, and the links of the pages
+test-all: test docs release-check slow-0 slow-1 slow-2  ## The same, then the slow tests, links of pages, and archives
 
 # The slow tests in three parts, to run one at a time.
 SLOW_0 = tests/test_*.py tests/env tests/godot tests/figures
@@ -101,6 +101,9 @@ SLOW_2 = tests/study
 
 slow-0 slow-1 slow-2: slow-%: $(TESTED)
 	$(BIN)/python -m pytest -m slow $(SLOW_$*)
+
+release-check: $(TESTED)  ## Build wheel and source archive in dist/, and try the wheel in an environment of its own
+	.ci/release
 
 lint: $(TESTED)
 	$(BIN)/ruff check .
