@@ -64,6 +64,16 @@ def test_a_damaged_table_is_told_and_published_anew(results: Path) -> None:
     assert path.read_bytes() == whole
 
 
+def test_what_pneuma_publishes_stays_in_a_table_of_the_same_name(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = Path(shutil.move(results / "published", tmp_path / "shipped"))
+    monkeypatch.setattr("pneuma.study.store.shipped_tables", lambda: shipped)
+    called = _publish(results, "--condition", "tanh", "--seeds", "0,")
+    assert "1 run from here, 3 as they were published before" in called.out
+    assert pq.read_table(_table(results)).num_rows == 4
+
+
 def test_of_two_that_publish_at_once_one_is_told_to_wait(results: Path) -> None:
     path = _table(results)
     whole = path.read_bytes()

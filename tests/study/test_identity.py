@@ -68,7 +68,7 @@ def test_a_raised_version_changes_the_name(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.fixture
 def level(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(LEVELS / "thesis", tmp_path / "mine"))
+    return Path(shutil.copytree(LEVELS / "thesis", tmp_path / "my:level"))
 
 
 def _name(level: Path | str) -> str:
