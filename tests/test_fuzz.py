@@ -21,11 +21,12 @@ from pneuma.env.characters import load_characters
 from pneuma.env.load_level import load_level
 from pneuma.errors import UserError
 from pneuma.files import checksum, dump_checksummed
+from pneuma.imports.tensorboard import read_event_file
 from pneuma.search.spec import load_search
 from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
-from pneuma.study.imported import read_event_file
-from pneuma.study.row_builder import Recorded, row_cells
+from pneuma.study.row_builder import row_cells
 from pneuma.study.rows import decode_row, encode_row
+from pneuma.study.series import Recorded
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, read_checkpoint_name
 from pneuma.study.tables import record_table, to_parquet

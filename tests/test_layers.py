@@ -25,7 +25,7 @@ LAYERS = (
     BASE,
     ("pneuma.env", "pneuma.godot"),
     ("pneuma.engines",),
-    ("pneuma.study",),
+    ("pneuma.study", "pneuma.imports"),
     ("pneuma.analysis",),
     ("pneuma.search",),
     ("pneuma.figures",),

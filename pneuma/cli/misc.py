@@ -13,7 +13,7 @@ from pneuma.errors import counted
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.study.imported import ImportedRun
+    from pneuma.imports.logs import ImportedRun
 
 logs = opt.Commands("Make a study of old logs.")
 
@@ -66,7 +66,7 @@ def tensorboard(
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
-    from pneuma.study.imported import import_tensorboard
+    from pneuma.imports.tensorboard import import_tensorboard
 
     return _imported(import_tensorboard(folders, Store(results), name), results)
 
@@ -93,7 +93,7 @@ def csv(
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""
-    from pneuma.study.imported_csv import import_csv
+    from pneuma.imports.csv_files import import_csv
 
     return _imported(import_csv(files, Store(results), name, step, returns, averaged_over), results)
 
@@ -103,13 +103,13 @@ def _imported(found: tuple[str, list[ImportedRun], list[str]], results: Path) ->
     for note in notes:
         say(f"Note: {note}.", aside=True)
     rows = [
-        {"run_id": run.run_id, "condition": run.log.condition, "seed": run.log.seed, "steps": run.steps,
+        {"run_id": run.run_id, "condition": run.condition, "seed": run.seed, "steps": run.log.steps,
          "imported": run.new}
         for run in runs
     ]  # fmt: skip
-    new, points = sum(run.new for run in runs), sum(len(run.points) for run in runs)
+    new, points = sum(run.new for run in runs), sum(len(run.log.points) for run in runs)
     amount = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
-    episodes = max(100, *(run.provenance.get("averaged_over", 100) for run in runs))
+    episodes = max(100, *(run.log.provenance.get("averaged_over", 100) for run in runs))
     means = "" if episodes == 100 else "; those of runs trained here are of 100, and less smooth"
     shown = [
         f"{study}: {amount}; {new} imported now, {len(runs) - new} were stored.",

@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,9 +26,6 @@ from pneuma.study import rows, series
 from pneuma.study.checkpoints import TABLES, sound_checkpoint, table_files
 from pneuma.study.quantities import (
     EPISODE_QUANTITIES,
-    EVALUATION_TAGS,
-    NEGATED,
-    TAGS,
     UPDATE_QUANTITIES,
     WINDOWS,
 )
@@ -47,29 +44,8 @@ RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 LEVELS = 512
 """Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
 
-ONE_EPISODE = tuple(TAGS[name][1] for name in ("return", "length"))
-"""Tags of single episodes, which are averaged as Stable-Baselines3 does before it logs."""
-WALL_CLOCK = ("time/", "charts/SPS")
 
-
-@dataclass(frozen=True)
-class Recorded:
-    """What a finished run recorded.
-
-    Attributes:
-        series: step and value of every episode or update, by quantity; steps do not decrease.
-        evaluations: rows of the evaluations.
-        first_step: from which every slot has finished an episode; infinite if one has none.
-        averaged_over: episodes over which returns were averaged when they were logged; None if they were not.
-    """
-
-    series: Mapping[str, series.Series]
-    evaluations: Sequence[Mapping[str, Any]]
-    first_step: float = math.inf
-    averaged_over: int | None = None
-
-
-def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Recorded:
+def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
     """Return what a run's record tables hold."""
     found: dict[str, series.Series] = {}
     for name, quantities in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
@@ -84,49 +60,7 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> Reco
     slots, players = fields.get("slots"), fields.get("players", 1)
     all_began = isinstance(slots, int) and isinstance(players, int) and len(firsts) == slots * players
     first_step = float(firsts.max()) if all_began and len(firsts) else math.inf
-    return Recorded(found, tables["evaluations"].to_pylist(), first_step)
-
-
-def of_log(scalars: pd.DataFrame, averaged_over: int = series.TRAILING_EPISODES) -> Recorded:
-    """Return what the points (tag, step, value, superseded) of an imported log hold.
-
-    Returns that are means of fewer episodes than are usual are averaged further.
-    """
-    named = named_scalars(scalars, averaged_over)
-    found = {}
-    for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
-        points = named[named["name"] == quantity]
-        if len(points):
-            found[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return Recorded(
-        found, _logged_evaluations(named), averaged_over=max(averaged_over, series.TRAILING_EPISODES)
-    )
-
-
-_OF_RUNS = ("run_id", "condition", "seed")
-"""Columns of which run an evaluation is; a log's tags of these names are left out."""
-
-
-def _logged_evaluations(named: pd.DataFrame) -> list[Any]:
-    """Return evaluations as rows, from the points of an imported log."""
-    columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
-    found = named[named["tag"].str.startswith("eval/") & (named["tag"] != "eval/step")]
-    found = found.assign(name=found["tag"].map(columns).fillna(found["tag"].str.removeprefix("eval/")))
-    found = found[~found["name"].isin(_OF_RUNS)].drop_duplicates(["name", "step"], keep="last")
-    return found.pivot(index="step", columns="name", values="value").reset_index().to_dict("records")
-
-
-def named_scalars(scalars: pd.DataFrame, averaged_over: int = series.TRAILING_EPISODES) -> pd.DataFrame:
-    """Return name, step and value of every point that no restart superseded, by step, then as written."""
-    scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
-    values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
-    for single, mean in (TAGS[name][::-1] for name in ("return", "length")):
-        for tag, points in ((single, 1), (mean, averaged_over)):
-            of_tag, window = scalars["tag"] == tag, math.ceil(series.TRAILING_EPISODES / points)
-            values[of_tag] = values[of_tag].rolling(window, 1).mean()
-    plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
-    names = {tag: name for name, tags in TAGS.items() for tag in tags}
-    return scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)
+    return series.Recorded(found, tables["evaluations"].to_pylist(), first_step)
 
 
 # --- Of stored runs ----------------------------------------------------------------------------------
@@ -178,12 +112,14 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
         for file, data in files.items()
         if file.endswith(".parquet")
     }
+    provenance = parse_json(files["provenance.json"])
     if "scalars" in tables:
-        averaged_over = _averaged_over(files["provenance.json"])
-        recorded = of_log(tables["scalars"].to_pandas(use_threads=False), averaged_over)
+        from pneuma.imports.points import of_log
+
+        recorded = of_log(tables["scalars"].to_pandas(use_threads=False), provenance)
     else:
         recorded = of_tables(fields, tables)
-    return row_cells(name, status, fields, recorded, parse_json(files["provenance.json"]))
+    return row_cells(name, status, fields, recorded, provenance)
 
 
 def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
@@ -194,32 +130,22 @@ def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
         frame = record_table(store.read_file(name, file), file.removesuffix(".parquet")).to_pandas()
     except ValueError as error:
         raise UserError(f"{store.run_folder(name) / file}: {error}") from None
-    return _wide(frame, _averaged_over(store.read_file(name, "provenance.json"))) if logged else frame
+    if not logged:
+        return frame
+    from pneuma.imports.points import by_step
 
-
-def _averaged_over(provenance: bytes) -> int:
-    """Return of how many episodes a log's returns are means."""
-    return int(parse_json(provenance).get("averaged_over", series.TRAILING_EPISODES))
-
-
-def _wide(scalars: pd.DataFrame, averaged_over: int) -> pd.DataFrame:
-    """Return a log's points with a column for each quantity or tag; returns are named as averaged."""
-    named = named_scalars(scalars, averaged_over).drop_duplicates(["name", "step"], keep="last")
-    named = named[~named["name"].str.startswith(WALL_CLOCK)]
-    frame = named.pivot(index="step", columns="name", values="value")
-    known = [name for name in TAGS if name in frame]
-    frame = frame[[*known, *sorted(str(name) for name in frame if name not in known)]]
-    frame.columns.name = None
-    episodes = max(averaged_over, series.TRAILING_EPISODES)
-    averaged = {name: f"{name}_mean_{episodes}" for name in EPISODE_QUANTITIES}
-    return frame.rename(columns=averaged).reset_index()
+    return by_step(frame, parse_json(store.read_file(name, "provenance.json")))
 
 
 # --- The cells --------------------------------------------------------------------------------------
 
 
 def row_cells(
-    run_id: str, status: Status, fields: Mapping[str, Any], recorded: Recorded, provenance: Mapping[str, Any]
+    run_id: str,
+    status: Status,
+    fields: Mapping[str, Any],
+    recorded: series.Recorded,
+    provenance: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
@@ -258,7 +184,7 @@ def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> flo
     return float(np.count_nonzero((step > end - window) & (step <= end)))
 
 
-def _of_quantity(recorded: Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
+def _of_quantity(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
     """Return the cells of one quantity: its curves, rounded, and what of them is kept exact."""
     curves = dict(_curves(recorded, quantity, grid, end))
     usual = next(iter(curves.values()))
@@ -275,7 +201,7 @@ def _of_quantity(recorded: Recorded, quantity: str, grid: np.ndarray, end: int) 
 
 
 def _curves(
-    recorded: Recorded, quantity: str, grid: np.ndarray, end: int
+    recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a quantity's curves with their columns, the usual one first."""
     step, values = recorded.series[quantity]

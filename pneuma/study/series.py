@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +31,23 @@ EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax, "appr
 
 Series = tuple[np.ndarray, np.ndarray]
 """Steps and values, (points,) each; steps do not decrease."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a finished run recorded.
+
+    Attributes:
+        series: step and value of every episode or update, by quantity; steps do not decrease.
+        evaluations: rows of the evaluations.
+        first_step: from which every slot has finished an episode; infinite if one has none.
+        averaged_over: episodes over which returns were averaged when they were logged; None if they were not.
+    """
+
+    series: Mapping[str, Series]
+    evaluations: Sequence[Mapping[str, Any]]
+    first_step: float = math.inf
+    averaged_over: int | None = None
 
 
 def make_grid(budget_steps: int) -> np.ndarray:

@@ -12,8 +12,8 @@ from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incid
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study import series
-from pneuma.study.imported import import_tensorboard
 from pneuma.study.store import Store
 
 from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events

@@ -14,7 +14,7 @@ from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_va
 from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
-from pneuma.study.imported import import_tensorboard
+from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study.store import Store
 
 from .. import hand_made

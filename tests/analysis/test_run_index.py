@@ -15,7 +15,7 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
-from pneuma.study.imported import import_tensorboard
+from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study.plan import Selection
 from pneuma.study.published import encode_published
 from pneuma.study.quantities import TRAINING_QUANTITIES

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pneuma.api import open_data
-from pneuma.study.imported import read_event_file
+from pneuma.imports.tensorboard import read_event_file
 from pneuma.study.row_builder import record_frame, stored_row
 from pneuma.study.store import Store
 

@@ -1,6 +1,6 @@
-"""CSV files as imported runs: exports of wandb, Stable-Baselines3's monitors and progress, and any other.
+"""CSV files as logs: exports of wandb, Stable-Baselines3's monitors and progress, and any other.
 
-files → tables of text → points (tag, step, value) of each run → `imported.store_runs`
+files → tables of text → columns of each run by tag → `Log` → `logs.store_logs`
 
 Nothing is left out in silence: rows without a number, steps that come twice or out of order are told.
 """
@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from pneuma.errors import UserError, counted
-from pneuma.files import checksum, read_whole
-from pneuma.study.imported import AGENT_STEPS, ImportedRun, Log, find_study_name, name_logs, store_runs
+from pneuma.files import read_whole
+from pneuma.imports.logs import AGENT_STEPS, ImportedRun, Log, file_facts, find_study_name, store_logs
+from pneuma.imports.points import ONE_EPISODE
 from pneuma.study.quantities import TAGS
-from pneuma.study.row_builder import ONE_EPISODE
 from pneuma.study.series import TRAILING_EPISODES
 from pneuma.study.store import Store
 
@@ -30,16 +29,8 @@ PROGRESS_STEP, WANDB_STEPS = "time/total_timesteps", ("Step", "_step", "global_s
 MONITOR = ("r", "l", "t")
 """Columns of a monitor: an episode's return, length, and the seconds when it ended."""
 
-
-@dataclass
-class _Points:
-    """The points of one run: its name's parts, its files, and columns of them by tag, with a step each."""
-
-    parts: tuple[str, ...]
-    paths: list[Path]
-    columns: dict[str, tuple[pd.Series, pd.Series]]
-    averaged_over: int
-    notes: list[str] = field(default_factory=list)
+Columns = Mapping[str, tuple[pd.Series, pd.Series]]
+"""Steps and values by tag."""
 
 
 def import_csv(
@@ -56,74 +47,25 @@ def import_csv(
     and `returns` name columns, of which wandb's are `RUN - returns`. `averaged_over` is the number of
     episodes that a return is the mean of, where the file does not tell; 1 for every single episode.
     """
-    places = [path.resolve().with_suffix("") for path in paths]
-    study = find_study_name(
-        places if len(places) == 1 else [place.parent for place in places], name, store, SOURCE
-    )
-    found = [*_read_all([path.resolve() for path in paths], step, returns, averaged_over)]
-    logs, notes = name_logs([(each.parts, each.paths) for each in found])
-    runs = []
-    for log, each in zip(logs, found, strict=True):
-        run = _make_run(log, each, store)
-        notes += [f"{log.shown}: {note}" for note in each.notes]
-        runs.append(run)
-    return study, store_runs(study, runs, store, SOURCE, notes), notes
+    paths = [path.resolve() for path in paths]
+    places = [path.with_suffix("") if len(paths) == 1 else path.parent for path in paths]
+    study = find_study_name(places, name, store, SOURCE)
+    return store_logs(study, [*_read_all(paths, step, returns, averaged_over)], store, SOURCE)
 
 
-def _make_run(log: Log, each: _Points, store: Store) -> ImportedRun:
-    tables = []
-    for tag, (steps, values) in each.columns.items():
-        whole = pd.DataFrame({"tag": tag, "step": steps, "value": values})
-        sound = whole[np.isfinite(whole["step"]) & np.isfinite(whole["value"]) & (whole["step"] >= 0)]
-        if tag in (*ONE_EPISODE, *MEANS) and (lost := len(whole) - len(sound)):
-            each.notes.append(
-                f"{lost} of {counted(len(whole), 'row')} have no step or no value, and are left out"
-            )
-        if (sound["step"].diff() < 0).any():
-            each.notes.append(f"the steps of {tag} are out of order, and are sorted")
-        sound = sound.astype({"step": np.int64}).sort_values("step", kind="stable")
-        tables.append(sound.assign(superseded=sound.duplicated("step", keep="last")))
-        if again := int(tables[-1]["superseded"].sum()):
-            each.notes.append(f"{tag}: {counted(again, 'step')} that came again; the last value counts")
-    points = pd.concat(tables, ignore_index=True)
-    contents = [read_whole(path) for path in each.paths]
-    files = [{"bytes": len(data), "sha256": checksum(data)} for data in contents]
-    about = [
-        SOURCE,
-        IMPORT_VERSION,
-        each.averaged_over,
-        log.condition,
-        log.seed,
-        [file["sha256"] for file in files],
-    ]
-    provenance = {
-        "imported": SOURCE,
-        "import_version": IMPORT_VERSION,
-        "averaged_over": each.averaged_over,
-        "files": files,
-    }
-    run_id = checksum(repr([*about, sorted(each.columns)]).encode())[:16]
-    end, new = int(points["step"].max()) if len(points) else 0, not store.status(run_id).finished
-    return ImportedRun(log, run_id, end, points, provenance, new, [])
-
-
-# --- Files ----------------------------------------------------------------------------------------
-
-
-def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int | None) -> Iterator[_Points]:
-    """Yield the points of each run in some files; the monitors in a folder are of one run."""
+def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int | None) -> Iterator[Log]:
+    """Yield each run in some files; the monitors in a folder are of one run."""
     shared = os.path.commonpath([path.parent.parent for path in paths])
     monitors: dict[Path, list[tuple[Path, pd.DataFrame]]] = {}
     for path in sorted({*paths}):
         frame, notes = _read_table(path)
-        own = path.with_suffix("").relative_to(path.parent).parts
         folder = path.parent.relative_to(shared).parts
         if not (step or returns) and {*MONITOR} <= {*frame}:
             monitors.setdefault(path.parent, []).append((path, frame))
         elif not (step or returns) and PROGRESS_STEP in frame:
             tags = [tag for tag in map(str, frame) if tag.startswith(AGENT_STEPS) and tag != PROGRESS_STEP]
             columns = {tag: _logged(frame, PROGRESS_STEP, tag) for tag in tags}
-            yield _Points(folder, [path], columns, TRAILING_EPISODES, notes)
+            yield _log(folder, [path], columns, TRAILING_EPISODES, notes)
         else:
             at = step or next((known for known in WANDB_STEPS if known in frame), "")
             for name, column in _return_columns(path, frame, at, returns).items():
@@ -133,18 +75,45 @@ def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int
                 guess = (
                     f"its returns are taken for means of {over} episodes; --averaged-over N tells otherwise"
                 )
-                tag = (ONE_EPISODE if over == 1 else MEANS)[0]
-                points = {tag: _logged(frame, at, column, alone=not name)}
-                yield _Points((name,) if name else own, [path], points, over, [*notes, *[guess] * (not told)])
+                points = {(ONE_EPISODE if over == 1 else MEANS)[0]: _logged(frame, at, column, not name)}
+                yield _log((name or path.stem,), [path], points, over, [*notes, *[guess] * (not told)])
     for place, read in monitors.items():
-        frame = (
-            pd.concat([frame for _, frame in read])[[*MONITOR]]
-            .apply(_numbers)
-            .sort_values("t", kind="stable")
-        )
-        steps = frame["l"].cumsum()
-        columns = dict(zip(ONE_EPISODE, ((steps, frame["r"]), (steps, frame["l"])), strict=True))
-        yield _Points(place.relative_to(shared).parts, [path for path, _ in read], columns, 1)
+        whole = pd.concat([frame for _, frame in read])[[*MONITOR]].apply(_numbers)
+        whole = whole.sort_values("t", kind="stable")
+        steps = whole["l"].cumsum()
+        columns = dict(zip(ONE_EPISODE, ((steps, whole["r"]), (steps, whole["l"])), strict=True))
+        yield _log(place.relative_to(shared).parts, [path for path, _ in read], columns, 1, [])
+
+
+def _log(
+    parts: tuple[str, ...], paths: Sequence[Path], columns: Columns, averaged_over: int, notes: list[str]
+) -> Log:
+    """Return a run of sound points, with notes on those that are not."""
+    tables = []
+    for tag, (steps, values) in columns.items():
+        whole = pd.DataFrame({"tag": tag, "step": steps, "value": values})
+        sound = whole[np.isfinite(whole["step"]) & np.isfinite(whole["value"]) & (whole["step"] >= 0)]
+        if tag in (*ONE_EPISODE, *MEANS) and (lost := len(whole) - len(sound)):
+            notes.append(f"{lost} of {counted(len(whole), 'row')} have no step or no value, and are left out")
+        if (sound["step"].diff() < 0).any():
+            notes.append(f"the steps of {tag} are out of order, and are sorted")
+        sound = sound.astype({"step": np.int64}).sort_values("step", kind="stable")
+        tables.append(sound.assign(superseded=sound.duplicated("step", keep="last")))
+        if again := int(tables[-1]["superseded"].sum()):
+            notes.append(f"{tag}: {counted(again, 'step')} that came again; the last value counts")
+    files = [file_facts(read_whole(path)) for path in paths]
+    hashes = [file["sha256"] for file in files]
+    provenance = {
+        "imported": SOURCE,
+        "import_version": IMPORT_VERSION,
+        "averaged_over": averaged_over,
+        "files": files,
+    }
+
+    def identify(condition: str, seed: int) -> str:
+        return repr([SOURCE, IMPORT_VERSION, averaged_over, condition, seed, hashes, sorted(columns)])
+
+    return Log(parts, pd.concat(tables, ignore_index=True), identify, provenance, notes)
 
 
 def _return_columns(path: Path, frame: pd.DataFrame, step: str, returns: str) -> dict[str, str]:

@@ -15,13 +15,8 @@ import pandas as pd
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.study.imported import (
-    ImportedRun,
-    find_logs,
-    find_superseded,
-    import_tensorboard,
-    read_event_file,
-)
+from pneuma.imports.logs import ImportedRun, name_runs
+from pneuma.imports.tensorboard import find_logs, find_superseded, import_tensorboard, read_event_file
 from pneuma.study.row_builder import stored_row
 from pneuma.study.store import Status, Store
 from pneuma.study.tables import from_parquet
@@ -64,7 +59,7 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
             model.learn(128)
             logger.close()
     runs, notes = _import(tmp_path)
-    named = [(run.log.condition, run.log.seed, run.steps) for run in runs]
+    named = [(run.condition, run.seed, run.log.steps) for run in runs]
     assert named == [("fast", 1, 128), ("slow", 2, 128)]
     for run in runs:
         with (tmp_path / "logs" / run.log.shown / "progress.csv").open() as file:
@@ -96,7 +91,7 @@ def test_scalars_of_torchs_writer_are_read_among_texts_and_histograms(tmp_path: 
             writer.add_scalar("charts/episodic_return", value, step)
         writer.add_scalar("losses/entropy", 0.5, 16, new_style=True)
     _, (run,), _ = import_tensorboard([tmp_path / "runs"], Store(tmp_path / "results"))
-    assert (run.log.condition, run.log.seed, run.steps) == ("Pong-v5__ppo_atari", 3, 16)
+    assert (run.condition, run.seed, run.log.steps) == ("Pong-v5__ppo_atari", 3, 16)
     assert _stored(tmp_path, run.run_id) == [
         ("charts/episodic_return", 8, 1.0, False),
         ("charts/episodic_return", 8, 2.0, False),
@@ -131,7 +126,7 @@ def test_a_torn_file_is_imported_and_one_too_large_is_told(tmp_path: Path) -> No
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
     (run,), notes = _import(tmp_path)
-    assert (run.steps, len(run.points)) == (4 * 256, 4)
+    assert (run.log.steps, len(run.log.points)) == (4 * 256, 4)
     assert notes and re.search(r"a_1: .* is damaged: its last \d\d of \d\d\d bytes are left out", notes[0])
     assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
     os.truncate(path, 2**40)
@@ -180,9 +175,7 @@ def test_a_folders_name_tells_condition_and_seed(
         (tmp_path / "logs" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "logs" / folder / FILE).touch()
     for given in ([tmp_path / "logs"], [tmp_path / "logs" / folder for folder in folders]):
-        logs, notes = find_logs(given)
-        assert [log[1:3] for log in logs] == found
-        assert notes == []
+        assert (sorted((named := name_runs([*find_logs(given)]))[0]), named[1]) == (found, [])
 
 
 # --- Restarts -------------------------------------------------------------------------------------
@@ -223,8 +216,8 @@ def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:
         tmp_path / "logs" / "a_1" / f"{FILE}.2", [("time/fps", 100, 7.0), (RETURN, 150, 0.5)], after=3
     )
     (run,), notes = _import(tmp_path)
-    assert (run.steps, notes) == (2000, [])
-    assert not run.points["superseded"].any()
+    assert (run.log.steps, notes) == (2000, [])
+    assert not run.log.points["superseded"].any()
     row = stored_row(Store(tmp_path / "results"), run.run_id)
     assert row.curve("return")[[9, 14, 19, 199]].tolist() == [1, 0.5, 2, 20]  # at 100, 150, 200, 2,000
 
@@ -234,4 +227,4 @@ def test_points_that_a_restart_wrote_anew_are_counted(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, returns)
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", returns[17:], after=20)
     (run,), notes = _import(tmp_path)
-    assert (run.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])
+    assert (run.log.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])

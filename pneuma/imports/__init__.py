@@ -1,0 +1,1 @@
+"""Imports: logs of other programs as a study, of which every point is kept."""

@@ -1,0 +1,142 @@
+"""TensorBoard logs of Stable-Baselines3 or CleanRL: every point of each run's event files.
+
+folders → `find_logs` → event files of each run → `Log` → `logs.store_logs`
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from pneuma.errors import UserError, counted, install_extra
+from pneuma.files import read_whole
+from pneuma.imports.logs import ImportedRun, Log, file_facts, find_study_name, store_logs
+from pneuma.study.store import Store
+
+SOURCE, IMPORT_VERSION = "tensorboard", 3
+"""The second is raised by hand when the same logs give other points; part of every imported run's id."""
+
+
+class Scalar(NamedTuple):
+    """A point of a log; `second` is when it was written, since 1970."""
+
+    tag: str
+    step: int
+    value: float
+    second: float
+
+
+def import_tensorboard(
+    folders: Sequence[Path], store: Store, name: str | None = None
+) -> tuple[str, list[ImportedRun], list[str]]:
+    """Import all runs below some folders as one study; return its name, its runs, and notes for the user.
+
+    Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. All files
+    are read before anything is written.
+    """
+    study = find_study_name(folders, name, store, SOURCE)
+    logs = [_read_log(parts, paths) for parts, paths in find_logs(folders).items()]
+    return store_logs(study, logs, store, SOURCE)
+
+
+def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
+    """Return event files by the path of their folder below what all share; the oldest first."""
+    found: dict[Path, list[Path]] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise UserError(f"{folder}: is no folder; name the folder that holds NAME_1/, NAME_2/, …")
+        paths = sorted(path for path in folder.resolve().rglob("*tfevents*") if path.is_file())
+        if not paths:
+            raise UserError(f"{folder}: no TensorBoard event files (events.out.tfevents…) in it or below")
+        for path in paths:
+            if (told := os.fsencode(path).decode(errors="backslashreplace")) != str(path):
+                raise UserError(f"{told}: this name is not UTF-8; give another")
+        found |= {one: [path for path in paths if path.parent == one] for one in {p.parent for p in paths}}
+    shared = os.path.commonpath([folder.parent for folder in found])
+    return {folder.relative_to(shared).parts: found[folder] for folder in sorted(found)}
+
+
+def _read_log(parts: tuple[str, ...], paths: Sequence[Path]) -> Log:
+    files, rows, notes = [], [], []
+    for place, path in enumerate(paths):
+        try:
+            data = read_whole(path)
+        except OSError as error:
+            raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+        files.append(file_facts(data))
+        scalars, sound = read_event_file(path)
+        rows += [(place, *scalar) for scalar in scalars]
+        if lost := len(data) - sound:
+            notes.append(f"{path.name} is damaged: its last {lost:,} of {len(data):,} bytes are left out")
+    points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
+    points["superseded"] = find_superseded(points)
+    if anew := int(points["superseded"].sum()):
+        notes.append(f"left out {counted(anew, 'point')} that a restart superseded")
+    seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
+    first, last = (seconds.min(), seconds.max()) if len(seconds) else (0.0, 0.0)
+    provenance = {
+        "imported": SOURCE,
+        "import_version": IMPORT_VERSION,
+        "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if first else None,
+        "wall_seconds": round(float(last - first), 3),
+        "files": files,
+    }
+    contents = "".join(file["sha256"] for file in files)
+    return Log(parts, points, lambda *_: f"{SOURCE} {IMPORT_VERSION}\0{contents}", provenance, notes)
+
+
+def read_event_file(path: Path) -> tuple[list[Scalar], int]:
+    """Return every scalar of an event file in the order of writing, up to damage, and how many bytes that is.
+
+    It uses the reader inside TensorBoard's EventAccumulator, which itself does not keep the order of tags
+    that shows restarts.
+    """
+    try:
+        from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
+        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.util.tensor_util import make_ndarray
+    except ImportError:
+        needed = f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
+        raise UserError(needed) from None
+    scalars: list[Scalar] = []
+    sound = 0
+    plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
+    with suppress(Exception):  # any error from an invalid length or message means damage
+        for record in RawEventFileLoader(str(path)).Load():
+            event = Event.FromString(record)
+            for value in event.summary.value:
+                plugin = plugins.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
+                if value.HasField("simple_value"):
+                    number = value.simple_value
+                elif plugin == "scalars" and not value.tensor.tensor_shape.dim:
+                    number = float(make_ndarray(value.tensor))
+                else:  # a text, a histogram and the like
+                    continue
+                scalars.append(Scalar(value.tag, event.step, number, event.wall_time))
+            sound += len(record) + 16  # its length, and two checksums
+    return scalars, sound
+
+
+def find_superseded(points: pd.DataFrame) -> pd.Series:
+    """Return which scalars of a log were replaced by later ones of their tag, after a restart.
+
+    A restarted logger goes back in steps and writes them again: from that step on, what its file holds so far
+    is replaced, and what is in files that had ended when its own began. Files that are written at the same
+    time are of several writers, and replace nothing of each other.
+    """
+    gone = pd.Series(False, index=points.index)
+    written = points.groupby("file")["second"].agg(["min", "max"])
+    for _, of_tag in points.groupby("tag"):
+        for file, steps in of_tag.groupby("file")["step"]:
+            ended = written.index[(written.index < file) & (written["max"] <= written["min"][file])]
+            before = of_tag["step"][of_tag["file"].isin(ended)]
+            gone[before.index] |= before >= steps.min()
+            went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
+            gone[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
+    return gone
