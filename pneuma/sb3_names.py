@@ -38,20 +38,24 @@ _ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-rel
 
 
 def own_fields(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields by Pneuma's own names; values are checked elsewhere. An error begins with its key."""
+    """Return fields by Pneuma's own names; values are checked elsewhere."""
+    return fields_and_keys(given)[0]
+
+
+def fields_and_keys(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return fields by Pneuma's own names, and the key that sets each. An error begins with its key."""
     fields: dict[str, Any] = {}
     keys: dict[str, str] = {}
     for key, value in given.items():
         for name, own in _read(key, value).items():
             if name == PASSED_ON and isinstance(own, Mapping) and isinstance(fields.get(name, {}), Mapping):
-                fields[name] = {**fields.get(name, {}), **own}
-                continue
-            if name in fields:
+                own = {**fields.get(name, {}), **own}
+            elif name in fields:
                 raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
-            fields[name], keys[name] = own, key
+            fields[name], keys[name] = own, keys.get(name, key)
     if fields.get("algorithm") in VALUE_BASED and keys.get("critic") == "policy_kwargs":
         del fields["critic"]  # net_arch is of the one network that there is
-    return fields
+    return fields, keys
 
 
 def _read(key: str, value: Any) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from os import PathLike, fspath
@@ -34,6 +34,8 @@ from pneuma.files import read_text
 
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
+Mistake = tuple[Where, str, str]
+"""Its table, its key, and what is wrong."""
 
 CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
@@ -49,9 +51,9 @@ class Table(BaseModel):
     @classmethod
     def _only_known_keys(cls, data: Any) -> Any:
         names = [name for name, field in cls.model_fields.items() if not field.exclude]
-        for key in data if isinstance(data, Mapping) else ():
-            if key not in names:
-                raise wrong(str(unknown_name("key", key, names)), key)
+        unknown = [key for key in data if key not in names] if isinstance(data, Mapping) else []
+        if unknown:
+            raise all_wrong({key: str(unknown_name("key", key, names)) for key in unknown})
         return data
 
 
@@ -63,7 +65,12 @@ Model = TypeVar("Model", bound=BaseModel)
 
 def wrong(message: str, key: str = "") -> PydanticCustomError:
     """Return an error for a validator to raise: a message, and the key of the table that it is about."""
-    return PydanticCustomError("wrong", "{message}", {"message": message, "key": key})
+    return all_wrong({key: message})
+
+
+def all_wrong(messages: Mapping[str, str]) -> PydanticCustomError:
+    """Return an error for a validator to raise: a message for each key of the table."""
+    return PydanticCustomError("wrong", "{messages}", {"messages": dict(messages)})
 
 
 def passes(check: Callable[[Any], object]) -> AfterValidator:
@@ -112,7 +119,7 @@ def read_field(owner: type, key: str, value: Any) -> Any:
     try:
         return _adapter(owner, key).validate_python(given[key])
     except ValidationError as error:
-        raise UserError(complaint(error, given, (key,))[2]) from None
+        raise UserError(complaints(error, given, (key,))[0][2]) from None
 
 
 @cache
@@ -137,10 +144,18 @@ class TomlFile:
     data: dict[str, Any]
 
     def mistake(self, where: Where, message: str, key: str = "") -> UserError:
-        line = _line_of(self.text, (*where, key) if key else where)
-        place = f"{self.path}, line {line}" if line else str(self.path)
-        table = f"[{'.'.join(where)}] " if where else ""
-        return UserError(f"{place}: {table}{message}")
+        return self.mistakes([(where, key, message)])
+
+    def mistakes(self, all_of_them: Iterable[Mistake]) -> UserError:
+        """Return the error that tells mistakes at their lines, all in one line."""
+        told = []
+        for where, key, message in all_of_them:
+            line = _line_of(self.text, (*where, key) if key else where)
+            table = f"[{'.'.join(where)}] " if where else ""
+            told.append((line or 0, f"{f'line {line}: ' if line else ''}{table}{message}"))
+        first, *others = [text for _, text in sorted(told, key=lambda one: one[0])]
+        between = ", " if first.startswith("line ") else ": "
+        return UserError("; ".join([f"{self.path}{between}{first}", *others]))
 
     def table(self, where: Where) -> dict[str, Any]:
         """Return a table, empty when there is none, and refuse another value in its place."""
@@ -175,8 +190,8 @@ def read_model(
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        inside, key, message = complaint(error, data)
-        raise file.mistake((*where, *inside), message, key) from None
+        found = complaints(error, data)
+        raise file.mistakes([((*where, *inside), key, message) for inside, key, message in found]) from None
 
 
 # --- From pydantic's errors to words ---------------------------------------------------------------
@@ -190,32 +205,36 @@ PLAINER = {
 """Words of Pydantic's messages, and those used here."""
 
 
-def complaint(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -> tuple[Where, str, str]:
-    """Return the first mistake in some data, or `at` a place of it: its table, its key, and what is wrong."""
-    errors = [
-        one | {"loc": (*at, *one["loc"])} for one in error.errors(include_url=False, include_input=False)
-    ]
-    alike = [one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]]
-    first = max(alike, key=lambda one: len(one["loc"]))  # a table tells more than that it is no number
-    kind, context = first["type"], first.get("ctx", {})
+def complaints(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -> list[Mistake]:
+    """Return the mistakes in some data, or `at` a place of it: of each of its keys the first."""
+    deepest: dict[Any, Any] = {}  # a table tells more than that it is no number
+    for one in error.errors(include_url=False, include_input=False):
+        one["loc"] = (*at, *one["loc"])
+        if len(one["loc"]) > len(deepest.setdefault(one["loc"][:1], one)["loc"]):
+            deepest[one["loc"][:1]] = one
+    return [mistake for one in deepest.values() for mistake in _mistakes(one, data)]
+
+
+def _mistakes(error: Mapping[str, Any], data: Mapping[str, Any]) -> list[Mistake]:
+    kind, loc, context = error["type"], error["loc"], error.get("ctx", {})
     if kind == "missing":
-        (*where, key) = map(str, first["loc"])
-        return tuple(where), "", f"the key {key!r} is missing"
+        (*where, key) = map(str, loc)
+        return [(tuple(where), "", f"the key {key!r} is missing")]
     path: Where = ()
     value: Any = data
-    for step in first["loc"]:  # a list is not looked into; which of several models it was is no key
+    for step in loc:  # a list is not looked into; which of several models it was is no key
         if isinstance(value, Mapping) and step in value:
             path, value = (*path, str(step)), value[step]
     if kind == "wrong" and isinstance(value, Mapping):
-        return path, context["key"], context["message"]
+        return [(path, *pair) for pair in context["messages"].items()]
     (*where, key) = path
     names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
-    allowed = first["msg"].replace("Input should be ", "must be ")
+    allowed = error["msg"].replace("Input should be ", "must be ")
     for pydantics, ours in PLAINER.items():
         allowed = allowed.replace(pydantics, ours)
     if kind == "wrong":
-        message = f"{key}: {context['message']}"
-    elif first["loc"][-1] == "[key]":  # a table's name, where only some are known
+        message = f"{key}: {next(iter(context['messages'].values()))}"
+    elif loc[-1] == "[key]":  # a table's name, where only some are known
         message = (
             str(unknown_name("key", key, names)) if names else f"the name {key!r} is not allowed: {allowed}"
         )
@@ -225,7 +244,7 @@ def complaint(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -
         words = value if isinstance(value, list | tuple) else [value]
         hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
         message = f"{key} = {shown(value)} is not allowed{next(filter(None, hints), '')}: {allowed}"
-    return tuple(where), key, message
+    return [(tuple(where), key, message)]
 
 
 def shown(value: object) -> str:

@@ -12,7 +12,8 @@ import pytest
 
 from pneuma.analysis.claim_runs import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import Study, list_studies, load_study
+from pneuma.study.shipped import list_studies
+from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
 from .hand_made import healthy, learning, make_id, save_collapse, study_of

@@ -22,7 +22,8 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import Study, list_studies, load_study
+from pneuma.study.shipped import list_studies
+from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
 
 from .cli.calls import described

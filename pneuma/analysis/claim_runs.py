@@ -23,7 +23,8 @@ from pneuma.presets import world_option
 from pneuma.study.plan import Selection, round_up
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
-from pneuma.study.spec import CLAIMS, CLAIMS_FILE, Amount, Preset, Study
+from pneuma.study.shipped import CLAIMS_FILE
+from pneuma.study.spec import CLAIMS, Amount, Preset, Study
 from pneuma.values import shown_seeds
 
 TRAIN_WITH = "train with:"

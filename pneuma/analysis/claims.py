@@ -29,12 +29,8 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
 from pneuma.presets import WORLDS
 from pneuma.schema import Table, TomlFile, Where, passes, read_model, read_toml
-from pneuma.study.spec import (
-    CLAIMS_FILE,
-    Study,
-    load_study,
-    studies_folder,
-)
+from pneuma.study.shipped import CLAIMS_FILE, studies_folder
+from pneuma.study.spec import Study, load_study
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 
 MINUS = " - "

@@ -32,8 +32,9 @@ from pneuma.study.plan import Selection, configure, round_up
 from pneuma.study.published import Published
 from pneuma.study.row_builder import UNKNOWN, stored_row
 from pneuma.study.rows import Row
-from pneuma.study.spec import Study, list_studies, load_study, run_command
-from pneuma.study.store import FINISHED, Identity, Store
+from pneuma.study.shipped import list_studies
+from pneuma.study.spec import Study, load_study, run_command
+from pneuma.study.store import FINISHED, Identity, Store, checked_listing
 from pneuma.values import as_tuple, setting_words
 
 ALL = Selection()
@@ -95,8 +96,6 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
-            from pneuma.study.documents import checked_listing
-
             listing = checked_listing(self.tables[name].about.get("listing"), name)
         return listing
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import MADE_BY, read_whole, write_whole
-from pneuma.study.spec import read_head, shipped_names
+from pneuma.study.shipped import read_head, shipped_names
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:

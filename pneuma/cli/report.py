@@ -22,6 +22,7 @@ from pneuma.presets import WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
 from pneuma.study.rows import Row
+from pneuma.study.shipped import list_studies
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
@@ -37,7 +38,7 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
 
     If none of them is one of the thesis's, the page has their titles and judges no claims.
     """
-    index, shipped = RunIndex(store), spec.list_studies()
+    index, shipped = RunIndex(store), list_studies()
     here = (
         []
         if names

@@ -27,7 +27,7 @@ from pneuma.cli.output import (
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
-from pneuma.study import execute, plan, spec
+from pneuma.study import execute, plan, shipped, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
@@ -81,7 +81,7 @@ SearchName = Annotated[str, opt.argument("NAME", "A search's name, or the path o
 @app.command("list")
 def list_() -> Result:
     """List the shipped searches."""
-    return listed_result("search", "searches", spec.studies_folder() / "search")
+    return listed_result("search", "searches", shipped.studies_folder() / "search")
 
 
 @app.command(short_help="Show a search's file.")

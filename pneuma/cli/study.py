@@ -12,7 +12,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_file
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
-from pneuma.study import plan, spec
+from pneuma.study import plan, shipped, spec
 from pneuma.study.store import FINISHED, Store
 from pneuma.values import shown_value
 
@@ -38,7 +38,7 @@ app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_
 @app.command("list")
 def list_() -> Result:
     """List the shipped studies."""
-    return listed_result("study", "studies", spec.studies_folder())
+    return listed_result("study", "studies", shipped.studies_folder())
 
 
 @app.command(short_help="Write a study file to edit.")
@@ -52,17 +52,17 @@ def new(
     if not re.fullmatch(r"[\w-]+", name):
         raise UserError(f"{name}: a study's name has letters, digits, - and _ alone")
     path = Path(f"{name}.toml")
-    spec.refuse_taken_name(path, spec.studies_folder() / path.name, "study")
+    shipped.refuse_taken_name(path, shipped.studies_folder() / path.name, "study")
     if path.exists():
         raise UserError(f"{path}: exists already; choose another name")
-    if source not in spec.list_studies():
-        raise unknown_name("shipped study", source, spec.list_studies())
-    text = (spec.studies_folder() / f"{source}.toml").read_text(encoding="utf-8")
+    if source not in shipped.list_studies():
+        raise unknown_name("shipped study", source, shipped.list_studies())
+    text = (shipped.studies_folder() / f"{source}.toml").read_text(encoding="utf-8")
     text = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", text, flags=re.M)
     text = re.sub(r"^title = .*$", f'title = "{name}"', text, flags=re.M)
     write_file(path, f"# From the study {source}. docs/studies.md says what can be set.\n{text}".encode())
     for module in re.findall(r'"(\w+):\w+"', text):  # a study's own files are beside it
-        if (source_file := spec.studies_folder() / f"{module}.py").is_file():
+        if (source_file := shipped.studies_folder() / f"{module}.py").is_file():
             create_whole(path.with_name(source_file.name), source_file.read_bytes())
     return Result({"file": path}, [f"wrote {path}: edit it, then run: pneuma study run {path}"])
 

@@ -21,7 +21,7 @@ from pneuma.errors import UserError
 from pneuma.files import checksum, to_json
 from pneuma.study.row_builder import cells_of_files
 from pneuma.study.rows import encode_row
-from pneuma.study.spec import list_studies
+from pneuma.study.shipped import list_studies
 from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
 
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")

@@ -32,7 +32,8 @@ from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
 from pneuma.search.space import FIXABLE, Parameters, Space, named
 from pneuma.study.identity import files_beside
-from pneuma.study.spec import PRESETS, Fields, find_file, studies_folder
+from pneuma.study.shipped import find_file, studies_folder
+from pneuma.study.spec import PRESETS, Fields
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {

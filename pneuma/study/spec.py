@@ -15,9 +15,7 @@ file → Study, checked here → Plan (`plan.py`). A study owns no results.
 from __future__ import annotations
 
 import math
-import os
 import shlex
-import tomllib
 from collections.abc import Iterable, Mapping
 from itertools import product
 from pathlib import Path
@@ -29,19 +27,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, fie
 from pneuma.config import FORK_FIELDS, Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.files import shipped_folder
 from pneuma.presets import BASES, TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
-from pneuma.sb3_names import own_fields
-from pneuma.schema import Table, TomlFile, read_model, read_toml, shown, wrong
+from pneuma.sb3_names import fields_and_keys
+from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, shown, wrong
 from pneuma.study.identity import files_beside
+from pneuma.study.shipped import find_file, list_studies, read_head, studies_folder
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
 """The preset that comes from claims (`analysis/claims.py`) and not from a study's file."""
-CLAIMS_FILE = "claims.toml"
-"""The file of claims, in the folder of studies."""
-
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """In a crossed study, the factor whose values are the file's conditions."""
@@ -76,19 +71,23 @@ def _read_fields(table: Any) -> Any:
     """Read a table of a run's fields, by the names of Stable-Baselines3 too; return them by Pneuma's."""
     if not isinstance(table, Mapping):
         return table
-    key, fields = "", dict[str, Any]()
     try:
-        own_fields(table)  # no two keys are one field
-        for key, value in table.items():
-            for name, own in own_fields({key: value}).items():
-                if name in PLANNED:
-                    raise UserError(f"{name} is set by {PLANNED[name]}, not here")
-                fields[name] = read_field(Run, name, own)
+        fields, keys = fields_and_keys(table)
     except UserError as error:
-        told = str(error)
-        key = key or told.split()[0].strip(":")
-        raise wrong(told if key in told else f"{key}: {told}", key) from None
-    return fields
+        raise wrong(str(error), str(error).split()[0].strip(":")) from None
+    read: dict[str, Any] = {}
+    mistakes: dict[str, str] = {}
+    for name, value in fields.items():
+        try:
+            if name in PLANNED:
+                raise UserError(f"{name} is set by {PLANNED[name]}, not here")
+            read[name] = read_field(Run, name, value)
+        except UserError as error:
+            key = keys[name]
+            mistakes[key] = str(error) if key in str(error) else f"{key}: {error}"
+    if mistakes:
+        raise all_wrong(mistakes)
+    return read
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
@@ -138,25 +137,12 @@ class Scale(Table):
 
 
 class Study(Table):
-    """A comparison: named conditions that differ in what they set. Its file has no keys for the last five.
+    """Named conditions that differ in what they set; docs/studies.md tells the keys of its file.
 
     Attributes:
-        title, section, about: shown to users.
-        figure: file stem of its figure.
-        base: name of the fields to start from.
-        baseline: the condition that the others are compared with.
-        outcomes: what it asks about, in place of the usual ones.
-        keep_checkpoints: number of checkpoints kept of each run for forks, evenly spread, besides that of its
-            first update.
-        worlds: those of `WORLDS` in which it can be run.
-        run: fields of every condition on top of the base.
-        factors: what each value of each factor sets.
         conditions: what each condition sets on top; once it is read, crossed with the factors.
-        labels: what conditions are called in figures, where not by their names.
-        scores: by an environment's id, the scale of its scores.
-        levels: for each condition of a crossed study, its value of each factor.
         path: the file; None for a study without a file, such as a fork.
-        world: one of `WORLDS`.
+        levels: for each condition of a crossed study, its value of each factor.
         settings: fields that `--set` changed in every condition.
     """
 
@@ -176,6 +162,7 @@ class Study(Table):
     scores: dict[str, Scale] = {}
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Preset], MinLen(1)]
 
+    # what its file has no key for
     name: str = Field("", exclude=True)
     path: Path | None = Field(None, exclude=True)
     levels: Mapping[str, Mapping[str, str]] = Field({}, exclude=True)
@@ -266,38 +253,45 @@ def _read_study(path: Path) -> Study:
     if not conditions:
         raise file.mistake((), "a study needs at least one condition", "conditions")
     baseline = study.baseline or next(iter(conditions))
-    mentioned = [((), "baseline", baseline), *((("labels",), name, name) for name in study.labels)]
-    mentioned += [
-        (("presets", preset, "conditions"), name, name)
-        for preset, amounts in study.presets.items()
-        for name in amounts.conditions
-    ]
+    mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
+    mentioned += [(("labels",), name, name) for name in study.labels]
+    for preset, amounts in study.presets.items():
+        mentioned += [(("presets", preset, "conditions"), name, name) for name in amounts.conditions]
     for where, key, name in mentioned:
         if name not in conditions:
             said = "baseline: " if key == "baseline" else ""
             raise file.mistake(where, f"{said}{unknown_name('condition', name, conditions)}", key)
-    env = study.run.get("env", ENVIRONMENTS[0])
-    fixed = env != ENVIRONMENTS[0] or any("env" in fields for fields in conditions.values())
-    alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
-    usual = (alike or [TEXT]) if fixed else [*WORLDS]
-    figure, usual_figure = study.figure, f"study-{path.stem}"
-    own = path.resolve().parent != studies_folder().resolve()
-    if own and any(read_head(name).get("figure") == figure for name in list_studies()):
-        figure = usual_figure  # so that the shipped study's figure stays
     study = study.model_copy(
         update={
             "name": path.stem,
             "path": path,
-            "figure": figure or usual_figure,
+            "figure": _figure(path, study.figure),
             "baseline": baseline,
             "run": files_beside(path, study.run),
             "conditions": {name: files_beside(path, fields) for name, fields in conditions.items()},
-            "worlds": tuple(dict.fromkeys(study.worlds or usual)),
+            "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
         }
     )
     for world in study.worlds:
         _check_runs(file, study.in_world(world))
     return study
+
+
+def _figure(path: Path, named: str) -> str:
+    """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
+    own = path.resolve().parent != studies_folder().resolve()
+    if own and any(read_head(name).get("figure") == named for name in list_studies()):
+        return f"study-{path.stem}"
+    return named or f"study-{path.stem}"
+
+
+def _worlds(study: Study) -> tuple[str, ...]:
+    """Return all worlds, or where a study sets its environment itself, the one that is alike."""
+    env = study.run.get("env", ENVIRONMENTS[0])
+    if env == ENVIRONMENTS[0] and not any("env" in fields for fields in study.conditions.values()):
+        return tuple(WORLDS)
+    alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
+    return tuple(alike) or (TEXT,)
 
 
 def _crossed(file: TomlFile, study: Study) -> Study:
@@ -312,20 +306,18 @@ def _crossed(file: TomlFile, study: Study) -> Study:
     levels: dict[str, dict[str, str]] = {}
     baseline = study.baseline
     for names in product(*factors.values()):
-        fields: dict[str, Any] = {}
-        for factor, name in zip(factors, names, strict=True):
-            if twice := fields.keys() & factors[factor][name].keys():
-                message = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
-                raise file.mistake(("factors",), message, factor)
-            fields |= factors[factor][name]
         joined = ", ".join(names)
         if joined in crossed:
             message = f"two combinations are both called {joined}; name their values otherwise"
             raise file.mistake(("factors",), message)
+        crossed[joined], levels[joined] = {}, {}
+        for factor, name in zip(factors, names, strict=True):
+            if twice := crossed[joined].keys() & factors[factor][name].keys():
+                message = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
+                raise file.mistake(("factors",), message, factor)
+            crossed[joined] |= factors[factor][name]
+            levels[joined][factor] = name.removeprefix(f"{factor}=")
         baseline = joined if baseline in names else baseline
-        pairs = zip(factors, names, strict=True)
-        crossed[joined] = fields
-        levels[joined] = {factor: name.removeprefix(f"{factor}=") for factor, name in pairs}
     return study.model_copy(update={"conditions": crossed, "levels": levels, "baseline": baseline})
 
 
@@ -339,8 +331,8 @@ def _check_runs(file: TomlFile, study: Study) -> None:
                 raise UserError(does_nothing(key, runs[-1:]))
         except UserError as error:
             raise _mistake_in(file, study, name, str(error)) from None
-    for key in unread_fields(runs, study.run):
-        raise file.mistake(("run",), does_nothing(key, runs), key)
+    if unread := unread_fields(runs, study.run):
+        raise file.mistakes((("run",), key, does_nothing(key, runs)) for key in unread)
 
 
 def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
@@ -362,52 +354,6 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
     names = dict.fromkeys(name for run in runs for name in (run.env, run.algorithm, run.optimizer))
     return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set"
-
-
-# --- Files -----------------------------------------------------------------------------------------
-
-
-def studies_folder() -> Path:
-    return shipped_folder("pneuma.studies", "studies")
-
-
-def shipped_names(folder: Path) -> list[str]:
-    return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
-
-
-def list_studies() -> list[str]:
-    return shipped_names(studies_folder())
-
-
-def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
-    """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
-    return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
-    """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
-
-    A mistyped name may mean one of `others`.
-    """
-    known = shipped_names(folder)
-    if name in known:
-        return folder / f"{name}.toml"
-    path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
-        examples = shipped_names(folder / "examples")
-        if os.path.isfile(f"examples/{name}.toml"):
-            path = Path("examples") / path
-        elif name in examples:
-            return folder / "examples" / path
-        else:
-            raise unknown_name(what, name, [*known, *others, *examples])
-    refuse_taken_name(path, folder / path.name, what)
-    return path
-
-
-def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
-    if shipped.is_file() and path.resolve() != shipped.resolve():
-        raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
 
 
 def asked_words(study: Study) -> list[str]:

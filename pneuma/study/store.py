@@ -25,9 +25,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired
+
+from annotated_types import MinLen
+from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
@@ -44,7 +49,6 @@ from pneuma.files import (
     shipped_folder,
     to_json,
 )
-from pneuma.study.documents import Manifest, checked, checked_listing
 from pneuma.study.identity import config_id
 from pneuma.study.locks import is_held, remove_lock, run_lock
 
@@ -103,6 +107,55 @@ class Status:
         return self.name == "crashed"
 
 
+# --- What documents of a results folder, which may be untrusted, must contain to be read ----------------
+
+_Int64 = Annotated[int, Field(ge=-(2**63), lt=2**63)]
+"""What a column of a table holds."""
+
+
+class _Manifest(TypedDict):
+    """A run's status.json."""
+
+    status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
+    step: _Int64
+    files: dict[str, str]
+    config_id: NotRequired[str]
+    seed: NotRequired[_Int64]
+    steps: NotRequired[_Int64]
+
+
+class _Listed(TypedDict):
+    run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+    condition: str
+    seed: _Int64
+
+
+class _Listing(TypedDict):
+    """The record of a study without a file."""
+
+    study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
+    title: str
+    baseline: str
+    runs: Annotated[list[_Listed], MinLen(1)]
+    source: NotRequired[str]
+
+
+_adapter = cache(TypeAdapter)
+
+
+def _checked(document: object, kind: type) -> Any:
+    try:
+        return _adapter(kind).validate_python(document, strict=True)
+    except ValidationError:
+        return None
+
+
+def checked_listing(document: object, study: str) -> Any:
+    """Return a document if it is the record of this study; None if not."""
+    listing = _checked(document, _Listing)
+    return listing if listing and listing["study"] == study else None
+
+
 class Store:
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = Path(root)
@@ -149,8 +202,8 @@ class Store:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
         about = manifest or {"status": "planned", "step": 0, "files": {}}
-        known = {one.name: about[one.name] for one in fields(Identity) if one.name in about}
-        identity = Identity(**known) if len(known) == len(fields(Identity)) else None
+        known = {key: about[key] for key in ("config_id", "seed", "steps") if key in about}
+        identity = Identity(**known) if len(known) == 3 else None
         recorded = Status(about["status"], about["step"], identity=identity)
         for name, expected in about["files"].items():
             if name == ROW_FILE:
@@ -243,9 +296,8 @@ class Store:
         return files
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        manifest: dict[str, Any] | None = checked(
-            load_checksummed(self.run_folder(run_id) / "status.json"), Manifest
-        )
+        document = load_checksummed(self.run_folder(run_id) / "status.json")
+        manifest: dict[str, Any] | None = _checked(document, _Manifest)
         return manifest
 
     # --- Studies without a file, and published tables ------------------------------------------

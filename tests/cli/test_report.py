@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.analysis.verdict_words import WORDS
 from pneuma.presets import WORLDS
-from pneuma.study import spec
+from pneuma.study import shipped, spec
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.store import Store
 
@@ -54,7 +54,7 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
     store.root.mkdir()
     page = make()
     words = _words(page)
-    for name in spec.list_studies():
+    for name in shipped.list_studies():
         assert f"No runs yet. To train what is missing: pneuma study run {name}" in words
         known = spec.load_study(name).worlds
         for world in ("text", "godot"):

@@ -16,7 +16,7 @@ from pneuma.search.trials import Unfinished
 from pneuma.study.plan import Plan
 from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import Row
-from pneuma.study.spec import studies_folder
+from pneuma.study.shipped import studies_folder
 from pneuma.study.store import Status, Store
 
 from ..training import training_here

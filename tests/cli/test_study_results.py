@@ -14,7 +14,8 @@ import pytest
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result
 from pneuma.study.plan import Selection, make_plan
-from pneuma.study.spec import list_studies, load_study
+from pneuma.study.shipped import list_studies
+from pneuma.study.spec import load_study
 
 from .calls import SETTINGS, TINY, Called, call, described, printed
 

@@ -88,6 +88,22 @@ def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, li
     assert "\n" not in str(refused.value)
 
 
+def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
+    told = r"line 5: \[run\] seed is set by .*; line 6: \[run\] n_steps: horizon .*; line 7: .*unknown key"
+    with pytest.raises(UserError, match=told):
+        load_study(str(study(tmp_path / "zoo.toml", "seed = 1\nn_steps = 1\nx = 2\n")))
+
+
+def test_a_learners_own_arguments_are_joined_and_a_learner_of_values_has_one_network(tmp_path: Path) -> None:
+    """As the zoo's entries for PPO on Pendulum-v1 and DQN on CartPole-v1 have them."""
+    given = 'engine = "sb3"\nn_timesteps = 2048\nuse_sde = true\nclip_range_vf = 0.2\n'
+    (run, _) = runs(study(tmp_path / "zoo.toml", given)).values()
+    assert run.algorithm_kwargs == '{"clip_range_vf": 0.2, "use_sde": true}'
+    given = 'algorithm = "dqn"\nn_timesteps = 5e4\npolicy_kwargs = "dict(net_arch=[256, 256])"\n'
+    (run, _) = runs(study(tmp_path / "zoo.toml", given)).values()
+    assert (run.actor, run.critic) == ((256, 256), Run().critic)
+
+
 ELSEWHERE = {
     "actor", "critic", "activation", "optimizer", "weight_decay", "slots", "clip", "value_baseline",
     "first_layer_scale", "learners", "learning_rate_schedule", "clip_range_schedule",

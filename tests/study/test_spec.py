@@ -8,7 +8,8 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.spec import Study, load_study, studies_folder
+from pneuma.study.shipped import studies_folder
+from pneuma.study.spec import Study, load_study
 
 STUDY = """\
 title = "Two activations"

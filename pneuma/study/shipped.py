@@ -1,0 +1,58 @@
+"""Files of studies and searches: those that come with Pneuma, and the user's own."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pneuma.errors import UserError, unknown_name
+from pneuma.files import shipped_folder
+
+CLAIMS_FILE = "claims.toml"
+"""The file of claims, in the folder of studies."""
+
+
+def studies_folder() -> Path:
+    return shipped_folder("pneuma.studies", "studies")
+
+
+def shipped_names(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
+
+
+def list_studies() -> list[str]:
+    return shipped_names(studies_folder())
+
+
+def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
+    """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
+    return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
+    """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
+
+    A mistyped name may mean one of `others`.
+    """
+    known = shipped_names(folder)
+    if name in known:
+        return folder / f"{name}.toml"
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
+        examples = shipped_names(folder / "examples")
+        if os.path.isfile(f"examples/{name}.toml"):
+            path = Path("examples") / path
+        elif name in examples:
+            return folder / "examples" / path
+        else:
+            raise unknown_name(what, name, [*known, *others, *examples])
+    refuse_taken_name(path, folder / path.name, what)
+    return path
+
+
+def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
+    if shipped.is_file() and path.resolve() != shipped.resolve():
+        raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
