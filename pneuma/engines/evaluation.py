@@ -20,23 +20,14 @@ from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat
 from pneuma.engines.policy import Policy, sizes
 from pneuma.env import rules
 from pneuma.env.fields import MOST_STEPS, own_rewards
-from pneuma.env.kernel import run_worlds
 from pneuma.env.players import RandomPlayer
-from pneuma.env.state import cached, open_state
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 MOST_WEIGHTS = 65_536
 """Largest actor that is faster compiled than by a library's matrix product."""
-STEPS_AT_ONCE = 128
-"""Steps of compiled play for which random numbers are drawn together."""
 WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
-
-TALLY = np.dtype([("hp_lost", "f8"), ("cleared", "i8")])
-"""Of an episode: HP that players lost, their mean; and the step that left no monster, 0 so far."""
-
-kernel: Any = cached(error_model="numpy")
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
@@ -89,9 +80,6 @@ class Evaluation:
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
         chosen = np.arange(len(self.worlds)) - self.episodes
         self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
-        self._tally = np.zeros(len(self.worlds), TALLY)
-        actions = int(self.worlds.action_space.n)
-        self._taken = np.zeros((len(self.worlds), actions), np.int64)  # how often each action
         self.random_share = self._play_at_random()
         self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
 
@@ -100,12 +88,12 @@ class Evaluation:
 
         For a policy of action values it has `q_estimate` and `q_true` too.
         """
-        returns = self._play_policy(policy, step)
+        self._play(self._acting(policy, step))
+        returns, hp_lost, cleared = (self.worlds.tallies[name] for name in ("returns", "hp_lost", "cleared"))
         kills = self.worlds.players["kills"]
         share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
-        cleared = self._tally["cleared"]  # 0 where a monster is left
         values: dict[str, float] = {}
         if self.action_values and isinstance(policy, Policy):
             values = self.action_values.measure(policy)
@@ -124,8 +112,8 @@ class Evaluation:
             "random_share_killed": self.random_share,
             **values,
             "steps_to_clear": float(np.where(cleared, cleared, self.run.episode_steps)[sampled].mean()),
-            "hp_lost": float(self._tally["hp_lost"][sampled].mean()),
-            "commonest_action": float((taken := self._taken[sampled].sum(axis=0)).max() / taken.sum()),
+            "hp_lost": float(hp_lost[sampled].mean()),
+            "commonest_action": float((taken := self.worlds.taken[sampled].sum(axis=0)).max() / taken.sum()),
             **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
         }
 
@@ -145,24 +133,23 @@ class Evaluation:
         killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
         return float(killed.mean()) / max(self.worlds.monsters.shape[1], 1)
 
-    def _play_policy(self, policy: Policy | OwnAgent, step: int) -> np.ndarray:
-        """Play one episode in every world, the first ones with sampled actions, the others with the best.
-
-        Return the return of each, (N,), the mean over its players.
-        """
+    def _acting(self, policy: Policy | OwnAgent, step: int) -> Callable[[Worlds], np.ndarray]:
+        """Return a function that chooses actions, (N, P): drawn ones in the first worlds, else the best."""
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
-        first_best = self.episodes * players
-        if isinstance(policy, Policy) and self._is_compiled(policy):
-            network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
-            returns, running = self._begin(), len(self.worlds)
-            while running:
-                draws = generator.random((STEPS_AT_ONCE, first_best), np.float32)
-                running -= _play_on(self.worlds.handle, *network, draws, returns, self._tally, self._taken)
-            return returns
+        drawn = self.episodes * players
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
         rows = actions.reshape(-1)
+        if isinstance(policy, Policy) and self._is_compiled(policy):
+            network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
+
+            def compute(worlds: Worlds) -> np.ndarray:
+                plays = np.repeat(worlds.worlds["ending"] == rules.RUNNING, players)
+                choose(*network, observations, generator.random(drawn, np.float32), plays, rows)
+                return actions
+
+            return compute
 
         def ask(worlds: Worlds) -> np.ndarray:
             """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
@@ -171,34 +158,25 @@ class Evaluation:
             """
             plays = worlds.worlds["ending"] == rules.RUNNING
             if plays[: self.episodes].any():
-                rows[:first_best] = policy.sample(observations[:first_best], generator)
+                rows[:drawn] = policy.sample(observations[:drawn], generator)
             if plays[self.episodes :].any():
-                rows[first_best:] = policy.best(observations[first_best:])
+                rows[drawn:] = policy.best(observations[drawn:])
             return actions
 
-        return self._play(ask)
+        return ask
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
         asks = bool(policy.scaling or policy.exploration is not None or own_rewards(self.run.reward))
         return not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
-    def _play(self, act: Callable[[Worlds], np.ndarray]) -> np.ndarray:
-        """Play one episode in every world, always the same one; return the same as `_play_policy`."""
-        returns, running = self._begin(), len(self.worlds)
-        while running:
-            actions = act(self.worlds)
-            running -= self.worlds.step(actions)
-            _count(self.worlds.handle, actions, returns, self._tally, self._taken)
-        return returns
-
-    def _begin(self) -> np.ndarray:
-        """Start the episodes, always the same ones; return their returns so far, (N,) zeros."""
+    def _play(self, act: Callable[[Worlds], np.ndarray]) -> None:
+        """Play one episode in every world, always the same one, up to its end."""
         self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
-        self._tally[:] = 0
-        self._taken[:] = 0
-        return np.zeros(len(self.worlds))
+        running = len(self.worlds)
+        while running:
+            running -= self.worlds.advance(act(self.worlds))
 
 
 def evenness(kills: np.ndarray) -> float:
@@ -213,53 +191,6 @@ def evenness(kills: np.ndarray) -> float:
     shares = kills / kills.sum(axis=1, keepdims=True)
     entropy = -(shares * np.log(np.where(shares > 0, shares, 1.0))).sum(axis=1)
     return float(entropy.mean() / math.log(kills.shape[1]))
-
-
-@kernel
-def _play_on(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, returns: Any, tally: Any, taken: Any
-) -> int:
-    """Play until all episodes have ended, or one step for each of `draws`; return how many ended.
-
-    The arguments are those of `mlp.choose`, with the numbers of all steps, (steps, first rows). The players'
-    mean rewards are added to `returns`, (N,), how often each action was taken to `taken`, (N, actions), and
-    the rest to `tally`, (N,) `TALLY`.
-    """
-    s = open_state(handle)
-    worlds, players = s.players.shape
-    observations = s.observations.reshape(worlds * players, s.observations.shape[2])
-    actions = np.zeros((worlds, players), np.int64)
-    plays = np.zeros(worlds * players, np.bool_)
-    ended = 0
-    for step in range(len(draws)):
-        any_plays = False
-        for row in range(len(plays)):
-            plays[row] = s.worlds[row // players].ending == rules.RUNNING
-            any_plays |= plays[row]
-        if not any_plays:
-            break
-        choose(weights, widths, activation, observations, draws[step], plays, actions.reshape(-1))
-        ended += run_worlds(handle.ctypes.data, actions.ctypes, 1)
-        _count(handle, actions, returns, tally, taken)
-    return ended
-
-
-@kernel
-def _count(handle: Any, actions: Any, returns: Any, tally: Any, taken: Any) -> None:
-    """Add a step to what `_play_on` counts, with the actions, (N, P), that were taken."""
-    s = open_state(handle)
-    worlds, players = s.players.shape
-    for w in range(worlds):
-        rewards = hp_lost = 0.0
-        for p in range(players):
-            rewards += s.events[w, p].reward
-            hp_lost += s.events[w, p].hp_lost
-            if s.events[w, p].present or s.events[w, p].died:
-                taken[w, actions[w, p]] += 1
-        returns[w] += rewards / players
-        tally[w].hp_lost += hp_lost / players
-        if s.worlds[w].monsters_left == 0 and tally[w].cleared == 0:
-            tally[w].cleared = s.worlds[w].steps
 
 
 # --- Estimated values of actions -----------------------------------------------------------------

@@ -214,19 +214,18 @@ def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequen
 def monster_stats(
     characters: Characters, level: Level, players: np.ndarray, magic: bool = False
 ) -> np.ndarray:
-    """Return the stats and home of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
+    """Return the stats of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
     stats = np.zeros(len(level.monsters), state.MONSTER_STATS)
-    for row, (kind, x, y) in zip(stats, level.monsters, strict=True):
+    for row, (kind, _, _) in zip(stats, level.monsters, strict=True):
         _fill_monster(row, characters.monsters[kind])
-        row["home_x"], row["home_y"] = x, y
         row["reach_squared"] = _reach(row, players, magic) ** 2
     return stats
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return the greatest speed of any body, in pixels per tick."""
-    speeds = [stats[name] for stats in (players, monsters) for name in ("speed", "knock_speed")]
-    return float(max(each.max(initial=0.0) for each in (*speeds, players["dash_speed"])))
+    speeds = players["speed"], players["dash_speed"], players["sword"]["knock_speed"]
+    return float(max(each.max(initial=0.0) for each in (*speeds, monsters["speed"], monsters["knock_speed"])))
 
 
 # --- Filling the rows -----------------------------------------------------------------------------
@@ -260,28 +259,30 @@ def _fill_player(row: Any, character: Player, weapon: Weapon, spells: Spells) ->
         row,
         energy=character.energy,
         energy_gain=character.energy_recovery * character.magic / TICKS_PER_SECOND,
-        damage=weapon.damage + character.attack,
         swing=_ticks(weapon.swing),
-        knock_ticks=_ticks(weapon.knock_back_time),
-        knock_speed=weapon.knock_back / TICKS_PER_SECOND,
         flame_ticks=_ticks(flame.cast),
-        flame_damage=flame.strength + character.magic,
         flame_cost=flame.cost,
         heal_ticks=_ticks(heal.cast),
         heal=heal.strength,
         heal_cost=heal.cost,
         heal_reach=heal.reach,
     )
-    row["hilt_x"], row["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
     ahead = Reach(**dict.fromkeys(FACINGS, flame.length / 2))
-    for name, box, reach in (
-        ("sword", weapon.box, weapon.reach),
-        ("flame", (flame.length, flame.width), ahead),
-    ):
-        along, across = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
-        row[f"{name}_x"], row[f"{name}_y"] = zip(*reach.places(), strict=True)
-        row[f"{name}_half_width"] = [across, along, across, along]
-        row[f"{name}_half_height"] = [along, across, along, across]
+    _fill_strike(row["sword"], weapon.box, weapon.reach, weapon.damage + character.attack)
+    _fill_strike(row["flame"], (flame.length, flame.width), ahead, flame.strength + character.magic)
+    row["flame"]["knock_ticks"] = -1
+    sword = row["sword"]
+    sword["hilt_x"], sword["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
+    sword["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
+    sword["knock_ticks"] = _ticks(weapon.knock_back_time)
+
+
+def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: float) -> None:
+    along, across = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
+    strike["x"], strike["y"] = zip(*reach.places(), strict=True)
+    strike["half_width"] = [across, along, across, along]
+    strike["half_height"] = [along, across, along, across]
+    strike["damage"] = damage
 
 
 def _fill_monster(row: Any, kind: Monster) -> None:
@@ -311,13 +312,9 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
     for name in ("notice", "attack"):
         away = np.hypot(monster[f"{name}_x"], monster[f"{name}_y"])
         furthest.append(math.sqrt(monster[f"{name}_squared"]) + float(away))
-    for name in ("sword", "flame") if magic else ("sword",):
-        x, y = (
-            players[f"{name}_x"] - players["body_x"][:, None],
-            players[f"{name}_y"] - players["body_y"][:, None],
-        )
-        x = np.abs(x) + players[f"{name}_half_width"]
-        y = np.abs(y) + players[f"{name}_half_height"]
+    for strike in (players["sword"], players["flame"]) if magic else (players["sword"],):
+        x = np.abs(strike["x"] - players["body_x"][:, None]) + strike["half_width"]
+        y = np.abs(strike["y"] - players["body_y"][:, None]) + strike["half_height"]
         furthest.append(float(np.hypot(x, y).max()) + furthest[0])
     fastest_player = max(players["speed"].max(), players["dash_speed"].max())
     return max(furthest) + float(fastest_player) * TICKS_PER_STEP + 1.0

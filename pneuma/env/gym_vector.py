@@ -64,7 +64,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.state.action_space, num_envs)
-        self._note_over(np.zeros(len(self.state), np.bool_))
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -90,7 +89,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
         self.slots.begun = True
         self.state.reset(mask, starts)
-        self._note_over(self._over & ~mask)
         self._show()
         return self.slots.observations, self._infos()
 
@@ -119,26 +117,18 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         actions = self.slots.checked(actions)
         if not self.slots.begun:
             raise ResetNeeded("no episode has begun: call reset first")
-        if self.autoreset_mode == AutoresetMode.DISABLED and self._waiting:
-            raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
         slots = self.slots
-        ended = slots.step(actions)
-        if self._waiting:  # NEXT_STEP: this step resets what the last one ended
-            self.state.reset(self._over)
+        waiting = slots.world_over
+        if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
+            raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
+        infos = self._final(slots.step(actions))
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            waiting = slots.world_over
         rewards = self._rewards()
-        infos = self._final(slots.terminated | slots.truncated) if ended else {}
-        if ended or self._waiting:
-            self._note_over(slots.world_over.copy())
+        if waiting.any():  # in NEXT_STEP this step resets what the last one ended
+            self.state.reset(waiting)
         self._show()
-        over = slots.terminated.copy(), slots.truncated.copy()
-        return slots.observations, rewards, *over, self._infos(infos)
-
-    def _note_over(self, over: np.ndarray) -> None:
-        """Record which worlds are over, and reset them if the ending step does so."""
-        self._over, self._waiting = over, bool(over.any())
-        if self._waiting and self.autoreset_mode == AutoresetMode.SAME_STEP:
-            self.state.reset(over)
-            over[:] = self._waiting = False
+        return slots.observations, rewards, slots.terminated, slots.truncated, self._infos(infos)
 
     def _rewards(self) -> np.ndarray:
         return self.slots.rewards.copy()

@@ -14,15 +14,17 @@ from numba.core import event, types
 
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
-from pneuma.env.rules import RUNNING, begin_episode, step_world
+from pneuma.env.rules import RUNNING, begin_episode, record_step, step_world
 from pneuma.env.state import HANDLE, Array, array_at, cached, entry, inlined, open_state, typed_pointer
 
 GO_ON = -2
 """In place of a start place in `begins`: this world is not reset."""
+RESET, STEP, RECORD = 0, 1, 2
+"""What `run_worlds` does; `STEP | RECORD` at once unless rewards are computed outside."""
 SYMBOL = "pneuma_run_worlds"
 _STATE, _ACTIONS = typed_pointer(numba.from_dtype(HANDLE)), typed_pointer(types.int64)
 run_worlds: Any = types.ExternalFunction(SYMBOL, types.int64(types.uintp, _ACTIONS, types.int64))
-"""`_run_worlds` for compiled functions, by its name: `run_worlds(handle.ctypes.data, actions.ctypes, 1)`.
+"""`_run_worlds` for compiled functions, by its name: `run_worlds(handle.ctypes.data, actions.ctypes, RESET)`.
 
 Inlined it would be compiled again with each of them, 12 s a time. `load_rules` comes first.
 """
@@ -37,43 +39,47 @@ def load_rules() -> None:
 
 
 @entry
-def call_rules(handle: int, actions: Array, steps: int) -> int:
+def call_rules(handle: int, actions: Array, work: int) -> int:
     """Call `_run_worlds` from Python, which is faster by an address than by an array."""
-    return run_worlds(handle, actions.ctypes, steps)
+    return run_worlds(handle, actions.ctypes, work)
 
 
-def _run_worlds(handle: Any, actions: Any, steps: int) -> int:
-    """Advance every running world by one agent step, or reset worlds; observe; return how many ended.
+def _run_worlds(handle: Any, actions: Any, work: int) -> int:
+    """Reset worlds, or advance every running world by one agent step; observe; return how many ended.
 
     Args:
-        handle: of a `State`. Without `steps`, its `begins` say which worlds start an episode, and where:
-            player p of a world takes start place `begins + p`, wrapping around; -1 draws one at random.
-            Where there are several levels, one is drawn first. All worlds are observed.
-        actions: (N, P) int64, read by a step alone. A world whose episode has ended stays as it is, with
-            empty events, until it is reset.
-        steps: whether worlds advance.
+        handle: of a `State`. To reset, its `begins` say which worlds start an episode, and where: player p of
+            a world takes start place `begins + p`, wrapping around; -1 draws one at random. Where there are
+            several levels, one is drawn first. All worlds are observed.
+        actions: (N, P) int64, not read by a reset. A world whose episode has ended stays as it is, with empty
+            events, until it is reset.
+        work: `RESET`; or `STEP`, `RECORD` what the step paid, or both.
     """
-    s = open_state(array_at(handle, (16,), HANDLE))
+    s = open_state(array_at(handle, (21,), HANDLE))
     taken = array_at(actions, (s.players.shape[0], s.players.shape[1]), np.int64)
     ended = 0
     for w in range(s.worlds.shape[0]):
-        if steps:
+        if work & STEP:
             for p in range(s.players.shape[1]):
                 _clear(s.events[w, p])
+                s.slots[w, p].ending = RUNNING
             if s.worlds[w].ending != RUNNING:
                 continue
             ended += step_world(s, w, taken)
-        elif s.begins[w] != GO_ON:
+        elif work == RESET and s.begins[w] != GO_ON:
             begin_episode(s, w, s.begins[w])
-        tell = steps or s.worlds[w].ending == RUNNING
-        for p in range(s.players.shape[1]):
-            observe_player(s, w, p, tell)
-        if steps:
+        if work != RECORD:
+            tell = work & STEP or s.worlds[w].ending == RUNNING
+            for p in range(s.players.shape[1]):
+                observe_player(s, w, p, tell)
+        if work & STEP:
             for p in range(s.players.shape[1]):
                 if s.events[w, p].present or s.events[w, p].died:
                     write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
             if s.settings[0].shared_reward:
                 share_reward(s.events[w])
+        if work & RECORD:
+            record_step(s, w, taken)
     return ended
 
 

@@ -94,8 +94,8 @@ def _in_reach(worlds: Worlds, dx: np.ndarray, dy: np.ndarray, facing: int) -> np
     kinds = worlds.monster_stats[worlds.worlds["level"]][:, None, :]  # (N, 1, M)
     meets = np.ones(dx.shape, bool)
     for offset, axis, side in ((dx, "x", "width"), (dy, "y", "height")):
-        centre = worlds.player_stats[f"sword_{axis}"][:, facing, None]  # (P, 1)
-        half = worlds.player_stats[f"sword_half_{side}"][:, facing, None]
+        centre = worlds.player_stats["sword"][axis][:, facing, None]  # (P, 1)
+        half = worlds.player_stats["sword"][f"half_{side}"][:, facing, None]
         meets &= np.abs(offset + kinds[f"body_{axis}"] - centre) < half + kinds[f"half_{side}"]
     return meets
 

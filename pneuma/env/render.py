@@ -205,14 +205,15 @@ class Renderer:
         """Yield a sword, and the arc over the box that it strikes."""
         way, facing = player["facing"], FACINGS[player["facing"]]
         moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
-        half_width, half_height = stats["sword_half_width"][way], stats["sword_half_height"][way]
-        x, y = player["x"] + stats["sword_x"][way], player["y"] + stats["sword_y"][way]
+        strike = stats["sword"]
+        half_width, half_height = strike["half_width"][way], strike["half_height"][way]
+        x, y = player["x"] + strike["x"][way], player["y"] + strike["y"][way]
         left, top = self._place(x - half_width, y - half_height)
         right, bottom = self._place(x + half_width, y + half_height)
         arc = sprites.slash_picture(right - left + 1, bottom - top + 1, facing, moment)
         _, foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
         yield Item(foot + 0.1, arc, left, top)
-        x, y = self._place(player["x"] + stats["hilt_x"][way], player["y"] + stats["hilt_y"][way])
+        x, y = self._place(player["x"] + strike["hilt_x"][way], player["y"] + strike["hilt_y"][way])
         _, foot = self._place(0.0, _foot(player, stats))
         sword = sprites.sword_picture(facing, moment)
         yield _centred(foot + (-0.2 if facing == "up" else 0.2), sword, x, y)
@@ -234,12 +235,13 @@ class Renderer:
         way, ticks = player["facing"], int(stats["flame_ticks"])
         age = ticks - int(player["busy"])
         left_over = min(3 * int(player["busy"]), ticks) * 13 // ticks
-        width, height = 2 * stats["flame_half_width"][way], 2 * stats["flame_half_height"][way]
+        strike = stats["flame"]
+        width, height = 2 * strike["half_width"][way], 2 * strike["half_height"][way]
         columns, rows = (max(round(side / FLAME_GAP), 1) for side in (width, height))
         for row, column in np.ndindex(rows, columns):
             x, y = self._place(
-                player["x"] + stats["flame_x"][way] + width * ((column + 0.5) / columns - 0.5),
-                player["y"] + stats["flame_y"][way] + height * ((row + 1) / rows - 0.5),
+                player["x"] + strike["x"][way] + width * ((column + 0.5) / columns - 0.5),
+                player["y"] + strike["y"][way] + height * ((row + 1) / rows - 0.5),
             )
             picture = sprites.flame_picture(age // 4 + row + column, max(left_over, 3))
             yield _above(y, picture, x, y)

@@ -71,45 +71,21 @@ def begin_episode(s: State, w: int, chosen: int) -> None:
     world.start = chosen if chosen >= 0 else _draw_below(world, s.starts.shape[1])
     for p in range(s.players.shape[1]):
         place = (world.start + p) % s.starts.shape[1]
-        _place_player(s.players[w, p], s.player_stats[p], s.settings[0])
+        kept = s.players[w, p].xp if s.settings[0].keep_xp else 0.0
+        s.players[w, p] = s.first_players[p]
+        s.players[w, p].xp = kept
         s.players[w, p].x = s.starts[world.level, place, 0]
         s.players[w, p].y = s.starts[world.level, place, 1]
+        s.slots[w, p].returns = 0.0
+        s.slots[w, p].lengths = 0
+        s.slots[w, p].idle = False
     for m in range(s.monsters.shape[1]):
-        _place_monster(s.monsters[w, m], s.monster_stats[world.level, m], s.players.shape[1])
-
-
-@inlined
-def _place_player(player: Array, stats: Array, settings: Array) -> None:
-    player.hp = stats.hp
-    player.energy = stats.energy
-    if not settings.keep_xp:
-        player.xp = 0.0
-    player.facing = DOWN
-    player.busy = 0
-    player.action_kind = 0
-    player.attack = 0
-    player.safe = 0
-    player.kills = 0
-    player.dash_cooldown = 0
-    player.second = 0
-    player.token = 0
-
-
-@inlined
-def _place_monster(monster: Array, kind: Array, players: int) -> None:
-    monster.x = kind.home_x
-    monster.y = kind.home_y
-    monster.hp = kind.hp
-    monster.knocked = 0
-    monster.safe = 0
-    monster.noticed = 0
-    monster.inside = 0
-    monster.opened = 0
-    monster.first_by = 0
-    monster.first_facing = 0
-    for p in range(players):
-        monster.bite[p] = 0
-        monster.struck_by[p] = 0
+        s.monsters[w, m] = s.first_monsters[world.level, m]
+    s.tallies[w].returns = 0.0
+    s.tallies[w].hp_lost = 0.0
+    s.tallies[w].cleared = 0
+    for action in range(s.taken.shape[1]):
+        s.taken[w, action] = 0
 
 
 # --- One step ------------------------------------------------------------------------------------
@@ -250,7 +226,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     if player.busy > 0:
         player.busy -= 1
         if player.action_kind == BLADE:
-            _raise_sword(player, stats, tick)
+            _strike(player, stats.sword, tick)
         elif player.action_kind == DASHING:
             _walk(s, w, p, stats.dash_speed)
     if player.dash_cooldown > 0:
@@ -292,7 +268,8 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
             player.action_kind = BURNING
-            _burn(player, stats, s.tick[p])
+            player.attack += 1
+            _strike(player, stats.flame, s.tick[p])  # in this tick only
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
@@ -339,33 +316,19 @@ def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, fl
 
 
 @inlined
-def _raise_sword(player: Array, stats: Array, tick: Array) -> None:
-    """Record the box that the sword strikes in this tick."""
+def _strike(player: Array, strike: Array, tick: Array) -> None:
+    """Record the box that a sword or a flame strikes in this tick."""
     facing = player.facing
     tick.strikes = 1
-    tick.box_x = player.x + stats.sword_x[facing]
-    tick.box_y = player.y + stats.sword_y[facing]
-    tick.half_width = stats.sword_half_width[facing]
-    tick.half_height = stats.sword_half_height[facing]
-    tick.damage = stats.damage
-    tick.hilt_x = player.x + stats.hilt_x[facing]
-    tick.hilt_y = player.y + stats.hilt_y[facing]
-    tick.knock_speed = stats.knock_speed
-    tick.knock_ticks = stats.knock_ticks
-
-
-@inlined
-def _burn(player: Array, stats: Array, tick: Array) -> None:
-    """Record the box that a flame burns, in this tick only; it knocks nobody back."""
-    facing = player.facing
-    player.attack += 1
-    tick.strikes = 1
-    tick.box_x = player.x + stats.flame_x[facing]
-    tick.box_y = player.y + stats.flame_y[facing]
-    tick.half_width = stats.flame_half_width[facing]
-    tick.half_height = stats.flame_half_height[facing]
-    tick.damage = stats.flame_damage
-    tick.knock_ticks = -1
+    tick.box_x = player.x + strike.x[facing]
+    tick.box_y = player.y + strike.y[facing]
+    tick.half_width = strike.half_width[facing]
+    tick.half_height = strike.half_height[facing]
+    tick.damage = strike.damage
+    tick.hilt_x = player.x + strike.hilt_x[facing]
+    tick.hilt_y = player.y + strike.hilt_y[facing]
+    tick.knock_speed = strike.knock_speed
+    tick.knock_ticks = strike.knock_ticks
 
 
 @inlined
@@ -562,6 +525,38 @@ def _end_tick(s: State, w: int, p: int) -> None:
         _die(player, event)
         _pack(s, w, s.monsters.shape[1] + p)
         _charge(player, event, s.settings[0].ending_cost)
+
+
+# --- The book of episodes ------------------------------------------------------------------------
+
+
+@inlined
+def record_step(s: State, w: int, actions: Array) -> None:
+    """Add a step, with its rewards, to a world's `slots`, `tallies` and `taken`.
+
+    A player's episode ends with its death, or with its world. From the next step until the world ends its
+    slot is idle.
+    """
+    world = s.worlds[w]
+    rewards = hp_lost = 0.0
+    for p in range(s.players.shape[1]):
+        slot, event, has_died = s.slots[w, p], s.events[w, p], s.players[w, p].hp <= 0.0
+        present = event.present > 0 or event.died > 0
+        if present:
+            slot.returns += event.reward
+            slot.lengths += 1
+            slot.ending = KILLED if has_died else world.ending
+            slot.episodes += slot.ending != RUNNING
+            s.taken[w, actions[w, p]] += 1
+        slot.begins = slot.ending != RUNNING
+        slot.idle = has_died and not present
+        rewards += event.reward
+        hp_lost += event.hp_lost
+    tally = s.tallies[w]
+    tally.returns += rewards / s.players.shape[1]
+    tally.hp_lost += hp_lost / s.players.shape[1]
+    if world.monsters_left == 0 and tally.cleared == 0:
+        tally.cleared = world.steps
 
 
 # --- Moving --------------------------------------------------------------------------------------

@@ -88,9 +88,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""
         self._steps_taken = np.zeros(1, np.int64)
-        self._returns = np.zeros(self.num_envs)
-        self._lengths = np.zeros(self.num_envs, np.int64)
-        self._episodes = np.zeros(self.num_envs, np.int64)
         self._actions = np.zeros(self.num_envs, np.int64)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -113,8 +110,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self._reset_seeds()
         self._reset_options()
         self.state.reset(starts=starts)
-        self._returns[:] = 0.0
-        self._lengths[:] = 0
         self.slots.begun = True
         self._show()
         return self.slots.observations
@@ -126,33 +121,27 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         slots = self.slots
-        slots.step(self._actions)
+        dones = slots.step(self._actions)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
-        self._returns += slots.rewards
-        self._lengths += 1
         self._steps_taken += 1
-        dones = slots.terminated | slots.truncated
         infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
-        if slots.world_over.any():
-            self.state.reset(slots.world_over)
-            self._lengths[np.repeat(slots.world_over, slots.players)] = 0  # idle slots start again too
+        if (over := slots.world_over).any():
+            self.state.reset(over)
         self._show()
         return slots.observations, rewards, dones, infos
 
     def _end(self, slot: int) -> dict[str, Any]:
         world, player = divmod(slot, self.slots.players)
         info = ending_info(self.state, world, player)
-        length, total = int(self._lengths[slot]), float(self._returns[slot])
+        book = self.slots.book[slot]
+        length, total = int(book["lengths"]), float(book["returns"])
         if self.keep_finished:
-            place = {"slot": slot, "episode": int(self._episodes[slot])}
+            place = {"slot": slot, "episode": int(book["episodes"]) - 1}
             step = int(self._steps_taken[0]) * self.num_envs
             self.finished.append({**place, "step": step, "return": total, "length": length, **info})
         info["terminal_observation"] = self.state.observations[world, player].copy()
         info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
         info["episode"] = {"r": total, "l": length}
-        self._returns[slot] = 0.0
-        self._lengths[slot] = 0
-        self._episodes[slot] += 1
         return info
 
     def observe(self) -> np.ndarray:
@@ -167,15 +156,15 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         Worlds, players, monsters and events are bytes; `layout` describes them.
         """
         layout = np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)
-        return {"layout": layout} | {name: as_bytes(array).copy() for name, array in self._state_arrays()}
+        return {"layout": layout} | {name: array.copy() for name, array in self._state_arrays()}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for name, array in self._state_arrays():
-            if saved[name].shape != as_bytes(array).shape:
-                raise ValueError(f"{name} of {saved[name].size} bytes where there are {array.nbytes}")
-            as_bytes(array)[:] = saved[name]
+            if saved[name].shape != array.shape:
+                raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
+            array[:] = saved[name]
         self.slots.begun = True
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
@@ -187,10 +176,8 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
 
     def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
         names = ("worlds", "players", "monsters", "events", "observations", "masks")
-        kept = ("returns", "lengths", "episodes", "steps_taken")
-        return [(name, getattr(self.state, name)) for name in names] + [
-            (name, getattr(self, f"_{name}")) for name in kept
-        ]
+        counts = [*self.state.counts().items(), ("steps_taken", self._steps_taken)]
+        return [(name, as_bytes(getattr(self.state, name))) for name in names] + counts
 
     def action_masks(self) -> np.ndarray:
         """Return which actions would have an effect, (slots, actions) booleans."""

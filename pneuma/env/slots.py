@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
-from pneuma.env.worlds import Worlds
+from pneuma.env.worlds import ENDINGS, Worlds
 
 
 class Slots:
@@ -22,7 +22,6 @@ class Slots:
     Attributes:
         begun: whether all worlds were ever reset.
         terminated, truncated: (slots,) what the last step ended.
-        world_over: (N,) which worlds it ended.
     """
 
     def __init__(self, worlds: Worlds) -> None:
@@ -30,10 +29,9 @@ class Slots:
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
         self._action_count = int(worlds.action_space.n)
+        self._cuts = worlds.config.time_limit == "truncate"
         self.begun = False
-        self._none = np.zeros(self.count, np.bool_)
-        self.terminated = self.truncated = self._none
-        self.world_over = np.zeros(len(worlds), np.bool_)
+        self.terminated = self.truncated = np.zeros(self.count, np.bool_)
 
     def checked(self, actions: np.ndarray) -> np.ndarray:
         """Return actions in the form that the rules take, (slots,) int64; ValueError for invalid ones."""
@@ -44,22 +42,23 @@ class Slots:
                 return whole
         raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
 
-    def step(self, actions: np.ndarray) -> bool:
-        """Advance all worlds by (slots,) actions; return whether any slot's episode ended."""
-        worlds = self.worlds
-        ended = worlds.advance(actions.reshape(worlds.players.shape))
-        if not ended and self.players == 1:
-            self.terminated = self.truncated = self._none
-            self.world_over = self._none
-            return False
-        present = worlds.present  # none in a world that had already ended
-        self.world_over = (worlds.worlds["ending"] != rules.RUNNING) & present.any(axis=1)
-        died = present & (worlds.players["hp"] <= 0)
-        over = present & self.world_over[:, None]
-        cut = over & ~died & worlds.truncated[:, None]
-        self.terminated = ((died | over) & ~cut).ravel()
-        self.truncated = cut.ravel()
-        return bool(self.terminated.any() or self.truncated.any())
+    def step(self, actions: np.ndarray) -> np.ndarray:
+        """Advance all worlds by (slots,) actions; return which slots' episodes ended, (slots,)."""
+        self.worlds.advance(actions.reshape(self.worlds.players.shape))
+        ending = self.book["ending"]
+        self.truncated = (ending == rules.TIME_LIMIT) & self._cuts
+        self.terminated = (ending != rules.RUNNING) & ~self.truncated
+        return self.terminated | self.truncated
+
+    @property
+    def book(self) -> np.ndarray:
+        """What the rules count of episodes, (slots,) `state.SLOT`."""
+        return self.worlds.slots.reshape(-1)
+
+    @property
+    def world_over(self) -> np.ndarray:
+        """Which worlds are over and not yet reset, (N,)."""
+        return self.worlds.worlds["ending"] != rules.RUNNING
 
     @property
     def rewards(self) -> np.ndarray:
@@ -71,7 +70,7 @@ class Slots:
         """A copy of all observations, (slots, features); zeros for idle slots."""
         observations = self.worlds.observations.reshape(self.count, -1).copy()
         if self.players > 1:
-            observations[self._idle] = 0.0
+            observations[self.book["idle"]] = 0.0
         return observations
 
     @property
@@ -79,20 +78,15 @@ class Slots:
         """A copy of all action masks, (slots, actions); idle slots may only attack."""
         masks = self.worlds.masks.reshape(self.count, -1).copy()
         if self.players > 1:
-            masks[self._idle] = np.arange(masks.shape[1]) == rules.ATTACK
+            masks[self.book["idle"]] = np.arange(masks.shape[1]) == rules.ATTACK
         return masks
-
-    @property
-    def _idle(self) -> np.ndarray:
-        """Which slots' players were dead before the last step, (slots,)."""
-        return ((self.worlds.players["hp"] <= 0) & ~self.worlds.present).ravel()
 
 
 def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
     """Describe how a world's episode ended for a player."""
     row = state.players[world, player]
     return {
-        "ending": state.ending(world) if row["hp"] > 0 else "killed",
+        "ending": ENDINGS[state.slots["ending"][world, player]],
         "kills": int(row["kills"]),
         "xp": float(row["xp"]),
         "hp": float(row["hp"]),

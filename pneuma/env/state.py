@@ -21,7 +21,7 @@ from numba.np import arrayobj
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
     "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
-    "engines/batched/rollout.py", "engines/evaluation.py", "engines/mlp.py",
+    "engines/batched/rollout.py", "engines/mlp.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
@@ -91,31 +91,30 @@ _BODY = (
     ("body_y", "f8"),
 )
 
+STRIKE = _record(  # of a sword or a flame, from the player, by facing
+    ("x", "f8", (4,)),  # centre of the box that it strikes
+    ("y", "f8", (4,)),
+    ("half_width", "f8", (4,)),
+    ("half_height", "f8", (4,)),
+    ("hilt_x", "f8", (4,)),  # knock-back points away from it
+    ("hilt_y", "f8", (4,)),
+    ("damage", "f8"),
+    ("knock_speed", "f8"),
+    ("knock_ticks", "i4"),  # below 0: it knocks nobody back
+)
 PLAYER_STATS = _record(
     ("hp", "f8"),
     ("energy", "f8"),
     ("energy_gain", "f8"),  # a tick
     ("speed", "f8"),
     *_BODY,
-    ("damage", "f8"),
-    ("swing", "i4"),
-    ("knock_ticks", "i4"),
-    ("knock_speed", "f8"),
     ("safe", "i4"),  # ticks after a bite in which further ones do nothing
-    ("sword_x", "f8", (4,)),  # centre of the sword box from the player, by facing
-    ("sword_y", "f8", (4,)),
-    ("sword_half_width", "f8", (4,)),
-    ("sword_half_height", "f8", (4,)),
-    ("hilt_x", "f8", (4,)),  # from the player, by facing: knock-back points away from it
-    ("hilt_y", "f8", (4,)),
-    ("flame_ticks", "i4"),  # that the spell lasts
+    ("swing", "i4"),  # ticks that an attack lasts, and a flame, and the spell that heals
+    ("flame_ticks", "i4"),
     ("heal_ticks", "i4"),
-    ("flame_damage", "f8"),
+    ("sword", STRIKE),
+    ("flame", STRIKE),
     ("flame_cost", "f8"),
-    ("flame_x", "f8", (4,)),  # the box that a flame burns, by facing
-    ("flame_y", "f8", (4,)),
-    ("flame_half_width", "f8", (4,)),
-    ("flame_half_height", "f8", (4,)),
     ("heal", "f8"),
     ("heal_cost", "f8"),
     ("heal_reach", "f8"),  # other players within it are healed too; 0: none
@@ -125,8 +124,6 @@ PLAYER_STATS = _record(
     ("energy_scale", "f8"),
 )
 MONSTER_STATS = _record(
-    ("home_x", "f8"),
-    ("home_y", "f8"),
     ("hp", "f8"),
     ("speed", "f8"),
     *_BODY,
@@ -210,6 +207,20 @@ EVENTS = _record(
 )
 """What happened to a player in one step, for rewards computed outside."""
 
+SLOT = _record(  # the episode in progress, or just ended, of one player
+    ("returns", "f8"),
+    ("lengths", "i8"),  # steps that the player lived to begin
+    ("episodes", "i8"),  # how many ended before or now
+    ("ending", "i4"),  # how the last step ended it; RUNNING if it did not
+    ("begins", "f4"),  # 1 if the last step ended an episode, or there was none
+    ("idle", "?"),  # whether the player was dead before the last step of an episode that still runs
+)
+TALLY = _record(  # the same of a world: means over its players
+    ("returns", "f8"),
+    ("hp_lost", "f8"),
+    ("cleared", "i8"),  # the step that left no monster; 0 so far
+)
+
 TICK = _record(
     ("there", "i4"),  # whether the player lives through this tick
     ("strikes", "i4"),  # whether a sword or a flame strikes the box below
@@ -237,8 +248,8 @@ SCRATCH = _record(("order", "u8"), ("distance", "f8"))
 class State(NamedTuple):
     """Every array that the kernels share.
 
-    The first three are the whole state of the worlds. `events`, `observations` and `masks` are written by
-    every step. `tick`, `scratch`, `near` and `boxes` are scratch space.
+    The first three are the whole state of the worlds. `events`, `observations`, `masks`, `slots`, `tallies`
+    and `taken` are written by every step. `tick`, `scratch`, `near` and `boxes` are scratch space.
     """
 
     worlds: Array  # (N,) WORLD
@@ -257,14 +268,19 @@ class State(NamedTuple):
     near: Array  # (M + P, M + P) int32: how many bodies a body may meet in this step, and which
     boxes: Array  # (M + P, 4): centre and half sides of each body now; those of the dead are -inf
     begins: Array  # (N,) int64: start places of the worlds that the next call of `run_worlds` resets
+    first_players: Array  # (P,) PLAYER: of which an episode's are copies, but for place and kept XP
+    first_monsters: Array  # (L, M) MONSTER: of which an episode's are copies
+    slots: Array  # (N, P) SLOT
+    tallies: Array  # (N,) TALLY
+    taken: Array  # (N, actions) int64: how often players who lived took each action in this episode
 
 
 DTYPES = State(
     WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
     EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
-    np.dtype(np.float64), np.dtype(np.int64),
+    np.dtype(np.float64), np.dtype(np.int64), PLAYER, MONSTER, SLOT, TALLY, np.dtype(np.int64),
 )  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 2, 1)
+DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 2, 1, 1, 2, 2, 1, 2)
 
 LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
@@ -273,7 +289,7 @@ HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (16,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (21,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle, and be laid out as declared here.
@@ -364,6 +380,11 @@ def open_state(h: Array) -> State:
         array_at(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
         array_at(h[14].address, (h[14].shape[0], h[14].shape[1]), np.float64),
         array_at(h[15].address, (h[15].shape[0],), np.int64),
+        array_at(h[16].address, (h[16].shape[0],), PLAYER),
+        array_at(h[17].address, (h[17].shape[0], h[17].shape[1]), MONSTER),
+        array_at(h[18].address, (h[18].shape[0], h[18].shape[1]), SLOT),
+        array_at(h[19].address, (h[19].shape[0],), TALLY),
+        array_at(h[20].address, (h[20].shape[0], h[20].shape[1]), np.int64),
     )
 
 

@@ -35,6 +35,8 @@ class Worlds:
         observations: (N, P, features) float32, overwritten by every step.
         masks: (N, P, actions) int8, 0 if an action would do nothing in the next step; the dead count as
             alive.
+        slots, tallies, taken: the book of the episodes in progress: (N, P) `state.SLOT`, (N,) `TALLY`, and
+            how often each action was taken, (N, actions).
         levels: the levels played; one, unless random ones are drawn.
         usual_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
@@ -82,6 +84,16 @@ class Worlds:
         self.events["distance"] = np.inf
         self.observations = np.zeros((count, players, *self.space.shape), np.float32)
         self.masks = np.zeros((count, players, actions), np.int8)
+        self.slots, self.tallies = np.zeros((count, players), state.SLOT), np.zeros(count, state.TALLY)
+        self.slots["begins"] = 1.0
+        self.taken = np.zeros((count, actions), np.int64)
+        self._first_players = np.zeros(players, state.PLAYER)
+        for name in ("hp", "energy"):
+            self._first_players[name] = self.player_stats[name]
+        first_monsters = np.zeros(self.monster_stats.shape, state.MONSTER)
+        first_monsters["hp"] = self.monster_stats["hp"]
+        homes = np.array([[(x, y) for _, x, y in level.monsters] for level in self.levels])
+        first_monsters["x"], first_monsters["y"] = np.moveaxis(homes.reshape(*first_monsters.shape, 2), 2, 0)
         self._none = np.zeros((count, players), np.int64)  # actions that a reset does not read
         self._arrays = state.State(
             self.worlds,
@@ -100,6 +112,11 @@ class Worlds:
             np.zeros((monsters + players, monsters + players), np.int32),
             np.zeros((monsters + players, 4)),
             np.zeros(count, np.int64),
+            self._first_players,
+            first_monsters,
+            self.slots,
+            self.tallies,
+            self.taken,
         )
         self._take_addresses()
         self._every = np.ones(count, np.bool_)
@@ -247,27 +264,35 @@ class Worlds:
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        ended = int(kernel.call_rules(self._address, actions, 1))
+        if not self._custom:
+            return int(kernel.call_rules(self._address, actions, kernel.STEP | kernel.RECORD))
+        ended = int(kernel.call_rules(self._address, actions, kernel.STEP))
         for name, function, players in self._custom:
             rewards = custom_rewards(function, name, *self._shown)
             self.events["reward"][:, players] = rewards[:, players]
-        if self._custom and self.config.shared_reward:
+        if self.config.shared_reward:
             mean = self.events["reward"].sum(axis=1) / self.players.shape[1]
             self.events["reward"] = np.where(self.present, mean[:, None], 0.0)
+        kernel.call_rules(self._address, actions, kernel.RECORD)
         return ended
+
+    def counts(self) -> dict[str, np.ndarray]:
+        """Return what `slots` has of episodes in progress, to save and restore: (N * P,) arrays by name."""
+        book = self.slots.reshape(-1)
+        names = ("returns", "lengths", "episodes", "idle")[: 3 + (self.players.shape[1] > 1)]
+        return {name: book[name] for name in names}
 
     def _begin(self, places: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
         self._arrays.begins[:] = places
-        kernel.call_rules(self._address, self._none, 0)
+        kernel.call_rules(self._address, self._none, kernel.RESET)
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events."""
-        events, players = self.events.copy(), self.players.copy()
+        events, players = self.events.copy(), np.tile(self._first_players, (len(self), 1))
         events["present"] = self.settings["ticks"][0]
         places = np.arange(players.shape[1]) % len(self.level.starts)
         players["x"], players["y"] = self.level.starts[places].T
-        players["hp"], players["energy"] = self.player_stats["hp"], self.player_stats["energy"]
         for name, function, _ in self._custom:
             custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
 

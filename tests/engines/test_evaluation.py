@@ -134,7 +134,7 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 65_536 if compiled else 0)
     told = evaluation.evaluate(policy, 7)["commonest_action"]
     counts, taken = np.zeros(5), np.zeros((len(evaluation.worlds), players), np.int64)
-    step = evaluation.worlds.step
+    step = evaluation.worlds.advance
 
     def counting(actions: np.ndarray) -> int:
         taken[:] = actions
@@ -143,7 +143,7 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
         np.add.at(counts, taken[:8][alive], 1)
         return ended
 
-    monkeypatch.setattr(evaluation.worlds, "step", counting)
+    monkeypatch.setattr(evaluation.worlds, "advance", counting)
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     evaluation.evaluate(policy, 7)  # the same draws, one step at a time
     assert told == counts.max() / counts.sum() == counts[0] / counts.sum()

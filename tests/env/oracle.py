@@ -47,13 +47,12 @@ from .oracle_parts import (
     Player,
     Rulebook,
     approach,
+    blow,
     die,
-    flame_blow,
     formula,
     gap_squared,
     heal,
     knock_back,
-    sword_blow,
     wounds,
 )
 
@@ -100,10 +99,13 @@ class Oracle:
             player.facing = DOWN
             player.busy = player.action_kind = player.attack = player.safe = player.kills = 0
             player.dash_cooldown = player.second = player.token = 0
-        for monster, kind in zip(self.monsters, book.kinds[self.level], strict=True):
+        for monster, kind, home in zip(
+            self.monsters, book.kinds[self.level], book.homes[self.level], strict=True
+        ):
             monster.kind = kind
-            monster.x, monster.y, monster.hp = kind.home_x, kind.home_y, kind.hp
+            (monster.x, monster.y), monster.hp = home, kind.hp
             monster.knocked = monster.safe = 0
+            monster.knock_x = monster.knock_y = 0.0
             monster.noticed, monster.inside = set(), set()
             monster.opened = monster.first_by = monster.first_facing = 0
             monster.bite = [0] * len(self.players)
@@ -190,9 +192,9 @@ class Oracle:
         blows: dict[int, Blow] = {}
         for p, player in enumerate(self.players):
             if player.hp > 0.0:
-                blow = self._act(player, actions[p])
-                if blow and player.hp > 0.0:
-                    blows[p] = blow
+                struck = self._act(player, actions[p])
+                if struck and player.hp > 0.0:
+                    blows[p] = struck
         there = [p for p, player in enumerate(self.players) if player.hp > 0.0]
         for monster in self.monsters:
             if monster.hp > 0.0:
@@ -205,7 +207,7 @@ class Oracle:
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
         stats, settings = player.weapon, self.book.settings
-        blow = None
+        struck = None
         if player.busy == 0:
             if settings.hold >= 0 and action in (settings.hold, settings.hold + 1):
                 player.second = action - settings.hold
@@ -221,7 +223,7 @@ class Oracle:
                 player.energy -= stats.flame_cost
                 player.busy, player.action_kind = stats.flame_ticks, 3
                 player.attack += 1
-                blow = flame_blow(player)
+                struck = blow(player, player.stats.flame)
             elif action == HEAL and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
                 player.busy, player.action_kind = stats.heal_ticks, 4
@@ -237,7 +239,7 @@ class Oracle:
         if player.busy > 0:
             player.busy -= 1
             if player.action_kind == 1:
-                blow = sword_blow(player)
+                struck = blow(player, stats.sword)
             if player.action_kind == 2:
                 player.x, player.y = self.walked(player, player.facing, self._others(player), pace=3)
         player.dash_cooldown = max(player.dash_cooldown - 1, 0)
@@ -245,7 +247,7 @@ class Oracle:
         if self.book.settings.deadly_coast and self.ground.is_sea(player.x, player.y):
             player.events.hp_lost += player.hp
             die(player)  # without XP cost
-        return blow
+        return struck
 
     def _walk(self, player: Player, way: int) -> None:
         """Turn a player and take it one tick that way."""

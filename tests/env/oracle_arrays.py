@@ -39,6 +39,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
         kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
+        homes=[[(x, y) for _, x, y in level.monsters] for level in worlds.levels],
     )
 
 
@@ -72,7 +73,9 @@ def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
 
 
 def _read_row(row: Any, **beside: Any) -> Row:
-    return Row(**{name: row[name].tolist() for name in row.dtype.names}, **beside)
+    fields = {name: row[name] for name in row.dtype.names}
+    told = {name: _read_row(part) if part.dtype.names else part.tolist() for name, part in fields.items()}
+    return Row(**told, **beside)
 
 
 def _read_fields(target: Player | Monster, row: Any, but: tuple[str, ...]) -> None:

@@ -35,7 +35,7 @@ What they mean is in `pneuma/env/state.py`; lists go by facing.
 
 @dataclass(frozen=True)
 class Rulebook:
-    """Everything that does not change while a world is played; the last three go by level."""
+    """Everything that does not change while a world is played; the last four go by level."""
 
     settings: Row
     stats: list[Row]
@@ -43,6 +43,7 @@ class Rulebook:
     kinds: list[list[Row]]
     grounds: list[Ground]
     starts: list[list[tuple[float, float]]]
+    homes: list[list[tuple[float, float]]]  # of the monsters
 
 
 # --- What changes ----------------------------------------------------------------------------------
@@ -171,37 +172,20 @@ def heal(player: Player, hp: float, capped: bool) -> None:
     player.hp = healed
 
 
-def sword_blow(player: Player) -> Blow:
-    """Return the blow of a swing that lasts; all its ticks bear the number of the attack."""
-    stats, facing = player.weapon, player.facing
+def blow(player: Player, strike: Row) -> Blow:
+    """Return what a player does with its sword or flame in this tick; a swing bears its attack's number."""
+    facing = player.facing
     return Blow(
         number=player.attack,
         box=Box(
-            (player.x + stats.sword_x[facing], player.y + stats.sword_y[facing]),
-            (stats.sword_half_width[facing], stats.sword_half_height[facing]),
+            (player.x + strike.x[facing], player.y + strike.y[facing]),
+            (strike.half_width[facing], strike.half_height[facing]),
         ),
         facing=facing,
-        hilt=(player.x + stats.hilt_x[facing], player.y + stats.hilt_y[facing]),
-        damage=stats.damage,
-        knock_speed=stats.knock_speed,
-        knock_ticks=stats.knock_ticks,
-    )
-
-
-def flame_blow(player: Player) -> Blow:
-    """Return the blow of a flame, which burns in the tick in which it is cast and knocks nobody back."""
-    stats, facing = player.stats, player.facing
-    return Blow(
-        number=player.attack,
-        box=Box(
-            (player.x + stats.flame_x[facing], player.y + stats.flame_y[facing]),
-            (stats.flame_half_width[facing], stats.flame_half_height[facing]),
-        ),
-        facing=facing,
-        hilt=(player.x, player.y),
-        damage=stats.flame_damage,
-        knock_speed=0.0,
-        knock_ticks=-1,
+        hilt=(player.x + strike.hilt_x[facing], player.y + strike.hilt_y[facing]),
+        damage=strike.damage,
+        knock_speed=strike.knock_speed,
+        knock_ticks=strike.knock_ticks,
     )
 
 

@@ -48,8 +48,8 @@ def test_every_number_of_a_class_reaches_the_rules(name: str) -> None:
     hp, energy, attack, magic, speed = CLASSES[name]
     row = player_row(classes=name)
     assert (row["hp"], row["energy"], row["speed"]) == (hp, energy, speed)
-    assert row["damage"] == attack + 15  # with the sword
-    assert row["flame_damage"] == 5 + magic  # a flame's strength is 5
+    assert row["sword"]["damage"] == attack + 15  # with the sword
+    assert row["flame"]["damage"] == 5 + magic  # a flame's strength is 5
     assert row["heal"] == 20
     assert row["safe"] == 18  # 300 ms
 
@@ -68,9 +68,9 @@ def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
     # facts.md section 1: 0.4 s, damage 20, 120 px/s for 0.5 s; 150 px/s, circles of 300 and 40 px, 7 HP
     # every second, 1 XP and 7 HP for the kill.
     row = player_row()
-    assert (row["hp"], row["speed"], row["damage"], row["swing"], row["safe"]) == (100, 5, 20, 24, 0)
+    assert (row["hp"], row["speed"], row["swing"], row["safe"]) == (100, 5, 24, 0)
     assert (row["half_width"], row["half_height"]) == (23.5, 24)
-    assert (row["knock_speed"], row["knock_ticks"]) == (2, 30)
+    assert [row["sword"][name] for name in ("damage", "knock_speed", "knock_ticks")] == [20, 2, 30]
     assert (row["body_x"], row["body_y"]) == (-1.5, 2)
     bamboo = monster_rows(zoo, "")["bamboo"]
     assert (bamboo["hp"], bamboo["speed"], bamboo["damage"], bamboo["bite_ticks"]) == (40, 2.5, 7, 60)
@@ -130,14 +130,15 @@ def test_a_file_may_add_a_class_and_a_weapon(tmp_path: Path) -> None:
     row = player_row(characters=write(tmp_path, ROGUE), classes="rogue")
     assert (row["hp"], row["energy"], row["speed"], row["safe"]) == (80, 50, 6, 30)
     assert (row["half_width"], row["half_height"]) == (20, 22)
-    assert (row["damage"], row["swing"]) == (9 + 33, 60)
-    assert (row["knock_speed"], row["knock_ticks"]) == (4, 15)
-    assert (row["body_x"], row["body_y"]) == (3, -4)
-    assert row["sword_x"].tolist() == [0, -41, 0, 43] and row["sword_y"].tolist() == [40, 6, -42, 0]
-    assert np.array_equal(row["hilt_x"], row["sword_x"]) and np.array_equal(row["hilt_y"], row["sword_y"])
-    assert row["sword_half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
+    assert (row["body_x"], row["body_y"], row["swing"]) == (3, -4, 60)
+    sword = row["sword"]
+    assert [sword[name] for name in ("damage", "knock_speed", "knock_ticks")] == [9 + 33, 4, 15]
+    assert sword["x"].tolist() == [0, -41, 0, 43] and sword["y"].tolist() == [40, 6, -42, 0]
+    assert np.array_equal(sword["hilt_x"], sword["x"]) and np.array_equal(sword["hilt_y"], sword["y"])
+    assert sword["half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
     assert row["energy_gain"] == 1.0 * 3 / 60
-    assert player_row(characters=write(tmp_path, ROGUE), weapons="club")["damage"] == 33  # base adds 0
+    other = player_row(characters=write(tmp_path, ROGUE), weapons="club")
+    assert other["sword"]["damage"] == 33  # base adds 0
 
 
 def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
@@ -146,7 +147,8 @@ def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
     worlds = Worlds(1, make_env_config({"level": level, "characters": file}))
     assert [kind for kind, _, _ in worlds.level.monsters] == ["wolf", "bamboo"]
     wolf = worlds.monster_stats[0, 0]
-    assert (wolf["home_x"], wolf["home_y"], wolf["hp"], wolf["speed"]) == (200, 0, 12, 1.5)
+    worlds.reset()
+    assert worlds.monsters[0, 0][["x", "y", "hp"]].tolist() == (200, 0, 12) and wolf["speed"] == 1.5
     assert (wolf["bite_ticks"], wolf["safe"], wolf["knock_ticks"]) == (30, 6, -1)
     with pytest.raises(UserError, match="unknown code 500; known are"):
         Worlds(1, make_env_config({"level": level}))

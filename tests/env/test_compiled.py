@@ -28,13 +28,10 @@ layers = (  # one unit, tanh(1), then logits
     (np.array([[9, -9]], np.float32), np.zeros(2, np.float32)),
 )
 weights, widths = flat(layers), sizes(layers)
-episodes = rollout.Episodes(
-    np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64), np.ones(1, np.float32), np.zeros(1, np.bool_)
-)
 filled = rollout.empty_rollout(1, 1, features)
 draws, scratch = np.full(1, 0.5, np.float32), room(widths, 1)
 chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, weights, widths, 0, draws, episodes, filled, 0, chosen, scratch)
+rollout._choose(worlds.handle, weights, widths, 0, draws, filled, 0, chosen, scratch)
 print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 
@@ -72,10 +69,10 @@ def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) 
 
 @pytest.mark.slow
 def test_programs_kept_from_before_a_class_was_renamed_stop_nobody(copy: Path) -> None:
-    """Their index names the class `Episodes`, and numba reads it before it sees that it is out of date."""
+    """Their index names the class `Rollout`, and numba reads it before it sees that it is out of date."""
     assert said(CHOOSE, copy) == "0"
-    change(copy / "pneuma/engines/batched/rollout.py", "Episodes", "Unended_")  # as long: no line moves
-    assert said(CHOOSE.replace("Episodes", "Unended_"), copy) == "0"
+    change(copy / "pneuma/engines/batched/rollout.py", "Rollout", "Rolling")  # as long: no line moves
+    assert said(CHOOSE, copy) == "0"
 
 
 @pytest.mark.slow

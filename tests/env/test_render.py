@@ -109,6 +109,9 @@ def test_a_spell_shows_while_it_is_cast_in_a_picture_of_its_state_alone(arena: s
     assert all(70 < far < 86 if spell == FLAME else 0 < far <= BODY for far in reach[:2])
 
 
+BOX = ("x", "y", "half_width", "half_height")
+
+
 @pytest.mark.parametrize("facing", range(4))
 def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     """All of it is brightened but the round corners."""
@@ -117,11 +120,10 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     before = bare(worlds)
     worlds.players["action_kind"] = rules.BLADE
     x, y = changed(before, bare(worlds))
-    stats = worlds.player_stats[0]
-    across = abs(x + 0.5 - MIDDLE - stats["sword_x"][facing] / 4) <= stats["sword_half_width"][facing] / 4 + 1
-    down = abs(y + 0.5 - MIDDLE - stats["sword_y"][facing] / 4) <= stats["sword_half_height"][facing] / 4 + 1
-    box = 4 * stats["sword_half_width"][facing] * stats["sword_half_height"][facing] / 16
-    assert (across & down).sum() > 0.85 * box
+    sword = {name: worlds.player_stats["sword"][name][0, facing] / 4 for name in BOX}
+    across = abs(x + 0.5 - MIDDLE - sword["x"]) <= sword["half_width"] + 1
+    down = abs(y + 0.5 - MIDDLE - sword["y"]) <= sword["half_height"] + 1
+    assert (across & down).sum() > 0.85 * 4 * sword["half_width"] * sword["half_height"]
 
 
 def test_the_map_shows_the_land_and_two_tiles_of_water() -> None:

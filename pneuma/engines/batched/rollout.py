@@ -3,8 +3,7 @@
 worlds, actor and random numbers → observations, actions, rewards, ends, finished episodes
 
 A whole rollout runs without Python, unless a user's own reward must be called after each step. Slot i is
-player i % P of world i // P. Episodes, idle slots and the rounding of rewards are as in the environment for
-Stable-Baselines3 (`pneuma.env.slots.Slots`, `pneuma.env.sb3`).
+player i % P of world i // P. The rounding of rewards is as in `pneuma.env.sb3`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pneuma.engines.mlp import ACTIVATION_CODES, flat, forward, room, sample
 from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
 from pneuma.env.fields import own_rewards
-from pneuma.env.kernel import GO_ON, run_worlds
+from pneuma.env.kernel import GO_ON, RECORD, RESET, STEP, run_worlds
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes, cached, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
 
@@ -34,16 +33,6 @@ ENDED = np.dtype(
 
 _WORLDS = ("worlds", "players", "monsters")
 kernel: Any = cached(error_model="numpy")
-
-
-class Episodes(NamedTuple):
-    """The episodes in progress, of S slots."""
-
-    returns: np.ndarray  # (S,) so far
-    lengths: np.ndarray  # (S,) so far
-    episodes: np.ndarray  # (S,) how many ended before
-    begins: np.ndarray  # (S,) float32: 1 if the last step ended an episode, or there was none
-    idle: np.ndarray  # (S,) whether the slot's player died earlier in an episode that still runs
 
 
 class Rollout(NamedTuple):
@@ -100,11 +89,7 @@ class Collector:
         self.worlds.seed(slot_seeds(run))
         self.worlds.reset()
         self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-        slots = run.slots * run.players
-        self.episodes = Episodes(
-            np.zeros(slots), np.zeros(slots, np.int64), np.zeros(slots, np.int64),
-            np.ones(slots, np.float32), np.zeros(slots, np.bool_),
-        )  # fmt: skip
+        self._book = self.worlds.slots.reshape(-1)
         self.features = self.worlds.observations.shape[2]
         self.actions = int(self.worlds.action_space.n)
 
@@ -114,7 +99,7 @@ class Collector:
         return self.worlds.observations.reshape(-1, self.features)
 
     def collect(self, actor: Layers) -> Rollout:
-        steps, slots = self._run.horizon, len(self.episodes.idle)
+        steps, slots = self._run.horizon, len(self._book)
         rollout = empty_rollout(slots, steps, self.features)
         draws = self.generator.random((steps, slots), np.float32)
         play = self._play_asking if self._asks else _play
@@ -126,12 +111,11 @@ class Collector:
             activation,
             draws,
             self.worlds.usual_starts,
-            self.episodes,
             rollout,
         )
         rollout.last_observations[:] = self.observations
-        rollout.last_observations[self.episodes.idle] = 0.0
-        rollout.last_ends[:] = self.episodes.begins
+        rollout.last_observations[self._book["idle"]] = 0.0
+        rollout.last_ends[:] = self._book["begins"]
         return rollout.cut(count)
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
@@ -142,9 +126,7 @@ class Collector:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
-        episodes = self.episodes._asdict()
-        if self.worlds.players.shape[1] == 1:
-            del episodes["idle"]  # nobody ever is
+        episodes = {**self.worlds.counts(), "begins": self._book["begins"]}
         return {
             **{f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS},
             **{f"episodes/{name}": array for name, array in episodes.items()},
@@ -165,16 +147,16 @@ class Collector:
 
     def _play_asking(
         self, handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
-        episodes: Episodes, rollout: Rollout,
+        rollout: Rollout,
     ) -> int:  # fmt: skip
         """Do the same as `_play` step by step, because a user's reward is plain Python."""
         chosen = np.zeros(self.worlds.players.shape, np.int64)
-        scratch = room(widths, len(episodes.idle))
+        scratch = room(widths, chosen.size)
         count = 0
         for step, draw in enumerate(draws):
-            _choose(handle, weights, widths, activation, draw, episodes, rollout, step, chosen, scratch)
+            _choose(handle, weights, widths, activation, draw, rollout, step, chosen, scratch)
             self.worlds.advance(chosen)
-            count = _record_step(handle, usual_starts, episodes, rollout, step, count, chosen)
+            count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
         return count
 
 
@@ -188,34 +170,34 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 @kernel
 def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, episodes: Any,
-    rollout: Any,
-) -> int:  # fmt: skip
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, rollout: Any
+) -> int:
     """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
-    scratch = room(widths, len(episodes.idle))
+    scratch = room(widths, chosen.size)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, weights, widths, activation, draws[step], episodes, rollout, step, chosen, scratch)
-        run_worlds(handle.ctypes.data, chosen.ctypes, 1)
-        count = _record_step(handle, usual_starts, episodes, rollout, step, count, chosen)
+        _choose(handle, weights, widths, activation, draws[step], rollout, step, chosen, scratch)
+        run_worlds(handle.ctypes.data, chosen.ctypes, STEP | RECORD)
+        count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
     return count
 
 
 @kernel
 def _choose(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, episodes: Any, rollout: Any,
-    step: int, chosen: Any, scratch: Any,
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, rollout: Any, step: int, chosen: Any,
+    scratch: Any,
 ) -> None:  # fmt: skip
     """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = open_state(handle)
     players = s.players.shape[1]
     for i in range(len(draws)):
-        if not episodes.idle[i]:
+        slot = s.slots[i // players, i % players]
+        if not slot.idle:
             for j in range(widths[0]):  # a slice would compile the text of an error
                 rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
-        rollout.starts[i, step] = episodes.begins[i]
+        rollout.starts[i, step] = slot.begins
     policies = len(weights)
     count = len(draws) // policies
     for own in range(policies):
@@ -230,45 +212,33 @@ def _choose(
 
 
 @kernel
-def _record_step(
-    handle: Any, usual_starts: Any, episodes: Any, rollout: Any, step: int, count: int, chosen: Any
-) -> int:
-    """Record the result of a step for each slot and reset ended worlds; return the number of endings."""
+def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, count: int, chosen: Any) -> int:
+    """Keep each slot's reward and ending of a step and reset ended worlds; return the number of endings."""
     s = open_state(handle)
     players = s.players.shape[1]
     any_over = False
-    for i in range(len(episodes.idle)):
+    for i in range(s.players.size):
         w, p = i // players, i % players
-        player, event = s.players[w, p], s.events[w, p]
+        player, slot = s.players[w, p], s.slots[w, p]
         over = s.worlds[w].ending != rules.RUNNING
         any_over |= over
         s.begins[w] = usual_starts[w] if over else GO_ON
-        present = event.present > 0 or event.died > 0
-        rollout.rewards[i, step] = event.reward
-        episodes.returns[i] += event.reward
-        episodes.lengths[i] += 1
-        ended = present and (over or player.hp <= 0)
-        episodes.begins[i] = ended
-        if ended:
+        rollout.rewards[i, step] = s.events[w, p].reward
+        if slot.ending != rules.RUNNING:
             row = rollout.ended[count]
             row.slot = i
-            row.episode = episodes.episodes[i]
+            row.episode = slot.episodes - 1
             row.step = step + 1
-            row["return"] = episodes.returns[i]
-            row.length = episodes.lengths[i]
+            row["return"] = slot.returns
+            row.length = slot.lengths
             row.kills = player.kills
             row.hp = player.hp
-            row.ending = s.worlds[w].ending if player.hp > 0 else rules.KILLED
+            row.ending = slot.ending
             for j in range(s.observations.shape[2]):
                 rollout.terminal_observations[count, j] = s.observations[w, p, j]
             count += 1
-            episodes.episodes[i] += 1
-            episodes.returns[i] = 0.0
-        if ended or over:  # idle slots start again too
-            episodes.lengths[i] = 0
-        episodes.idle[i] = not present and not over
     if any_over:
-        run_worlds(handle.ctypes.data, chosen.ctypes, 0)
+        run_worlds(handle.ctypes.data, chosen.ctypes, RESET)
     return count
 
 
