@@ -107,10 +107,11 @@ class Trainer(ABC):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
-    _seed_shared_generators(run)
     resumes = not is_open(run)
     module, name = (TRAINERS[run.engine] if resumes else OPEN_TRAINER).split(":")
-    trainer: Trainer = getattr(import_module(module), name)(run)
+    kind = getattr(import_module(module), name)
+    _seed_shared_generators(run)  # after an import, which may draw
+    trainer: Trainer = kind(run)
     records, step = Records(), 0
     if checkpoint:
         step = checkpoint.step
@@ -139,12 +140,15 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
 def _seed_shared_generators(run: Run) -> None:
     """Seed the process's own generators, from which a user's code may draw, whatever was trained before."""
     seed = stream_seed(run.stream, "shared")
-    random.seed(seed)
-    np.random.seed(seed % 2**32)
-    if is_gymnasium_id(run.env) or own_rewards(run.reward):  # torch loads in a second: for others' code alone
+    if is_gymnasium_id(run.env) or own_rewards(run.reward):  # what loads slowly is for others' code alone
         import torch
 
+        from pneuma.env.state import seed_compiled
+
         torch.manual_seed(seed)
+        seed_compiled(seed % 2**32)
+    random.seed(seed)
+    np.random.seed(seed % 2**32)
 
 
 def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:

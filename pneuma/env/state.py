@@ -7,6 +7,7 @@ and M monsters in each, L levels, K monsters perceived.
 from __future__ import annotations
 
 import hashlib
+import random
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -358,6 +359,13 @@ typed_codegen: Any = cgutils
 typed_void: Any = types.void
 typed_pointer: Any = types.CPointer
 typed_cache: Any = FunctionCache
+
+
+@entry
+def seed_compiled(seed: int) -> None:
+    """Seed numba's own generators, from which a user's compiled code may draw."""
+    random.seed(seed)
+    np.random.seed(seed)
 
 
 @inlined_counted

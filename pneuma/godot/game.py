@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import reprlib
-import signal
 import socket
 import subprocess
 import sys
@@ -41,9 +40,7 @@ ANSWER_SECONDS = 10
 """Seconds within which a game must answer."""
 MOST_NUMBERS = 2**20
 """Most numbers of an observation or an action, and most discrete actions."""
-LEASH = """exec 3<&0; (read -r _; kill -KILL 0) <&3 & exec "$@" 3<&- </dev/null"""
-"""A shell command that becomes the game. Its standard input is a pipe that Pneuma holds open and never writes
-to. When it closes, however Pneuma ended, the process group is killed: the game and what it started."""
+LEASH = [sys.executable, "-IS", str(Path(__file__).with_name("leash.py"))]
 
 Read = TypeVar("Read")
 
@@ -108,8 +105,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 send(self._connection, {"type": "close"})
             self._connection.close()
         if self._process and self._process.stdin:
-            with suppress(OSError):  # a game may be a script that starts another program
-                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.stdin.close()
             self._process.wait()
         self._connection = self._process = None
@@ -132,7 +127,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 words = [f"--{key}={value}" for key, value in arguments.items()]
                 command = [str(Path(self._path).resolve()), *words, "--disable-render-loop", "--headless"]
                 self._process = subprocess.Popen(
-                    ["/bin/sh", "-c", LEASH, *command[:1], *command],
+                    [*LEASH, *command],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.DEVNULL,
                     start_new_session=True,

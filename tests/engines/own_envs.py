@@ -10,10 +10,18 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from numba import njit
+
+
+@njit
+def _compiled() -> float:
+    return np.random.random() + random.random()
+
 
 CHANCES: dict[str, Callable[[], float]] = {
     "global": lambda: float(np.random.random()),
     "python": random.random,
+    "numba": lambda: float(_compiled()),
     "torch": lambda: float(torch.rand(())),
 }
 """Generators that are not the environment's own, by the kind of corridor that draws from them."""

@@ -18,8 +18,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 GodotGame(sys.argv[1])
 """
 GAME = """#!/bin/sh
-sleep 600 &
+setsid sleep 600 &
 echo $$ $! > {folder}/begun
+setsid sh -c 'sleep 600 & echo $! >> {folder}/begun'  # whose parent is gone at once
 mv {folder}/begun {folder}/pids
 wait
 """
@@ -41,7 +42,7 @@ def test_untrusted_a_game_that_never_connects_ends_with_its_study(tmp_path: Path
     while not (tmp_path / "pids").exists() and time.monotonic() < until:
         time.sleep(0.05)
     pids = (tmp_path / "pids").read_text().split()
-    assert len(pids) == 2 and all(map(_lives, pids))
+    assert len(pids) == 3 and all(map(_lives, pids))
     for name in signals:
         study.send_signal(signal.Signals[name])
     study.wait(10)
