@@ -24,7 +24,6 @@ OPEN_LEARNERS = {
     "recurrent-ppo": "sb3_contrib:RecurrentPPO",
     "maskable-ppo": "sb3_contrib:MaskablePPO",
 }
-"""Learners that have no fields of their own here: their arguments are `algorithm_kwargs`."""
 OF_OPEN_LEARNERS = ("policy", "algorithm_kwargs", "callback")
 """Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
 
@@ -116,4 +115,3 @@ OPTIMIZER_DEFAULTS: dict[str, Any] = {
 }
 
 OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)
-"""The fields that only some optimizers read."""

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 Where = str | os.PathLike[str]
 Say = Callable[[str], object]
-"""Says something to the user."""
 
 
 def _silent(message: str) -> None: ...

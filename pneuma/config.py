@@ -71,7 +71,6 @@ def _read_layers(value: Any) -> tuple[int, ...]:
 Layers = Annotated[
     tuple[int, ...], Reads(_read_layers, "1 to 65536 neurons, or a list of them, for 1 to 8 layers")
 ]
-"""Neurons of each hidden layer of a network."""
 Fraction = Annotated[float, Interval(ge=0, le=0.999999)]
 """Below 1 by more than the rounding of float32."""
 Steps = Annotated[int, Interval(ge=1, le=10**12)]
@@ -88,7 +87,6 @@ def _read_limit(value: object) -> float | None:
 
 OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
 OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
-"""Fields of Pneuma's worlds."""
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
 NORMALIZING = ("normalize_observations", "normalize_rewards")
@@ -147,7 +145,6 @@ class Run(EnvConfig):
     env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = ""
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
-    """Keyword arguments of the environment, as JSON."""
     wrappers: Annotated[
         tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such, or of { name, arguments }")
     ] = ()
@@ -157,12 +154,10 @@ class Run(EnvConfig):
     normalize_rewards: bool = False
     """By the running deviation of the discounted return, for the learner only; likewise."""
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
-    """The engine: batched (compiled), sb3 (Stable-Baselines3), or tabular."""
     algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = ""
     """Stable-Baselines3's name of the learner's policy, if it is not MlpPolicy."""
     algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = ""
-    """More arguments of Stable-Baselines3's learner, as JSON."""
     callback: Annotated[str, matching(rf"|({MODULE}):\w+", "module:Class")] = ""
     """A callback of Stable-Baselines3's, made without arguments."""
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
@@ -217,7 +212,6 @@ class Run(EnvConfig):
     train_every: Annotated[int, Interval(ge=1, le=10**6)] | None = None
     """Steps per slot between gradients."""
     gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = None
-    """Gradient steps at a time."""
     target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = None
     """Agent steps between copies to the target network; 1 is as good as no target network."""
 

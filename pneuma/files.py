@@ -25,7 +25,6 @@ _CHECKSUM = "sha256"
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
 LARGEST_BYTES = 512 * 2**20
-"""Most bytes of a file that is read whole."""
 LARGEST_TEXT = 2**20
 """Most bytes of a TOML file; a study of a thousand conditions has a tenth of it."""
 

@@ -30,10 +30,8 @@ NAMES = {
     "cg_max_steps": "conjugate_steps",
     "line_search_max_iter": "line_search_steps",
 }
-"""Arguments that are fields by another name."""
 
 PASSED_ON = "algorithm_kwargs"
-"""The field of arguments that the learner alone reads."""
 _ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-relu"}
 
 

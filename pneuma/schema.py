@@ -35,11 +35,9 @@ from pneuma.files import read_text
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
 Mistake = tuple[Where, str, str]
-"""Its table, its key, and what is wrong."""
 
 CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
-"""Most levels of nested tables and lists in a file."""
 
 
 class Table(BaseModel):
@@ -202,7 +200,6 @@ PLAINER = {
     "Tuple should have": "must have", " after validation": "",
     "greater than or equal to": "at least", "less than or equal to": "at most",
 }  # fmt: skip
-"""Words of Pydantic's messages, and those used here."""
 
 
 def complaints(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -> list[Mistake]:

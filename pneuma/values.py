@@ -14,7 +14,6 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 MOST_NAMES = 8
-"""Most names in a list: the most players in a world."""
 
 Share = Annotated[float, Interval(ge=0, le=1)]
 

@@ -258,8 +258,8 @@ def test_untrusted_text_in_a_table_that_is_no_document_is_one_line(
 ) -> None:
     clone = Store(tmp_path / "clone")
     _forged(study_of(store, ONE), clone, {}, column, text)
-    for command in (("summary", "mine"), ("collapse", "mine"), ("plot", "mine"), ("status", "mine")):
-        told = call("study", *command, "--results", clone.root)
+    for command in ("summary", "status"):
+        told = call("study", command, "mine", "--results", clone.root)
         assert told.code in (0, 2) and "Traceback" not in told.err
 
 
@@ -308,9 +308,8 @@ def test_untrusted_a_row_of_wrong_inner_types_is_one_line_that_names_its_run(sto
     with pytest.raises(ValueError, match=f"column {column} makes no sense"):
         decode_row(data)
     store.save_run(RUN, Status("done", 1000), {"run.json": b"{}", ROW_FILE: data})
-    for command in ("summary", "collapse", "plot"):
-        said = call("study", command, "mine", "--results", store.root)
-        assert said.code == 2 and "Traceback" not in said.err
+    said = call("study", "summary", "mine", "--results", store.root)
+    assert said.code == 2 and "Traceback" not in said.err
     index = RunIndex(store, shipped=False)
     assert index.row(RUN) is None
     (told,) = index.problems
@@ -325,7 +324,9 @@ ROOT = Path(__file__).parents[1]
 def test_untrusted_every_python_that_is_started_leaves_the_working_folder_off_its_path() -> None:
     started = []
     for path in [*(ROOT / "pneuma").rglob("*.py"), *(ROOT / "studies").glob("*.py")]:
-        tree = [*ast.walk(ast.parse(path.read_text()))]
+        if "sys.executable" not in (text := path.read_text()):
+            continue
+        tree = [*ast.walk(ast.parse(text))]
         lists = [[ast.unparse(item) for item in node.elts] for node in tree if isinstance(node, ast.List)]
         started += [own[1] == "'-P'" for own in lists if own and own[0] == "sys.executable"]
         started += ["-P" in ast.unparse(node) for node in tree

@@ -53,19 +53,20 @@ def prepare(
     if until is not None:
         from pneuma.study.checkpoints import sound_checkpoint  # pydantic: not for `--help`
 
-        def reached(name: str) -> int:
-            latest = sound_checkpoint(store.run_folder(name))
-            return latest.step if latest else 0
-
+        latest = {name: sound_checkpoint(store.run_folder(name)) for name in todo.keys() & until.keys()}
+        reached = {name: each.step if each else 0 for name, each in latest.items()}
         todo = {
-            name: run for name, run in todo.items() if name in until and not 0 < until[name] <= reached(name)
+            name: run for name, run in todo.items() if name in until and not 0 < until[name] <= reached[name]
         }
     check_environments(todo.values())
     store.check_writable()
     for name, run in todo.items():
         store.plan_run(name, run_identity(run))
     if plan.study.path is None:
-        store.save_listing(plan.study.name, listing_of(plan))
+        keys = ("run_id", "condition", "seed")
+        runs = [{key: getattr(cell, key) for key in keys} for cell in plan.cells]
+        about = {"title": plan.study.title, "baseline": plan.study.baseline, "runs": runs}
+        store.save_listing(plan.study.name, about)
     elif plan.steps:
         store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
     return todo, _notes(plan, statuses, todo)
@@ -156,11 +157,11 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     ]
     published = {name for name in plan.published if not statuses[name].finished}
     if published:
-        runs = "1 run is" if len(published) == 1 else f"{len(published)} runs are"
-        notes.append(f"{runs} published, and not trained: figures and numbers take them from there")
+        runs = counted(len(published), "published run")
+        notes.append(f"{runs} not trained: figures and numbers take them from there")
     if open_ones := sum(map(is_open, todo.values())):
-        runs = "1 run has" if open_ones == 1 else f"{open_ones} runs have"
-        notes.append(f"{runs} a learner whose state is not stored: stopped or killed, it begins anew")
+        runs = counted(open_ones, "run")
+        notes.append(f"{runs} by a learner whose state is not stored: stopped or killed, it begins anew")
     failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
     if failed:
         kinds = ", ".join(sorted({statuses[name].name for name in failed}))
@@ -176,13 +177,3 @@ def check_environments(runs: Iterable[Run]) -> None:
     distinct = {(env_config(run), *(getattr(run, key) for key in keys)): run for run in runs}
     for run in distinct.values():
         check_environment(run)
-
-
-def listing_of(plan: Plan) -> dict[str, Any]:
-    """Return the record of a study without a file: its runs, by condition."""
-    keys = ("run_id", "condition", "seed")
-    return {
-        "title": plan.study.title,
-        "baseline": plan.study.baseline,
-        "runs": [{key: getattr(cell, key) for key in keys} for cell in plan.cells],
-    }

@@ -23,7 +23,6 @@ _FILES = {
 }
 """By field: the function that returns the user's files to hash. None imports them."""
 CLASSES = ("reward", "wrappers", "callback")
-"""Fields that name something inside a module."""
 _USES = {
     "reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper",
     "callback": "run the callback",

@@ -19,7 +19,6 @@ from pneuma.study.series import TRAILING_EPISODES
 
 LOGGED_BY_EPISODE = ("return", "length")
 UPDATE_TAGS = {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE}
-"""Tags of some metrics; others are called train/COLUMN."""
 
 
 def open_log(folder: str | None, first: int) -> LiveLog:

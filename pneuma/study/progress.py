@@ -21,7 +21,6 @@ from pneuma.study.provenance import machine, processors
 from pneuma.study.store import FINISHED, Store
 
 SAMPLE = 100
-"""Other runs in the results folder from which paces are read."""
 START_SECONDS = 4.0
 """Seconds that a worker takes to start with compiled programs."""
 OF_PACE = (
@@ -32,7 +31,6 @@ OF_PACE = (
 """Fields that decide how long a step takes. Steps are one, as every run has the same number of
 evaluations."""
 LINE_SECONDS = 10.0
-"""Seconds between lines of text."""
 PACE_SECONDS = 600.0
 """Seconds of training from which the time left is estimated."""
 

@@ -28,7 +28,6 @@ QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
 THREADS = 1
-"""Threads of each worker."""
 
 
 class Attempt:

@@ -40,7 +40,6 @@ TAGS = {
     "clip_fraction": ("train/clip_fraction", "losses/clipfrac"),
     "explained_variance": ("train/explained_variance", "losses/explained_variance"),
 }
-"""The tags of Stable-Baselines3 and CleanRL for each quantity."""
 NEGATED = "train/entropy_loss"
 
 EVALUATION_TAGS = {
@@ -51,4 +50,3 @@ EVALUATION_TAGS = {
 """Stable-Baselines3's tags of some columns of the evaluations; others are called eval/COLUMN."""
 
 CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
-"""All quantities of curves."""

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd  # of logs alone: workers do not load it
 
 UNKNOWN = "0" * 16
-"""The configuration id of a run of which it is not stored."""
 
 RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 """Quantities that are rounded in proportion to each value, as their logarithm is what matters."""

@@ -12,7 +12,6 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
 
 CLAIMS_FILE = "claims.toml"
-"""The file of claims, in the folder of studies."""
 
 
 def studies_folder() -> Path:

@@ -56,7 +56,6 @@ FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
 
 SCALARS_FILE = "scalars.parquet"
-"""The file of an imported run: every value in its logs."""
 ROW_FILE = "row.arrow"
 """A run's row, which is made anew from its other files if it is missing or damaged."""
 
@@ -64,7 +63,6 @@ PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 """The folder of published tables in a results folder, and the ending of their names."""
 
 CHECKPOINTS = "checkpoints"
-"""The folder of a run's checkpoints."""
 
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
 _CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
@@ -110,7 +108,6 @@ class Status:
 # --- What documents of a results folder, which may be untrusted, must contain to be read ----------------
 
 _Int64 = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-"""What a column of a table holds."""
 
 
 class _Manifest(TypedDict):

@@ -15,7 +15,6 @@ from pneuma.study.identity import describe_user_code
 from pneuma.study.store import Store, read_sound
 
 LONGEST_LISTED = 5
-"""Most run ids in an error message."""
 
 
 def find_run(store: Store, text: str) -> str:

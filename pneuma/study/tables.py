@@ -28,7 +28,6 @@ _EVERYWHERE = {
     "evaluations": ("step",),
     "scalars": ("step", "tag", "value", "superseded"),
 }
-"""Columns that each record table must have."""
 
 
 def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> bytes:

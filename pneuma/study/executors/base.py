@@ -48,7 +48,6 @@ OnEvent = Callable[[Event], None]
 
 LOCAL, RAY, SLURM = "local", "ray", "slurm"
 EXECUTORS = {name: f"pneuma.study.executors.{name}" for name in (LOCAL, RAY, SLURM)}
-"""The module of every executor."""
 
 
 @dataclass(frozen=True)

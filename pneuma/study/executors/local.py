@@ -35,7 +35,6 @@ from pneuma.study.provenance import SOURCE, available_cores, machine
 from pneuma.study.store import Status, Store
 
 TRIES = 2
-"""Attempts after which a crash counts as the run's failure."""
 LOOK_SECONDS = 0.5
 """Seconds between two looks at signals, and at runs that other processes hold. A signal does not interrupt
 the wait for events where the kernel gives it to a thread of a mathematical library."""

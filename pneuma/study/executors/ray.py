@@ -29,9 +29,7 @@ from pneuma.study.store import Store
 from pneuma.study.worker import die_with
 
 JOIN_SECONDS = 5.0
-"""How long a cluster's head may take to answer."""
 LOOK_SECONDS = 1.0
-"""How often the results folder is asked how far runs are."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 

@@ -39,17 +39,13 @@ MOST_IN_ARRAY = 1000
 LOOK_SECONDS = 5.0
 """Seconds between two looks at the queue, as every squeue is work for the controller."""
 ANSWER_SECONDS = 8.0
-"""Seconds that Slurm's programs may take to answer."""
 SUBMIT_SECONDS = 60.0
 USUAL_MINUTES = "60"
-"""Of a job."""
 LEAD_SECONDS = 90
 """How long before a job's time is over it goes on to a checkpoint."""
 MOST_REQUEUES = 1_000
 OWN = ("array", "job_name", "nodes", "ntasks", "ntasks_per_node", "signal", "output", "open_mode")
-"""Options that Pneuma sets itself."""
 GPU_OPTIONS = ("gres", "gpus", "gpus_per_node", "gpus_per_task")
-"""Options that give a job a GPU."""
 NOTE = "job.json"
 SIGNALS = (signal.SIGUSR2, signal.SIGTERM)
 """Signals for the end of a job's time, and for the loss of its node or `scancel`."""
