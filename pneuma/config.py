@@ -287,8 +287,12 @@ def make_run(given: Mapping[str, object]) -> Run:
     run = Run(**{**defaults, **{key: values[key] for key in values.keys() & reads(run)}})
     run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
-    whole = math.ceil(run.steps / run.steps_per_update) * run.steps_per_update
-    return run if whole == run.steps else replace(run, steps=whole)
+    return replace(run, steps=round_up(run, run.steps))
+
+
+def round_up(run: Run, steps: int) -> int:
+    """Round steps up to a run's whole updates."""
+    return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 
 def reads(run: Run) -> frozenset[str]:

@@ -18,9 +18,10 @@ from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.runs import RunIndex, find_runs, finished_rows
 from pneuma.analysis.study_data import StudyData
+from pneuma.config import round_up
 from pneuma.errors import UserError
 from pneuma.presets import world_option
-from pneuma.study.plan import Selection, round_up
+from pneuma.study.plan import Selection
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
 from pneuma.study.shipped import CLAIMS_FILE

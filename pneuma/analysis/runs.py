@@ -23,12 +23,12 @@ import pandas as pd
 
 from pneuma.algorithms import ALGORITHM_ENGINES
 from pneuma.analysis.study_data import StudyData
-from pneuma.config import Run, as_fields
+from pneuma.config import Run, as_fields, round_up
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import read_whole
 from pneuma.presets import TEXT, WORLDS
 from pneuma.study.identity import config_id
-from pneuma.study.plan import Selection, configure, round_up
+from pneuma.study.plan import Selection, configure
 from pneuma.study.published import Published
 from pneuma.study.row_builder import UNKNOWN, stored_row
 from pneuma.study.rows import Row

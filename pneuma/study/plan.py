@@ -18,10 +18,10 @@ from pneuma.config import (
     FORK_FIELDS,
     OF_GYMNASIUM,
     Run,
-    as_fields,
     beyond_engine,
     is_gymnasium_id,
     make_run,
+    round_up,
 )
 from pneuma.env.fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
@@ -105,7 +105,7 @@ def make_plan(study: Study, selection: Selection) -> Plan:
     asked = configure(study, selection.settings, wanted, _able_engines())
     steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
     seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
-    runs = {name: make_run({**as_fields(run), "steps": steps[name]}) for name, run in asked.runs.items()}
+    runs = {name: replace(run, steps=round_up(run, steps[name])) for name, run in asked.runs.items()}
     cells = tuple(
         Cell(name, seed, run, run_id(run))
         for seed in dict.fromkeys(seed for seeds_of_one in seeds.values() for seed in seeds_of_one)
@@ -113,8 +113,8 @@ def make_plan(study: Study, selection: Selection) -> Plan:
         if seed in seeds[name]
         for run in [replace(runs[name], seed=seed)]
     )
-    notes = tuple(_notes(asked, runs, steps))
-    return Plan(asked.study, cells, notes, selection.steps or preset.steps)
+    notes = [*rounding_notes((steps[name], run) for name, run in runs.items()), *_notes(asked.study, cells)]
+    return Plan(asked.study, cells, tuple(notes), selection.steps or preset.steps)
 
 
 def _able_engines() -> Callable[[Run], str]:
@@ -133,15 +133,11 @@ class Configurations:
         study: the study, whose conditions are crossed with the values of swept fields.
         runs: by condition; their seed and steps mean nothing.
         origins: the condition of the study's file that each one comes from.
-        same: groups of conditions that resolve to the same configuration.
-        engine_left_open: conditions that do not say which engine trains them.
     """
 
     study: Study
     runs: Mapping[str, Run]
     origins: Mapping[str, str]
-    same: tuple[tuple[str, ...], ...]
-    engine_left_open: tuple[str, ...]
 
 
 def configure(
@@ -195,20 +191,14 @@ def configure(
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
-    left_open = tuple(name for name in runs if "engine" not in crossed.fields(name, over))
-    for name in left_open:
-        if is_gymnasium_id(runs[name].env) and not beyond_engine(runs[name]):
-            runs[name] = replace(runs[name], engine=engine(runs[name]))
-    by_configuration: dict[Run, list[str]] = {}
     for name, run in runs.items():
-        by_configuration.setdefault(replace(run, steps=1), []).append(name)  # of unlike updates
-    same = tuple(tuple(group) for group in by_configuration.values() if len(group) > 1)
-    return Configurations(crossed, runs, origins, same, left_open)
+        if _leaves_engine_open(crossed, name) and is_gymnasium_id(run.env) and not beyond_engine(run):
+            runs[name] = replace(run, engine=engine(run))
+    return Configurations(crossed, runs, origins)
 
 
-def round_up(run: Run, steps: int) -> int:
-    """Round steps up to a run's whole updates."""
-    return math.ceil(steps / run.steps_per_update) * run.steps_per_update
+def _leaves_engine_open(study: Study, condition: str) -> bool:
+    return "engine" not in study.fields(condition, study.settings)
 
 
 def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
@@ -285,15 +275,17 @@ def find_preset(study: Study, selection: Selection) -> Preset:
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
 
 
-def _notes(asked: Configurations, runs: Mapping[str, Run], steps: Mapping[str, int]) -> Iterator[str]:
-    """Yield notes on rounded budgets, equal conditions, and conditions that need a slower engine."""
-    yield from rounding_notes((steps[name], run) for name, run in runs.items())
-    for names in asked.same:
+def _notes(study: Study, cells: Sequence[Cell]) -> Iterator[str]:
+    """Yield notes on conditions of the same runs, and on those that need a slower engine."""
+    by_run: dict[str, list[str]] = {}
+    for cell in cells:
+        by_run.setdefault(cell.run_id, []).append(cell.condition)
+    for names in dict.fromkeys(tuple(names) for names in by_run.values() if len(names) > 1):
         yield f"{', '.join(names)} have identical settings: a comparison shows noise"
-    for name in asked.engine_left_open:
-        if runs[name].engine != ENGINES[0]:
-            reason = beyond_engine(runs[name]) or "such actions"
-            yield f"{name}: trained by {runs[name].engine}, because the engine batched cannot train {reason}"
+    for name, run in {cell.condition: cell.run for cell in cells}.items():
+        if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
+            reason = beyond_engine(run) or "such actions"
+            yield f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}"
 
 
 def rounding_notes(budgets: Iterable[tuple[int, Run]]) -> Iterator[str]:
