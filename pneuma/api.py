@@ -3,6 +3,7 @@
     run_study(study)      trains what is missing, and opens it: `plan_study`, `train_plan`, `open_data`
     open_data(study)      a study's data, for `pneuma.analysis`
     compare(study, a, b)  the differences of two conditions, with intervals
+    plot(study)           a study's curves in axes of your own
     promote(search)       trains a search's winner and its base on fresh seeds: what was gained
     load_policy(run_id)   a stored run's policy, with its environment
     evaluate(agent)       evaluates any agent as runs are evaluated
@@ -34,6 +35,7 @@ from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
     from pneuma.analysis.study_data import StudyData
     from pneuma.engines.evaluation import Act
@@ -198,6 +200,35 @@ def compare(
 
     data = study if isinstance(study, StudyData) else open_data(study, results)
     return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else tuple(outcomes))
+
+
+def plot(
+    study: StudyData | Where,
+    quantity: str = "",
+    ax: Axes | None = None,
+    results: Where | None = None,
+    **how: Any,
+) -> Axes:
+    """Draw a study's curves of one quantity into axes of your own, in matplotlib's present settings.
+
+    Args:
+        study: opened data, or what `open_data` takes.
+        quantity: as `pneuma study plot --quantity` takes it; default: the first of the study's figure.
+        ax: default: matplotlib's current axes.
+        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        how: `band`, `window`, `x`, `center` and `log`, as the options are called.
+
+    Returns:
+        The axes, with a legend.
+
+    Raises:
+        UserError: for a quantity, band or axis that the study's data do not have.
+    """
+    from pneuma.analysis.study_data import StudyData
+    from pneuma.figures.curves import plot_curves
+
+    data = study if isinstance(study, StudyData) else open_data(study, results)
+    return plot_curves(data, quantity, ax, **how)
 
 
 def promote(

@@ -142,7 +142,7 @@ def test_a_preset_is_opened_with_its_exceptions(tmp_path: Path) -> None:
     for cell in make_plan(load_study(str(path)), Selection()).cells:
         save_finished(store, cell.run)
     data = run_study(path, store.root, quiet=True)
-    assert [(run.condition, run.budget) for run in data.rows] == [("usual", 2048), ("big", 128)]
+    assert data.runs[["condition", "steps"]].to_numpy().tolist() == [["usual", 2048], ["big", 128]]
 
 
 def test_an_empty_variable_names_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -201,7 +201,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
             [read_record(Store(results), name, stored=False) for name in searches], None, ()
         )
         data = open_study(index, study)
-        fresh = {run.seed for run in data.of_condition(winners[0].tuned)}
+        fresh = data.runs["seed"][data.runs["condition"] == winners[0].tuned]
         same_seeds = replace(data, runs=data.runs[data.runs["seed"].isin(fresh)])
         pages.append(winners_page(study, winners, same_seeds))
     elif study not in WHOLE:
@@ -223,7 +223,8 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         whole = every.runs["condition"][every.runs["end"] >= (1 - SLACK) * every.runs["end"].median()]
         names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
         ours, beside = data.of_conditions(names), every.of_conditions([*whole])
-        return [curves_page(ours, "return", "runs", TRAILING_WINDOW, beside=beside, basename=study)]
+        how: Any = {"band": "runs", "window": TRAILING_WINDOW, "beside": beside}
+        return [curves_page(ours, "return", study, **how)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {
             title: replace(each, study=each.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
@@ -280,22 +281,12 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
         return {}
     columns = {}
     for said, names in OF_OWN_GAME[figure].items():
-        runs = data.runs[data.runs["condition"].isin(names) & (data.runs["seed"] >= FRESH)]
-        rows = [replace(row, condition=names[row.condition]) for row in runs["row"]]
+        shown = replace(data, runs=data.runs[data.runs["seed"] >= FRESH]).renamed(names)
         labels = {
-            new: data.study.labels[old].partition(";")[0] for old, new in names.items() if new != "tanh"
+            name: label.partition(";")[0] for name, label in shown.study.labels.items() if name != "tanh"
         }
-        study = data.study.model_copy(
-            update={"labels": labels, "conditions": dict.fromkeys(names.values(), {})}
-        )
-        alone = figure == OWN_GAME
-        columns[_capital(said) if alone else ", ".join(filter(None, ["Published code", said]))] = replace(
-            data,
-            study=study,
-            fields={new: data.fields[old] for old, new in names.items()},
-            runs=runs.assign(condition=runs["condition"].map(names), row=rows),
-            configurations={},
-        )
+        title = _capital(said) if figure == OWN_GAME else ", ".join(filter(None, ["Published code", said]))
+        columns[title] = replace(shown, study=shown.study.model_copy(update={"labels": labels}))
     return {title: data for title, data in columns.items() if len(data.runs)}
 
 

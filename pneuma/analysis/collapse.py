@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis.intervals import incidence_interval
-from pneuma.analysis.study_data import StudyData
+from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.study.rows import Row
 from pneuma.study.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
@@ -99,15 +99,11 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
 
     `collapsed` is missing where no sign that decides is recorded.
     """
-    rows = []
-    for run in data.rows:
-        found = diagnose(run)
-        named = {"condition": run.condition, "seed": run.seed, "run_id": run.run_id, "status": run.status}
-        rows.append({**named, **vars(found), "signs": ", ".join(found.signs)})
-    kinds = {"collapsed": "boolean"} | dict.fromkeys(
-        ("onset_step", "onset_update", "last_healthy_step"), "Int64"
-    )
-    return pd.DataFrame(rows).astype(kinds)
+    found = [diagnose(run) for run in data.rows]
+    table = pd.DataFrame([{**vars(each), "signs": ", ".join(each.signs)} for each in found])
+    steps = ("onset_step", "onset_update", "last_healthy_step")
+    table = table.astype({"collapsed": "boolean", **dict.fromkeys(steps, "Int64")})
+    return pd.concat([data.runs[[*NAMING, "status"]].reset_index(drop=True), table], axis=1)
 
 
 def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:

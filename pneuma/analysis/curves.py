@@ -1,4 +1,6 @@
-"""Curves: the mean over seeds with a named band, on a common grid of steps.
+"""Curves: the centre of runs with a named band, on a common grid.
+
+    StudyData → `study_curves` → a `Curve` for each quantity and condition → `Curve.frame`
 
 A training curve has at each point t of the grid the mean of the run's episodes that ended in the last
 twentieth of the budget before t. It is blank until every slot has finished an episode. Runs are then averaged
@@ -8,123 +10,157 @@ over those that have a value at t. Nothing is extrapolated.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis import intervals
+from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import without_monsters
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.study.rows import Row
+from pneuma.study.series import Series, make_grid
 
-Edges = tuple[np.ndarray, np.ndarray]
-"""Lower and upper edge of a band, (points,) each; NaN where fewer than two runs have a value."""
+STEPS, EPISODES, WALL_CLOCK = "steps", "episodes", "wall-clock"
+"""What curves may lie over, as `X_AXES` has it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """The curve of one condition.
 
     Attributes:
-        step: (points,) agent steps.
-        runs: (seeds, points) the values of each run; NaN if it has none.
-        diverged: (seeds,) whether each run diverged.
-        log: whether mean and bands are of logarithms, for a logarithmic axis. Values of zero or less then
+        runs: a row for each point, by its place on the horizontal axis, and a column for each run; NaN where
+            it has no value.
+        diverged: (runs,) whether each run diverged.
+        center: one of `CENTERS`.
+        log: whether centre and bands are of logarithms, for a logarithmic axis. Values of zero or less then
             count as none.
     """
 
     condition: str
-    step: np.ndarray
-    runs: np.ndarray
-    diverged: tuple[bool, ...] = ()
+    runs: pd.DataFrame
+    diverged: Sequence[bool] = ()
+    center: str = "mean"
     log: bool = False
 
-    @property
-    def count(self) -> np.ndarray:
-        """The number of runs with a value at each point, (points,)."""
-        return np.isfinite(self._values).sum(axis=0)
+    def frame(self, band: str = "none") -> pd.DataFrame:
+        """Return x, centre, low, high of a band, and the count of runs with a value, of each point.
 
-    @property
-    def mean(self) -> np.ndarray:
-        """The mean over runs with a value, (points,); NaN where there are none."""
-        return self._back(_moments(self._values)[1])
+        They are NaN where there are none, or too few for the band.
+        """
+        values, band = self.values, checked_band(band)
+        count = values.count(axis=1)
+        centre = _centre(values, self.center)
+        low, high = _edges(values, band, self.center, centre)
+        enough = count >= BANDS[band].least_runs
+        found = {"centre": centre, "low": low.where(enough), "high": high.where(enough)}
+        table = pd.DataFrame(found, self.runs.index, dtype=float)
+        table = pd.DataFrame(10.0**table) if self.log else table
+        return table.assign(count=count).rename_axis("x").reset_index()
 
-    def band(self, name: str) -> Edges:
-        band = BANDS[checked_band(name)]
-        low, high = band.edges(self._values) if band.edges else (np.full(self.step.shape, np.nan),) * 2
-        enough = self.count >= band.least_runs
-        return self._back(np.where(enough, low, np.nan)), self._back(np.where(enough, high, np.nan))
-
-    @property
-    def _values(self) -> np.ndarray:
-        if not self.log:
-            return self.runs
-        return np.log10(self.runs, out=np.full(self.runs.shape, np.nan), where=self.runs > 0)
-
-    def _back(self, values: np.ndarray) -> np.ndarray:
-        return 10.0**values if self.log else values
+    @cached_property
+    def values(self) -> pd.DataFrame:
+        """The known values of runs, or their logarithms."""
+        known = self.runs.where(np.isfinite(self.runs))
+        return pd.DataFrame(np.log10(known.where(known > 0))) if self.log else known
 
     @property
     def stops(self) -> list[tuple[float, float]]:
-        """The step and value at which the curve of each diverged run ends, for runs with any value."""
-        ends = [np.flatnonzero(np.isfinite(run))[-1:] for run in self.runs]
-        return [
-            (float(self.step[end[0]]), float(run[end[0]]))
-            for run, end, diverged in zip(self.runs, ends, self.diverged, strict=False)
-            if diverged and len(end)
-        ]
+        """Where the curve of each diverged run ends, and its value there, for runs with any value."""
+        ended = self.runs.loc[:, [*self.diverged]] if any(self.diverged) else self.runs.iloc[:, :0]
+        known = [runs.dropna() for _, runs in ended.items()]
+        return [(float(runs.index[-1]), float(runs.iloc[-1])) for runs in known if len(runs)]
 
 
-def training_curves(data: StudyData, quantity: str, window: str | None = None) -> list[Curve]:
-    """Return each condition's training curve of a quantity, one of `StudyData.quantities`.
+def study_curves(
+    data: StudyData,
+    names: Sequence[str],
+    window: str | None = None,
+    x: str = STEPS,
+    center: str = "mean",
+) -> dict[str, list[Curve]]:
+    """Return some of `curve_names` for every condition that has runs, by name.
 
-    The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs.
+    Curves of evaluations are at the evaluations' own steps. Where runs were evaluated at unlike steps, as
+    imported ones may be, they are at those of the run with the fewest, and the others are interpolated. Over
+    anything else than steps, all are interpolated on a common grid.
+
+    The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs. `x` is one of
+    `X_AXES`: over wall-clock time a run goes on at an even pace, and episodes are counted by their mean
+    length up to each point. `center` is one of `CENTERS`.
+
+    Raises:
+        UserError: for a quantity that the data lack, or an axis that some run does not tell.
     """
-    return [
-        _curve(runs, data.grid, np.array([data.curve(run, quantity, window) for run in runs]))
-        for runs in _groups(data)
-    ]
+    known = curve_names(data)
+    for name in names:
+        if name not in known:
+            raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, known)
+    evaluated = {*EVALUATION_QUANTITIES} & {*known}
+    found: dict[str, list[Curve]] = {name: [] for name in names}
+    for name, condition in ((name, each) for name in names for each in data.conditions):
+        if runs := data.of_condition(condition):
+            if name in evaluated:
+                series = [_evaluated(run, evaluation_column(name)) for run in runs]
+            else:
+                series = [(data.grid, data.curve(run, name, window)) for run in runs]
+            if x != STEPS:
+                pairs = zip(runs, series, strict=True)
+                series = [(_along(run, x, step), values) for run, (step, values) in pairs]
+            diverged = [run.status == "diverged" for run in runs]
+            found[name].append(Curve(condition, _joined(series, even=x != STEPS), diverged, center))
+    return found
 
 
-def evaluation_curves(data: StudyData, quantity: str = "share_killed") -> list[Curve]:
-    """Return each condition's curve of a quantity of evaluations.
-
-    It is at the steps of the evaluations. Where runs were evaluated at unlike steps, as imported ones may be,
-    it is at those of the run with the fewest, and the others are interpolated.
-    """
-    column, curves = evaluation_column(quantity), []
-    for runs in _groups(data):
-        series = [_evaluated(run, column) for run in runs]
-        longest = max((step for step, _ in series), key=len)
-        if all(np.array_equal(step, longest[: len(step)]) for step, _ in series):
-            grid = longest
-            values = [np.pad(of, (0, len(grid) - len(of)), constant_values=np.nan) for _, of in series]
-        else:
-            grid = min((step for step, _ in series if len(step)), key=len)
-            values = [_between(grid, *each) for each in series]
-        curves.append(_curve(runs, grid, np.array(values)))
-    return curves
+def _joined(series: Sequence[Series], even: bool = False) -> pd.DataFrame:
+    """Return the values of runs at common places: even ones, their own, or those of the run with fewest."""
+    longest = max((places for places, _ in series), key=len)
+    grid = min((places for places, _ in series if len(places)), key=len, default=longest)
+    if even:
+        grid = make_grid(max(np.nanmax(places, initial=0.0) for places, _ in series))
+    elif all(np.array_equal(places, longest[: len(places)]) for places, _ in series):
+        grid = longest
+        series = [(grid, np.pad(of, (0, len(grid) - len(of)), constant_values=np.nan)) for _, of in series]
+    columns = [of if places is grid else _between(grid, places, of) for places, of in series]
+    return pd.DataFrame(np.transpose(columns), index=grid)
 
 
 def _between(grid: np.ndarray, step: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values at the steps of a grid, by straight lines; NaN outside the steps that are known."""
-    known = np.isfinite(values)
+    known = np.isfinite(values) & np.isfinite(step)
     if not known.any():
         return np.full(len(grid), np.nan)
     return np.interp(grid, step[known], values[known], left=np.nan, right=np.nan)
 
 
-def _evaluated(run: Row, column: str) -> tuple[np.ndarray, np.ndarray]:
+def _evaluated(run: Row, column: str) -> Series:
     """Return the steps of a run's evaluations, and a column; of several at one step the last."""
     steps, values = run.evaluations("step"), run.evaluations(column)
     kept = np.append(steps[1:] != steps[:-1], True)[: len(steps)]
     return steps[kept], values[kept] if len(values) else np.full(kept.sum(), np.nan)
+
+
+def _along(run: Row, x: str, steps: np.ndarray) -> np.ndarray:
+    """Return the seconds or episodes that a run had trained at some steps, from its own start."""
+    trained, lengths = run.end - run.begun, run.curve("length")
+    known = np.isfinite(lengths)
+    if (x == WALL_CLOCK and not (run.wall_seconds and trained > 0)) or (x == EPISODES and not known.any()):
+        told = "the time" if x == WALL_CLOCK else "the length of episodes"
+        raise UserError(f"--x {x}: run {run.run_id} in {run.what} does not tell {told}")
+    if x == WALL_CLOCK:
+        return (steps - run.begun) * (run.wall_seconds or 0.0) / trained
+    length = np.interp(run.grid, run.grid[known], lengths[known])
+    ended = np.cumsum(np.diff(run.grid, prepend=0.0) / length)
+    return np.interp(steps, [0.0, *run.grid], [0.0, *ended])
 
 
 def _shows_nothing(data: StudyData, name: str) -> bool:
@@ -150,41 +186,18 @@ def curve_names(data: StudyData) -> list[str]:
     return [*evaluated, *trained]
 
 
-def study_curves(data: StudyData, names: Sequence[str], window: str | None = None) -> dict[str, list[Curve]]:
-    """Return some of `curve_names` for every condition, by name.
-
-    Raises:
-        UserError: for a quantity that the data lack.
-    """
-    known = curve_names(data)
-    for name in names:
-        if name not in known:
-            raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, known)
-    evaluated = {*EVALUATION_QUANTITIES} & {*known}
-    return {
-        name: evaluation_curves(data, name) if name in evaluated else training_curves(data, name, window)
-        for name in names
-    }
-
-
-def _groups(data: StudyData) -> list[list[Row]]:
-    return [runs for condition in data.conditions if (runs := data.of_condition(condition))]
-
-
-def _curve(runs: Sequence[Row], step: np.ndarray, values: np.ndarray) -> Curve:
-    return Curve(runs[0].condition, step, values, tuple(run.status == "diverged" for run in runs))
-
-
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     """Return curves as a tidy table, one row per point, condition and quantity."""
-    frames, band = [], checked_band(band)
-    for quantity, group in curves.items():
-        for curve in group:
-            low, high = curve.band(band)
-            about = {"condition": curve.condition, "quantity": quantity, "step": curve.step}
-            columns = {"mean": curve.mean, "low": low, "high": high, "band": band, "runs": curve.count}
-            frames.append(pd.DataFrame({**about, **columns}))
-    return pd.concat(frames, ignore_index=True)
+
+    def named() -> Iterator[pd.DataFrame]:
+        for quantity, group in curves.items():
+            for curve in group:
+                frame = curve.frame(band).assign(band=checked_band(band))
+                yield frame.assign(condition=curve.condition, quantity=quantity)
+
+    table = pd.concat(named(), ignore_index=True)
+    table = table.rename(columns={"x": "step", "centre": "mean", "count": "runs"})
+    return table[["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]]
 
 
 # --- The random player -------------------------------------------------------------------------------
@@ -212,15 +225,19 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     return levels
 
 
-# --- Bands -----------------------------------------------------------------------------------------
+# --- Centres and bands -----------------------------------------------------------------------------
+
+CENTERS = {"mean": intervals.mean, "iqm": intervals.interquartile_mean, "median": intervals.median}
+CENTER_WORDS = {"mean": "mean", "iqm": "interquartile mean", "median": "median"}
+RESAMPLES = 500
+"""Of each point, for the interval of a centre that is no mean."""
 
 
 class Band(NamedTuple):
-    """A band around the mean over runs.
+    """A band around the centre of runs.
 
     Attributes:
         label: its words in a legend.
-        edges: takes (runs, points) values, NaN where a run has none; None if the runs themselves are drawn.
         least_runs: with fewer, there is no band.
         enough_runs: with fewer, the runs are drawn too, because a band that estimates the mean covers it less
             often than 90 % for some of the distributions in docs/evidence.md. 0 for bands that show how far
@@ -228,44 +245,16 @@ class Band(NamedTuple):
     """
 
     label: str
-    edges: Callable[[np.ndarray], Edges] | None
     least_runs: int = 2
     enough_runs: float = 0
 
 
-def _moments(runs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how many runs have a value, their mean and their sample variance, (points,) each; else NaN."""
-    known = np.isfinite(runs)
-    count = known.sum(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.where(known, runs, 0.0).sum(axis=0) / count
-        squares = np.where(known, (runs - mean) ** 2, 0.0).sum(axis=0)
-        return count, mean, np.where(count > 1, squares / (count - 1), np.nan)
-
-
-def _deviations(runs: np.ndarray) -> Edges:
-    _, mean, variance = _moments(runs)
-    return mean - np.sqrt(variance), mean + np.sqrt(variance)
-
-
-def _t_interval(runs: np.ndarray) -> Edges:
-    count, mean, variance = _moments(runs)
-    half = special.stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(variance / np.maximum(count, 1))
-    return mean - half, mean + half
-
-
-def _extremes(runs: np.ndarray) -> Edges:
-    known = np.isfinite(runs)
-    several = np.where(known & (known.sum(axis=0) > 1), runs, np.nan)
-    return np.fmin.reduce(several), np.fmax.reduce(several)
-
-
 BANDS = {
-    "sd": Band("± 1 SD between runs", _deviations, least_runs=3),
-    "ci": Band("95 % interval of the mean", _t_interval, LEAST_RUNS, 20),
-    "minmax": Band("least to greatest run", _extremes),
-    "runs": Band("every run", None),
-    "none": Band("", None, least_runs=0),
+    "sd": Band("± 1 SD between runs", least_runs=3),
+    "ci": Band("95 % interval of the {center}", LEAST_RUNS, 20),
+    "minmax": Band("least to greatest run"),
+    "runs": Band("every run"),
+    "none": Band("", least_runs=0),
 }
 
 
@@ -275,3 +264,39 @@ def checked_band(name: str) -> str:
     if name not in BANDS:
         raise unknown_name("band", name, BANDS)
     return name
+
+
+def _centre(values: pd.DataFrame, center: str) -> pd.Series:
+    if center == "iqm":  # pandas has none
+        return values.apply(lambda point: _known(CENTERS[center], point.dropna()), axis=1)
+    return values.mean(axis=1) if center == "mean" else values.median(axis=1)
+
+
+def _known(statistic: Callable[[ArrayLike], np.ndarray], runs: pd.Series) -> float:
+    return float(statistic(runs)) if len(runs) else math.nan
+
+
+def _edges(values: pd.DataFrame, band: str, center: str, centre: pd.Series) -> tuple[pd.Series, pd.Series]:
+    if band == "minmax":
+        return values.min(axis=1), values.max(axis=1)
+    if band == "sd":
+        half = values.std(axis=1)
+    elif band == "ci" and center == "mean":
+        count = values.count(axis=1)
+        quantile = special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2)
+        half = quantile * values.std(axis=1) / np.sqrt(count)
+    elif band == "ci":
+        return _bootstrap(values, center)
+    else:
+        half = centre * np.nan
+    return centre - half, centre + half
+
+
+def _bootstrap(values: pd.DataFrame, center: str) -> tuple[pd.Series, pd.Series]:
+    """Return the ends of percentile intervals, of points at which all runs have a value."""
+    whole, runs = values.dropna(), values.shape[1]
+    drawn = np.random.default_rng(0).integers(runs, size=(RESAMPLES, runs))
+    found = CENTERS[center](whole.to_numpy()[:, drawn])  # (points, resamples)
+    ends = np.quantile(found, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
+    low, high = (pd.Series(end, whole.index).reindex(values.index) for end in ends)
+    return low, high

@@ -7,7 +7,6 @@ StudyData → `by_environment` → StudyData of each environment, with condition
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +14,15 @@ import pandas as pd
 
 from pneuma.analysis.intervals import no_interval
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.scores import AGGREGATES, Scores, bootstrap, improvement, normalized
+from pneuma.analysis.scores import (
+    AGGREGATES,
+    Scores,
+    bootstrap,
+    improvement,
+    normalized,
+    profile,
+    profile_band,
+)
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
@@ -23,6 +30,8 @@ OUTCOME = "evaluated-return"
 """Of which scores are made, unless another is asked for."""
 FEWEST = 3
 """Fewer runs in an environment are too few to draw anew."""
+POINTS = 200
+"""Of a performance profile."""
 Parts = Mapping[str, StudyData]
 Statistic = Callable[..., np.ndarray]
 
@@ -33,48 +42,20 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     Conditions are called by all that they are crossed with but the environment, so that those of unlike
     environments have the same names.
     """
-    of = {name: str(fields.get("env")) for name, fields in data.fields.items()}
-    names = {name: _apart_from_env(data, name) for name in data.fields}
-    parts = {}
-    for env in dict.fromkeys(of.values()):
-        inside = [name for name in data.fields if of[name] == env]
-        parts[env] = _renamed(data.of_conditions(inside), {name: names[name] for name in inside})
-    return parts
+    of_env: dict[str, dict[str, str]] = {}
+    for name, fields in data.fields.items():
+        of_env.setdefault(str(fields.get("env")), {})[name] = _apart_from_env(data, name)
+    return {env: data.renamed(names) for env, names in of_env.items()}
 
 
 def _apart_from_env(data: StudyData, condition: str) -> str:
-    setting = {
-        key for key, values in data.study.factors.items() if any("env" in each for each in values.values())
-    }
-    levels = data.study.levels.get(condition, {})
-    parts = [
-        f"{factor}={level}" if f"{factor}={level}" in condition else level
-        for factor, level in levels.items()
-        if factor not in setting
-    ]
+    """Return the values of a condition in all factors but those that set the environment."""
+    parts = []
+    for factor, level in data.study.levels.get(condition, {}).items():
+        if not any("env" in fields for fields in data.study.factors.get(factor, {}).values()):
+            named = f"{factor}={level}"  # where values have no names
+            parts.append(named if named in condition else level)
     return ", ".join(parts) or condition
-
-
-def _renamed(data: StudyData, names: Mapping[str, str]) -> StudyData:
-    rows = [replace(row, condition=names[row.condition]) for row in data.rows]
-    runs = data.runs.assign(row=pd.Series(rows, dtype=object, index=data.runs.index))
-    study = data.study.model_copy(
-        update={
-            "conditions": {
-                names[name]: fields for name, fields in data.study.conditions.items() if name in names
-            },
-            "labels": {names[name]: label for name, label in data.study.labels.items() if name in names},
-            "baseline": names.get(data.study.baseline, next(iter(names.values()))),
-            "levels": {},
-        }
-    )
-    return replace(
-        data,
-        study=study,
-        fields={names[name]: fields for name, fields in data.fields.items()},
-        runs=runs.assign(condition=[names[name] for name in runs["condition"]]),
-        configurations={names[name]: run for name, run in data.configurations.items()},
-    )
 
 
 def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, float]]:
@@ -130,6 +111,23 @@ def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
+def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
+    """Return condition, x, centre, low, high, runs: the share of runs with a score above each x, with a band.
+
+    A condition of fewer than `FEWEST` runs in an environment has no band.
+    """
+    found = scores(parts, outcome)
+    every = [0.0, 1.0, *(score for each in found.values() for runs in each for score in runs)]
+    thresholds = np.linspace(min(every), max(every), POINTS)
+    frames = []
+    for condition, each in found.items():
+        low, high = profile_band(each, thresholds) if _enough(each) else [thresholds * np.nan] * 2
+        frame = {"x": thresholds, "centre": profile(each, thresholds), "low": low, "high": high}
+        counts = ", ".join(str(len(runs)) for runs in each)
+        frames.append(pd.DataFrame({"condition": condition, **frame, "runs": counts}))
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["condition"])
+
+
 def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return how likely a run of `a` is above one of `b` over all environments, and differences of scores."""
     found = scores(parts, outcome)
@@ -149,6 +147,9 @@ def _difference(aggregate: Statistic, a: Scores, b: Scores) -> np.ndarray:
 
 
 def _ends(statistic: Statistic, *groups: Scores) -> tuple[float, float]:
-    few = min(len(runs) for group in groups for runs in group) < FEWEST
-    ends = no_interval() if few else bootstrap(statistic, *groups)
+    ends = bootstrap(statistic, *groups) if all(map(_enough, groups)) else no_interval()
     return ends.low, ends.high
+
+
+def _enough(scores: Scores) -> bool:
+    return min(map(len, scores)) >= FEWEST

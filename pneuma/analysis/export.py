@@ -16,7 +16,7 @@ from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.runs import RunIndex
-from pneuma.analysis.study_data import StudyData
+from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain
 from pneuma.study.locks import run_lock
@@ -59,11 +59,10 @@ def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
         train = "train the runs, or choose others by --steps"
         raise UserError(f"study {data.study.name}: published tables hold no {table}; {train}")
     frames = []
-    for run in data.rows:
-        frame = record_frame(store, run.run_id, table)
-        for place, key in enumerate(("condition", "seed", "run_id")):
-            frame = frame.drop(columns=key, errors="ignore")
-            frame.insert(place, key, getattr(run, key))
+    for named in data.runs[[*NAMING]].to_dict("records"):
+        frame = record_frame(store, str(named["run_id"]), table).drop(columns=[*NAMING], errors="ignore")
+        for place, (key, value) in enumerate(named.items()):
+            frame.insert(place, str(key), value)
         frames.append(frame)
     return pd.concat(frames, ignore_index=True)
 

@@ -196,7 +196,8 @@ def _find_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection)
     baseline, title = listing["baseline"], listing["title"]
     study = Study.without_file(name, title, every, baseline=baseline, worlds=(TEXT,))
     data = StudyData(study, fields, runs)
-    known = {run.condition: _without_amount(run.fields) for run in finished_rows(index, data).rows}
+    found = finished_rows(index, data).runs.set_index("condition")["row"]
+    known = {str(name): _without_amount(row.fields) for name, row in found.items()}
     return replace(data, fields={**fields, **known})
 
 
@@ -292,14 +293,8 @@ def _usual_budget(index: RunIndex, study: Study, budgets: Mapping[int, pd.DataFr
 
 def finished_rows(index: RunIndex, data: StudyData) -> StudyData:
     """Return a study with its finished runs alone, and their rows; there may be none."""
-    columns = (data.runs[name] for name in ("run_id", "condition", "seed", "status"))
-    rows = [
-        replace(row, condition=condition, seed=seed)
-        if status in FINISHED and (row := index.row(run_id))
-        else None
-        for run_id, condition, seed, status in zip(*columns, strict=True)
-    ]
-    runs = data.runs.assign(row=pd.Series(rows, data.runs.index, dtype=object))
+    runs = data.finished
+    runs = runs.assign(row=pd.Series([*map(index.row, runs["run_id"])], runs.index, dtype=object))
     return replace(data, runs=runs.dropna(subset="row").reset_index(drop=True))
 
 

@@ -27,6 +27,8 @@ from pneuma.study.spec import Study
 from pneuma.study.store import FINISHED
 from pneuma.values import settings_name, shown_settings
 
+NAMING = ("condition", "seed", "run_id")
+"""The first columns of tables of records."""
 LONGEST_OTHERS = 80
 """Characters for what else is stored, in the line that says what is shown."""
 
@@ -155,6 +157,25 @@ class StudyData:
     def _by_condition(self) -> dict[str, list[Row]]:
         return {str(name): [*rows] for name, rows in self.runs.groupby("condition", sort=False)["row"]}
 
+    def renamed(self, names: Mapping[str, str]) -> StudyData:
+        """Return the study with its conditions under new names; those that have none are left out."""
+
+        def of(table: Mapping[str, Any]) -> dict[str, Any]:
+            return {names[name]: value for name, value in table.items() if name in names}
+
+        study = self.study
+        tables = {key: of(getattr(study, key)) for key in ("conditions", "labels", "levels")}
+        tables["colors"] = {names.get(name, name): colour for name, colour in study.colors.items()}
+        baseline = names.get(study.baseline, next(iter(names.values())))
+        runs = self.runs[self.runs["condition"].isin(names)]
+        return replace(
+            self,
+            study=study.model_copy(update={**tables, "baseline": baseline}),
+            fields=of(self.fields),
+            runs=runs.assign(condition=runs["condition"].map(names)),
+            configurations=of(self.configurations),
+        )
+
     def of_conditions(self, names: str | Sequence[str]) -> StudyData:
         """Return the study with one or some of its conditions."""
         names = [names] if isinstance(names, str) else names
@@ -198,8 +219,8 @@ class StudyData:
         tables = [run.evaluations_table() for run in self.rows]
         frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
         counts = [table.num_rows for table in tables]
-        for place, key in enumerate(("condition", "seed", "run_id")):
-            frame.insert(place, key, np.repeat([getattr(run, key) for run in self.rows], counts))
+        for place, key in enumerate(NAMING):
+            frame.insert(place, key, np.repeat(self.runs[key].to_numpy(), counts))
         return frame
 
     # --- Curves ---------------------------------------------------------------------------------------
@@ -267,18 +288,18 @@ def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str,
 
     Conditions are called CONDITION, STUDY.
     """
-    both, alike = (one, other), one.study.name == other.study.name
-    words = [each.full_title if alike else each.study.name for each in both]
-    fields: dict[str, Mapping[str, Any]] = {}
-    rows = []
-    for data, word in zip(both, words, strict=True):
-        fields |= {f"{name}, {word}": data.fields[name] for name in data.conditions}
-        rows += [replace(row, condition=f"{row.condition}, {word}") for row in data.rows]
-    runs = pd.concat([each.runs for each in both], ignore_index=True)
-    runs = runs.assign(row=pd.Series(rows, dtype=object), condition=[row.condition for row in rows])
+    words = [
+        each.full_title if one.study.name == other.study.name else each.study.name for each in (one, other)
+    ]
+    both = [
+        data.renamed({name: f"{name}, {word}" for name in data.conditions})
+        for data, word in zip((one, other), words, strict=True)
+    ]
+    fields = {**both[0].fields, **both[1].fields}
     title = f"{one.study.title}, and {other.study.title}"
-    changed = {"title": title, "conditions": fields, "labels": {}, "settings": {}}
+    changed = {"title": title, "conditions": fields, "labels": {}, "colors": {}, "settings": {}, "levels": {}}
     study = one.study.model_copy(update=changed)
+    runs = pd.concat([each.runs for each in both], ignore_index=True)
     steps = one.steps if one.steps == other.steps else None
     joined = StudyData(study, fields, runs, narrowed=one.narrowed, steps=steps)
     shared = [name for name in one.conditions if one.of_condition(name) and other.of_condition(name)]

@@ -7,7 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
+from pneuma.analysis import (
+    BAND_NAMES,
+    CENTER_NAMES,
+    EDGED_BANDS,
+    EXPORT_SUFFIXES,
+    EXPORT_TABLES,
+    X_AXES,
+)
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, draw_files, read_formats, say, write_file, wrote
 from pneuma.cli.study_notes import nothing_yet
@@ -50,7 +57,7 @@ def plot(
         opt.choice(
             "--figure",
             FIGURE_KINDS,
-            "Curves over steps (default for seven conditions or less), or a summary.",
+            "Curves (default for seven conditions or less), a summary, or profiles over environments.",
         ),
     ] = None,
     quantity: Annotated[
@@ -69,6 +76,10 @@ def plot(
         ),
     ] = None,
     window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
+    x: Annotated[str | None, opt.choice("--x", X_AXES, "What curves lie over (default: steps).")] = None,
+    center: Annotated[
+        str | None, opt.choice("--center", CENTER_NAMES, "The line in a band (default: mean).")
+    ] = None,
     beside: Annotated[
         str | None,
         opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
@@ -92,14 +103,17 @@ def plot(
 
     A study of several environments has a panel for each.
     """
-    if figure == "summary" and (quantity or band or window or beside or log):
-        raise UserError("--quantity, --band, --window, --beside and --log: are of --figure curves")
+    given = {"band": band, "window": window, "beside": beside, "x": x, "center": center}
+    given = {key: value for key, value in given.items() if value}
+    if figure in FIGURE_KINDS[1:] and (quantity or given or log):
+        options = "--quantity, --band, --window, --x, --center, --beside and --log"
+        raise UserError(f"{options}: are of --figure curves")
     picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     formats, store = read_formats(format, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
-    from pneuma.figures.curves import curves_page
+    from pneuma.figures.curves import curves_page, profile_page
     from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
@@ -117,18 +131,21 @@ def plot(
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
         fits = all(map(fits_panel, parts.values()))
-        of_curves = quantity or band or window or beside or log or fits and not data.study.outcomes
+        of_curves = quantity or given or log or fits and not data.study.outcomes
         kind = figure or FIGURE_KINDS[0 if of_curves else 1]
         words = ["plot", name, *["--plain"] * plain, *["--log"] * log]
-        if kind == "summary":
-            return summary_page(shown), picked.again(
-                data, *words, figure=[kind], format=formats, **asked_look
-            )
+        options: dict[str, Any] = {"figure": [kind], "format": formats, **asked_look}
+        if kind != "curves":
+            again = picked.again(data, *words, **options)
+            if kind == "summary":
+                return summary_page(shown), again
+            if len(parts) == 1:
+                raise UserError(f"--figure {kind}: is over several environments; {name} has one")
+            return profile_page(data, parts), again
         quantities = _quantities(data, quantity or [])
-        given = {"band": band, "window": window, "beside": beside}
-        options = {key: [value] for key, value in given.items() if value} | asked_look
-        again = picked.again(data, *words, figure=[kind], format=formats, quantity=quantities, **options)
-        return curves_page(shown, quantities, band, window, beside=other, log=log), again
+        options |= {"quantity": quantities, **{key: [value] for key, value in given.items()}}
+        how: dict[str, Any] = {**given, "beside": other, "log": log}
+        return curves_page(shown, quantities, **how), picked.again(data, *words, **options)
 
     def pages() -> Iterator[tuple[Page, str]]:
         asked = [(name, picked) for name in names] if names else _run_here(picked)

@@ -135,7 +135,6 @@ def _thesis_table(
     import pandas as pd
 
     from pneuma.analysis.summaries import NO_CELL, wide
-    from pneuma.figures.style import split_name
 
     told_by = found[found["statistic"].isin(TOLD_BY)].groupby("outcome", sort=False)["statistic"].first()
     pairs = [(name, told_by.get(name, "")) for name in outcomes or told_by.index[told_by == "mean"][:COLUMNS]]
@@ -145,13 +144,10 @@ def _thesis_table(
     table = wide(found.assign(cell=found["cell"] + fewer), data.conditions, pairs).set_axis(heads, axis=1)
     table = table[(table != NO_CELL).any(axis=1)]
     table.insert(0, "runs", table.index.map(runs))
-    if by_factor:
-        parts = [split_name(name) for name in table.index]
-        factors = {tuple(levels) for levels, _ in parts}
-        if len(factors) == 1 and (names := next(iter(factors))):
-            words = [name.replace("_", " ") for name in names]
-            rows = [(*levels.values(), last) for levels, last in parts]
-            table.index = pd.MultiIndex.from_tuples(rows, names=[*words, "condition"])
+    if by_factor and (levels := data.study.levels):
+        factors = pd.DataFrame([levels[name] for name in table.index])
+        factors.columns = factors.columns.str.replace("_", " ")
+        return pd.concat([factors, table.reset_index(drop=True)], axis=1)
     return table.reset_index()
 
 

@@ -8,30 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
-from pneuma.analysis.curves import BANDS, checked_band, curve_names
-from pneuma.analysis.outcomes import have_one_return
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from pneuma.analysis.curves import STEPS, curve_names
+from pneuma.analysis.environments import OUTCOME, Parts, profiles
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError, counted
+from pneuma.errors import UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel, in_grid
-from pneuma.figures.lines import QUANTITIES, USUAL_BAND, Column
-from pneuma.figures.origin import Sample, samples_of
-from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes
+from pneuma.figures.lines import PALE, QUANTITIES, USUAL_BAND, X_LABELS, Column, usual_quantities
+from pneuma.figures.origin import samples_of
+from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES
 
-USUAL_QUANTITIES = ("return", "share_killed", "success")
+BAND_OF_PROFILES = "95 % band, stratified bootstrap"
 
 
 def curves_page(
     studies: StudyData | Mapping[str, StudyData | None],
     quantities: str | Sequence[str] = (),
-    band: str | None = None,
-    window: str | None = None,
-    *,
-    beside: StudyData | None = None,
     basename: str = "",
-    log: bool = False,
+    **how: Any,
 ) -> Page:
     """Return the figure of the curves of a study's finished runs.
 
@@ -40,12 +41,9 @@ def curves_page(
             none. The quantities are the rows then.
         quantities: of `curve_names`; default: the return and the share killed, as far as recorded. If returns
             are of different rewards, the length of episodes replaces them.
-        band: one of `BANDS`; default: the deviation, and inside it the interval of the mean.
-        window: one of the study's windows; default: the first.
-        beside: another study, whose runs are dashed lines.
-        log: whether axes of values are logarithmic.
         basename: of the files; default: of a single study its figure, and how this one differs from the
             usual.
+        how: band, window, beside, log, x and center, as `Column` has them.
 
     Raises:
         UserError: for more conditions than a panel can show, a quantity that the study's data does not have,
@@ -57,39 +55,114 @@ def curves_page(
         most = f"pick {style.MOST_IN_A_PANEL} at most by --condition, or --figure summary"
         raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {most}")
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
-    names = names or usual_quantities(data)
+    names = [*filter(None, names)] or usual_quantities(data)
+    alone = len(columns) == 1
     drawn = {
-        title: Column(
-            each,
-            names if len(columns) == 1 else _known(each, names),
-            _asked_band(each, band),
-            window,
-            beside,
-            log=log,
-        )
+        title: Column(each, [name for name in names if alone or name in curve_names(each)], **how)
         for title, each in columns.items()
         if each
     }
-    runs = samples_of(*(each.data for each in drawn.values()), *filter(None, [beside]))
-    if len(columns) > 1:
-        name = basename or data.basename(*_differences(next(iter(drawn.values()))))
-        return _columns_page({title: drawn.get(title) for title in columns}, names, name, runs)
-    (column,) = drawn.values()
-    rows = -(-len(column.quantities) // style.COLUMNS)
-    across = -(-len(column.quantities) // rows)
-    return Page(
-        basename or data.basename(*_differences(column)),
-        in_grid([column.panel(name) for name in column.quantities], across),
-        rows * style.PANEL_INCHES * (1.2 if across == 1 else 1),
-        headline_of(data),
-        runs,
-        column.meanings,
-        column.notes,
-    )
+    first = next(iter(drawn.values()))
+    stem = basename or data.basename(*_differences(first, names))
+    if alone:
+        rows = -(-len(names) // style.COLUMNS)
+        across = -(-len(names) // rows)
+        panels = in_grid([first.panel(name) for name in names], across)
+        inches = rows * style.PANEL_INCHES * (1.2 if across == 1 else 1)
+        headline, notes = headline_of(data), first.notes
+    else:
+        panels, notes = _in_columns([*columns], drawn, names)
+        inches = 0.95 * len(names) * style.PANEL_INCHES
+        by_world = len({column.data.world for column in drawn.values()}) > 1
+        shown = after_thesis(stem) or "by world" * by_world
+        headline = ": ".join(filter(None, [data.study.title, shown]))
+    runs = samples_of(*(each.data for each in drawn.values()), *filter(None, [first.beside]))
+    meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
+    widths = [1 if title in drawn else grid.EMPTY_WIDTH for title in columns]
+    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else widths)
 
 
-def _known(data: StudyData, quantities: Sequence[str]) -> list[str]:
-    return [name for name in quantities if name in curve_names(data)]
+def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **how: Any) -> Axes:
+    """Draw a study's curves of one quantity into axes, by default the current ones: `pneuma.api.plot`."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.gca()
+    column = Column(data, [quantity or usual_quantities(data)[0]], ends=False, **how)
+    (name,) = column.curves
+    width = ax.get_window_extent().width / ax.figure.dpi
+    grid.fill(ax, column.panel(name), grid.ROW_INCHES, width)
+    ax.legend()
+    return ax
+
+
+def _differences(column: Column, names: Sequence[str]) -> list[str]:
+    """Return how a figure differs from the study's usual one, for the name of its files."""
+    data, differs = column.data, []
+    if names != usual_quantities(data):
+        differs.append("all" if names == curve_names(data) else "-".join(names))
+    differs += [column.bands[0]] * (column.band is not None and column.bands[0] != USUAL_BAND)
+    differs += [column.center] * (column.center != "mean") + ["log"] * column.log
+    differs += [f"over-{column.x}"] * (column.x != STEPS)
+    if column.window and column.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
+        differs.append(column.window.removesuffix("%"))
+    return [*differs, *(["beside", column.beside.study.name] if column.beside else [])]
+
+
+# --- Scores over several environments ------------------------------------------------------------------
+
+
+def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
+    """Return performance profiles (Agarwal et al. 2021): the share of runs above each score.
+
+    Scores are those of `pneuma.analysis.environments.scores`, over all environments together.
+    """
+    table, looks = profiles(parts, outcome), styles_of(next(iter(parts.values())))
+    if table.empty:
+        raise UserError(f"study {data.study.name}: no condition has runs in every environment")
+
+    def draw(axes: Axes) -> None:
+        for condition, frame in table.groupby("condition", sort=False):
+            colour = looks[str(condition)]["color"]
+            grid.draw_band(axes, frame, None, color=colour, alpha=PALE)
+            label = f"{condition} ({frame['runs'].iloc[0]})"
+            axes.plot(frame["x"], frame["centre"], color=colour, label=label)
+        axes.set(xlim=(table["x"].min(), table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
+
+    panel = Panel(draw, x="Score", y="Share of runs above it", y_ticks=grid.shares)
+    meanings = {BAND_OF_PROFILES: Patch(color=style.INK, alpha=PALE, linewidth=0)}
+    words = find_outcome(outcome).words
+    notes = [f"Scores: {words}, in {', '.join(parts)}; 0 and 1 as [scores] or docs/paper.md say.", data.ends]
+    headline = headline_of(data, "performance profiles")
+    stem, inches = data.basename("profile"), 1.2 * style.PANEL_INCHES
+    return Page(stem, [[panel]], inches, headline, samples_of(data), meanings, notes)
+
+
+# --- Worlds beside each other ------------------------------------------------------------------------
+
+
+def _in_columns(
+    titles: Sequence[str], drawn: dict[str, Column], quantities: Sequence[str]
+) -> tuple[list[list[Panel | None]], list[str]]:
+    """Return a column for each world, and a row for each quantity; and the notes on them."""
+    notes = merge_notes({title: (column.data, column.notes) for title, column in drawn.items()})
+    if len(drawn) > style.COLUMNS or not all(column.at_ends for column in drawn.values()):
+        notes.append("In brackets: runs in each column.")  # one legend for all
+        every = dict.fromkeys(name for column in drawn.values() for name in column.data.study.conditions)
+        labels = {name: _joint_label(name, drawn.values()) for name in every}
+        drawn = {title: replace(column, labels=labels, ends=False) for title, column in drawn.items()}
+    first = next(iter(drawn))
+
+    def panel(title: str, name: str) -> Panel | None:
+        column, top, low = drawn.get(title), name == quantities[0], name == quantities[-1]
+        if column is None:
+            return grid.no_runs(title * top)
+        if name not in column.curves:
+            return None
+        label, along = QUANTITIES[name].title * (title == first), X_LABELS[column.x] * low
+        return replace(column.panel(name), title=title * top, x=along, y=label)
+
+    return [[panel(title, name) for title in titles] for name in quantities], notes
 
 
 def _joint_label(condition: str, columns: Iterable[Column]) -> str:
@@ -99,71 +172,3 @@ def _joint_label(condition: str, columns: Iterable[Column]) -> str:
         counts.append(len(column.data.of_condition(condition)))
         names |= column.data.study.labels
     return f"{names.get(condition, condition)} ({', '.join(map(str, counts))})"
-
-
-def usual_quantities(data: StudyData) -> list[str]:
-    known = curve_names(data)
-    wanted = USUAL_QUANTITIES if have_one_return(data) else ("length", "share_killed", "success")
-    return [name for name in wanted if name in known] or known[:1] or ["return"]
-
-
-def _asked_band(data: StudyData, band: str | None) -> str:
-    """Refuse a band that was asked for and could not be drawn, as runs are too few."""
-    name = checked_band(band or USUAL_BAND)
-    for condition in data.conditions if band else ():
-        if 0 < (count := len(data.of_condition(condition))) < BANDS[name].least_runs:
-            runs, least = counted(count, "run"), BANDS[name].least_runs
-            raise UserError(f"--band {band}: {condition} has {runs}, and it needs {least}; try --band runs")
-    return name
-
-
-def _differences(column: Column) -> list[str]:
-    """Return how a figure differs from the study's usual one, for the name of its files."""
-    data, names, differs = column.data, list(column.quantities), []
-    if names != usual_quantities(data):
-        differs.append("all" if names == curve_names(data) else "-".join(names))
-    differs += [column.band] * (column.band != USUAL_BAND) + ["log"] * column.log
-    if column.window and column.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
-        differs.append(column.window.removesuffix("%"))
-    return [*differs, *(["beside", column.beside.study.name] if column.beside else [])]
-
-
-# --- Worlds beside each other ------------------------------------------------------------------------
-
-
-def _columns_page(
-    columns: Mapping[str, Column | None], quantities: Sequence[str], basename: str, runs: Sequence[Sample]
-) -> Page:
-    """Return a column for each world, and a row for each quantity."""
-    drawn = {title: column for title, column in columns.items() if column}
-    by_world = len({column.data.world for column in drawn.values()}) > 1
-    first = next(iter(drawn))
-    notes = merge_notes({title: (column.data, column.notes) for title, column in drawn.items()})
-    together = len(drawn) > style.COLUMNS or not all(column.at_ends for column in drawn.values())
-    if together:  # one legend for all columns
-        notes.append("In brackets: runs in each column.")
-        every = dict.fromkeys(name for column in drawn.values() for name in column.data.study.conditions)
-        labels = {name: _joint_label(name, drawn.values()) for name in every}
-        drawn = {title: replace(column, labels=labels) for title, column in drawn.items()}
-
-    def panel(title: str, name: str) -> Panel | None:
-        column, top, low = drawn.get(title), name == quantities[0], name == quantities[-1]
-        if column is None:
-            return grid.no_runs(title * top)
-        if name not in column.curves:
-            return None
-        label, steps = QUANTITIES[name].title * (title == first), "Environment steps" * low
-        return replace(column.panel(name), title=title * top, x=steps, y=label)
-
-    title = drawn[first].data.study.title
-    meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
-    return Page(
-        basename,
-        [[panel(title, name) for title in columns] for name in quantities],
-        0.95 * len(quantities) * style.PANEL_INCHES,
-        ": ".join(filter(None, [title, after_thesis(basename) or "by world" * by_world])),
-        runs,
-        meanings,
-        notes,
-        [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
-    )

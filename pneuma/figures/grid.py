@@ -19,6 +19,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -68,9 +69,9 @@ def steps(axis: Axis, most: int = 5) -> None:
     axis.set_major_formatter(EngFormatter(sep=""))
 
 
-def shares(axis: Axis) -> None:
+def shares(axis: Axis, most: int = 5) -> None:
     """Format an axis of shares in per cent."""
-    axis.set_major_locator(round_ticks(5, 2.5))
+    axis.set_major_locator(round_ticks(most, 2.5))
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 
 
@@ -177,7 +178,7 @@ def save_page(
         grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
         for panel, name in names.items():
             pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
-            _fill(grid[name], panel, pitch, look.width / len(cells[0]))
+            fill(grid[name], panel, pitch, look.width / len(cells[0]))
         _put_texts(figure, page, _legend_entries(figure.axes, page.entries), look)
         return style.save_figure(figure, folder, page.basename, formats, origin)
 
@@ -195,7 +196,8 @@ def _looking(page: Page, look: Look) -> Page:
     return replace(page, grid=in_grid(panels, across), inches=page.inches * rows / len(page.grid))
 
 
-def _fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
+def fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
+    """Draw a panel into axes, of a width in inches and a height of rows."""
     panel.draw(axes)
     beside_rows = 0.72 if panel.rows else 1.0
     points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
@@ -295,6 +297,13 @@ def draw_random_player(
             axes.plot([level] * 2, rows.index(name) + np.array([-0.4, 0.4]), **look)
 
 
+def draw_band(axes: Axes, frame: pd.DataFrame, within: tuple[float, float] | None, **look: Any) -> None:
+    """Draw the band of a frame of x, low and high, within limits, if it has one."""
+    if frame["low"].notna().any():
+        low, high = (frame[end].clip(*within or (None, None)) for end in ("low", "high"))
+        axes.fill_between(frame["x"], low, high, linewidth=0, **look)
+
+
 def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any) -> None:
     """Draw a row's `value` as a marker, and the interval from `low` to `high` if it has one."""
     look = {"marker": "D", "color": INK, "markeredgewidth": 0.8, "markersize": 4, **look}
@@ -303,6 +312,13 @@ def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any)
     )
     (drawn,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
     drawn.set_in_layout(False)  # it may be of no value
+
+
+def draw_differences(axes: Axes, rows: Sequence[Mapping[Any, Any]], **look: Any) -> None:
+    """Draw the `difference` of each row, with its interval, and a line at 0."""
+    for place, row in enumerate(rows):
+        draw_interval(axes, place, {**row, "value": row["difference"]}, **look)
+    axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:

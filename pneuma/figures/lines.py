@@ -1,4 +1,4 @@
-"""One panel of curves: means over runs in their bands, and what is said of them.
+"""One study's curves: a centre of its runs in a band for each condition, and what is said of them.
 
 StudyData, quantities, band → Column → a Panel for each quantity, legend, notes
 """
@@ -6,7 +6,7 @@ StudyData, quantities, band → Column → a Panel for each quantity, legend, no
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
 from textwrap import fill
@@ -14,23 +14,36 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pneuma.analysis import BAND_NAMES
-from pneuma.analysis.curves import BANDS, Curve, curve_names, random_levels, study_curves
+from pneuma.analysis.curves import (
+    BANDS,
+    CENTER_WORDS,
+    EPISODES,
+    STEPS,
+    WALL_CLOCK,
+    Curve,
+    checked_band,
+    curve_names,
+    random_levels,
+    study_curves,
+)
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import without_monsters
+from pneuma.analysis.outcomes import have_one_return, without_monsters
 from pneuma.analysis.study_data import StudyData
 from pneuma.env.fields import ACTION_NAMES
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
 from pneuma.figures.words import label_of, notes_of, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.study.series import SLACK
 
+USUAL_QUANTITIES = ("return", "share_killed", "success")
 _, TRAILING_WINDOW = WINDOWS
 USUAL_BAND, INTERVAL, RUNS, NO_BAND = BAND_NAMES[0], "ci", "runs", "none"
 PALE, DARK = 0.13, 0.30
@@ -45,6 +58,13 @@ MOST_NAMED = 3
 """Most conditions that the caption names."""
 BESIDE_COLOUR, MOST_BESIDE = "#404040", 12
 """Of the runs of another study, and most of its conditions that are named at their ends."""
+
+
+X_LABELS = {STEPS: "Environment steps", EPISODES: "Episodes", WALL_CLOCK: "Seconds of training"}
+X_NOTES = {
+    EPISODES: "Episodes are counted by their mean length up to each point.",
+    WALL_CLOCK: "Over time, a run goes on at an even pace.",
+}
 
 
 class Quantity(NamedTuple):
@@ -83,31 +103,55 @@ class Column:
     """A study's curves, and how they are drawn.
 
     Attributes:
+        band: one of `BANDS`; None for the deviation of means, and inside it their interval, or for the
+            interval of another centre.
         window: of the study's windows; None for the first.
         beside: a study whose runs are drawn as dashed lines.
         log: whether all axes of values are logarithmic, and not only those of quantities that go through
             powers of ten.
+        x: one of `X_AXES`.
+        center: one of `CENTERS`.
         labels: names of conditions in the legend, if not with the number of their runs.
+        ends: whether names may be at the ends of lines, and not in the legend.
     """
 
     data: StudyData
     quantities: Sequence[str]
-    band: str = USUAL_BAND
+    band: str | None = None
     window: str | None = None
     beside: StudyData | None = None
-    labels: Mapping[str, str] | None = None
     log: bool = False
+    x: str = STEPS
+    center: str = "mean"
+    labels: Mapping[str, str] = field(default_factory=dict)
+    ends: bool = True
 
-    def is_log(self, name: str) -> bool:
-        return self.log or QUANTITIES[name].log
+    def __post_init__(self) -> None:
+        """Refuse a band that was asked for and could not be drawn, as runs are too few."""
+        least = BANDS[checked_band(self.band or NO_BAND)].least_runs
+        for name, runs in self.data.runs["condition"].value_counts().items():
+            if runs < least:
+                few = f"{name} has {counted(runs, 'run')}, and it needs {least}; try --band runs"
+                raise UserError(f"--band {self.band}: {few}")
+
+    @cached_property
+    def bands(self) -> list[str]:
+        """What is drawn around centres: in a deviation of means there is their interval."""
+        band = checked_band(self.band or (USUAL_BAND if self.center == "mean" else INTERVAL))
+        return [band, INTERVAL] if (band, self.center) == (USUAL_BAND, "mean") else [band]
 
     @cached_property
     def curves(self) -> dict[str, list[Curve]]:
-        """The curves of each quantity; on a logarithmic axis, means and bands are of logarithms."""
-        found = study_curves(self.data, self.quantities, self.window)
+        """The curves of each quantity; on a logarithmic axis, centres and bands are of logarithms."""
+        found = study_curves(self.data, self.quantities, self.window, self.x, self.center)
         return {
-            name: [replace(curve, log=self.is_log(name)) for curve in group] for name, group in found.items()
+            name: [replace(curve, log=self._is_log(name, group)) for curve in group]
+            for name, group in found.items()
         }
+
+    def _is_log(self, name: str, curves: Sequence[Curve]) -> bool:
+        """Return whether an axis is logarithmic, as it is asked for, or usual, and some value is above 0."""
+        return (self.log or QUANTITIES[name].log) and _highest(curves) > 0
 
     @cached_property
     def others(self) -> dict[str, list[Curve]]:
@@ -118,7 +162,7 @@ class Column:
         if not known:
             names = " or ".join(self.quantities)
             raise UserError(f"study {self.beside.study.name} has no {names} to draw beside")
-        return study_curves(self.beside, known, window)
+        return study_curves(self.beside, known, window, self.x)
 
     @cached_property
     def styles(self) -> dict[str, dict[str, Any]]:
@@ -130,7 +174,7 @@ class Column:
         names = [name for name in self.data.conditions if self.data.of_condition(name)]
         longest = max(len(word) for name in names for word in name.split())
         few = len(names) <= MOST_AT_ENDS and longest <= LONGEST_AT_END
-        return few and not self.beside and self.labels is None
+        return self.ends and few and not self.beside
 
     def panel(self, name: str) -> Panel:
         of, label = QUANTITIES[name], QUANTITIES[name].label
@@ -139,40 +183,35 @@ class Column:
         title = of.title
         if name.startswith("action_") and without_monsters(self.data):
             title = f"Share of action {name.removeprefix('action_')}"
-        numbers: grid.Ticks = grid.shares if of.percent else grid.numbers
-        if self.is_log(name) and self._highest(name) > 0:
-            numbers = grid.powers
-        return Panel(
-            partial(_draw, column=self, name=name), title, "Environment steps", label, grid.steps, numbers
-        )
-
-    def _highest(self, name: str) -> float:
-        drawn = [*self.curves[name], *self.others.get(name, ())]
-        values = np.concatenate([curve.runs.ravel() for curve in drawn])
-        return float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+        ticks: grid.Ticks = grid.shares if of.percent else grid.numbers
+        if any(curve.log for curve in self.curves[name]):
+            ticks = grid.powers
+        draw = partial(_draw, column=self, name=name)
+        return Panel(draw, title, X_LABELS[self.x], label, grid.steps, ticks)
 
     @property
     def meanings(self) -> dict[str, Any]:
         drawn = [*chain.from_iterable(self.curves.values())]
-        bands = [band for band in self.bands if any(_shows_band(curve, band) for curve in drawn)]
-        found: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
-        for band in bands:
-            shade = PALE + DARK if band == INTERVAL else PALE  # an interval lies in a band
-            found[BANDS[band].label] = Patch(color=style.INK, alpha=shade, linewidth=0)
-        if any(_shows_runs(curve, self.band) for curve in drawn):
+        words = CENTER_WORDS[self.center]
+        found: dict[str, Any] = {f"{words} of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
+        for band in self.bands:
+            if any(curve.frame(band)["low"].notna().any() for curve in drawn):
+                shade = _shade(band, self.bands) + PALE * (band != self.bands[0])  # one lies in the other
+                patch = Patch(color=style.INK, alpha=shade, linewidth=0)
+                found[BANDS[band].label.format(center=words)] = patch
+        if any(_shows_runs(curve, self.bands[0]) for curve in drawn):
             found[BANDS[RUNS].label] = Line2D([], [], color=style.INK, linewidth=0.5, alpha=0.5)
         return found
 
     @property
-    def bands(self) -> list[str]:
-        """What is drawn around means: in a deviation there is the interval of the mean."""
-        return [self.band, INTERVAL] if self.band == USUAL_BAND else [self.band]
-
-    @property
     def notes(self) -> list[str]:
-        returns, window = "return" in self.curves, self.window or self.data.windows[0]
-        log = any(self.is_log(name) and self._highest(name) > 0 for name in self.curves)
-        return [*notes_of(self.data, returns, self.beside), *_caption(self.data, self.curves, window, log)]
+        return [*notes_of(self.data, "return" in self.curves, self.beside), *_caption(self)]
+
+
+def usual_quantities(data: StudyData) -> list[str]:
+    known = curve_names(data)
+    wanted = USUAL_QUANTITIES if have_one_return(data) else ("length", *USUAL_QUANTITIES[1:])
+    return [name for name in wanted if name in known] or known[:1] or ["return"]
 
 
 # --- What is drawn -----------------------------------------------------------------------------------
@@ -180,36 +219,45 @@ class Column:
 
 def _draw(axes: Axes, column: Column, name: str) -> None:
     data, curves, percent = column.data, column.curves[name], QUANTITIES[name].percent
-    lines = sum(len(curve.runs) for curve in curves if _shows_runs(curve, column.band))
+    lines = sum(curve.runs.shape[1] for curve in curves if _shows_runs(curve, column.bands[0]))
+    others = column.others.get(name, [])
+    end = max(float(curve.runs.index.max()) for curve in (*curves, *others))
+    end = max(data.budget, end) if column.x == STEPS else end
     for curve in curves:
         _draw_bands(axes, curve, column, percent, min(1.0, MANY_RUNS / max(lines, 1)))
-        _draw_mean(axes, curve, column)
+        _draw_centre(axes, curve, column, end)
     if column.beside:
         alpha = min(1.0, MANY_RUNS / len(column.beside.runs))
         look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
-        for curve in column.others.get(name, ()):
-            label = f"{column.beside.full_title} ({len(column.beside.runs)})"
-            axes.plot(curve.step, curve.runs.T, label=label, alpha=alpha, **look)
+        label = f"{column.beside.full_title} ({len(column.beside.runs)})"
+        for curve in others:
+            axes.plot(curve.runs, label=label, alpha=alpha, **look)
             if len(column.beside.conditions) <= MOST_BESIDE:
-                _name_end(axes, curve, curve.condition, BESIDE_COLOUR)
+                _name_end(axes, curve.frame(), curve.condition, BESIDE_COLOUR)
     colours = {condition: look["color"] for condition, look in column.styles.items()}
-    grid.draw_random_player(axes, random_levels(data, name), column._highest(name), colours)
-    axes.set_xlim(0, max(data.budget, column.beside.budget if column.beside else 0))
+    grid.draw_random_player(axes, random_levels(data, name), _highest([*curves, *others]), colours)
+    axes.set_xlim(0, end)
     if percent and not column.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
 
 
+def _highest(curves: Sequence[Curve]) -> float:
+    """Return the highest value of any run; 0 if none has a value."""
+    values = np.concatenate([curve.runs.to_numpy().ravel() for curve in curves])
+    return float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+
+
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
-    count = len(curve.runs)
+    count = curve.runs.shape[1]
     if band == NO_BAND:
         return False
     return band == RUNS or 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
 
 
-def _shows_band(curve: Curve, band: str) -> bool:
-    return band not in (RUNS, NO_BAND) and len(curve.runs) >= BANDS[band].least_runs
+def _shade(band: str, bands: Sequence[str]) -> float:
+    return DARK if band != bands[0] or band == INTERVAL else PALE
 
 
 def _draw_bands(axes: Axes, curve: Curve, column: Column, percent: bool, alpha: float) -> None:
@@ -217,47 +265,47 @@ def _draw_bands(axes: Axes, curve: Curve, column: Column, percent: bool, alpha: 
 
     An interval is left out where some runs have no value, as the remaining ones are no fair sample.
     """
-    colour, whole = column.styles[curve.condition]["color"], curve.count == len(curve.runs)
+    colour = column.styles[curve.condition]["color"]
     for band in column.bands:
-        if _shows_band(curve, band):
-            low, high = curve.band(band)
-            if percent:
-                low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
-            low = np.where(whole, low, np.nan) if band == INTERVAL else low
-            shade = DARK if band == INTERVAL else PALE
-            axes.fill_between(curve.step, low, high, color=colour, alpha=shade, linewidth=0)
-    if _shows_runs(curve, column.band):
+        frame = curve.frame(band)
+        if band == INTERVAL:
+            frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.runs.shape[1])
+        grid.draw_band(
+            axes, frame, (0, 1) if percent else None, color=colour, alpha=_shade(band, column.bands)
+        )
+    if _shows_runs(curve, column.bands[0]):
         width = 0.3 * mpl.rcParams["lines.linewidth"]
-        axes.plot(curve.step, curve.runs.T, color=colour, linewidth=width, alpha=0.4 * alpha, zorder=1.4)
+        axes.plot(curve.runs, color=colour, linewidth=width, alpha=0.4 * alpha, zorder=1.4)
 
 
-def _draw_mean(axes: Axes, curve: Curve, column: Column) -> None:
-    """Draw the mean over runs, faint where some have no value, and a cross where a run diverged."""
+def _draw_centre(axes: Axes, curve: Curve, column: Column, end: float) -> None:
+    """Draw the centre of runs, faint where some have no value, and a cross where a run diverged."""
     name, look, width = curve.condition, column.styles[curve.condition], mpl.rcParams["lines.linewidth"]
-    in_legend = not column.at_ends
-    every = max(len(curve.step) // MARKED_POINTS, 1)
+    frame, in_legend = curve.frame(), not column.at_ends
+    every = max(len(frame) // MARKED_POINTS, 1)
     first = style.MARKERS.index(look["marker"]) * every // len(style.MARKERS) % every  # no two meet
-    label = (column.labels or {}).get(name) or label_of(column.data, name)
-    whole = np.where(curve.count == len(curve.runs), curve.mean, np.nan)
+    label = column.labels.get(name) or label_of(column.data, name)
+    whole = frame["centre"].where(frame["count"] == curve.runs.shape[1])
     (line,) = axes.plot(
-        curve.step, whole, label=label if in_legend else "", color=look["color"], clip_on=False,
+        frame["x"], whole, label=label if in_legend else "", color=look["color"], clip_on=False,
         marker=look["marker"] if in_legend else "", markersize=2.2 * width, markevery=(first, every),
         zorder=2.2,
     )  # fmt: skip
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
-    axes.plot(curve.step, curve.mean, color=look["color"], alpha=0.35, zorder=1.5)
+    axes.plot(frame["x"], frame["centre"], color=look["color"], alpha=0.35, zorder=1.5)
     for step, value in curve.stops:
         axes.plot(step, value, "x", color=look["color"], markersize=4 * width)
     if column.at_ends:
-        _name_end(axes, curve, label, look["color"], column.data.budget)
+        _name_end(axes, frame, label, look["color"], end)
 
 
-def _name_end(axes: Axes, curve: Curve, name: str, colour: str, budget: int = 0) -> None:
-    """Write a name at the end of a mean: at the panel's edge, or where it ends before the budget."""
-    if not (known := np.isfinite(curve.mean)).any():
+def _name_end(axes: Axes, frame: pd.DataFrame, name: str, colour: str, end: float = 0) -> None:
+    """Write a name at the end of a line: at the panel's edge, or where it ends before it."""
+    known = frame.dropna(subset="centre")
+    if known.empty:
         return
-    step, value = curve.step[known][-1], curve.mean[known][-1]
-    early = step < (1 - SLACK) * budget
+    step, value = known.iloc[-1][["x", "centre"]]
+    early = step < (1 - SLACK) * end
     axes.annotate(
         fill(name, LONGEST_AT_END, break_long_words=False), (step if early else 1, value), (3, 0),
         "data" if early else ("axes fraction", "data"), "offset points", color=colour,
@@ -270,31 +318,35 @@ def _name_end(axes: Axes, curve: Curve, name: str, colour: str, budget: int = 0)
 
 def _has_gaps(curve: Curve) -> bool:
     """Return whether some run that did not diverge lacks a value after all had one."""
-    whole = np.flatnonzero(curve.count == len(curve.runs))
-    return not curve.stops and len(whole) > 0 and len(whole) < len(curve.count) - whole[0]
+    whole = np.flatnonzero(curve.frame()["count"] == curve.runs.shape[1])
+    return not curve.stops and len(whole) > 0 and len(whole) < len(curve.runs) - whole[0]
 
 
-def _caption(data: StudyData, curves: Mapping[str, Sequence[Curve]], window: str, log: bool) -> list[str]:
-    every = [*chain.from_iterable(curves.values())]
+def _caption(column: Column) -> list[str]:
+    data, names = column.data, {*column.curves}
+    every = [*chain.from_iterable(column.curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     notes += ["Faint, without an interval: some run has no value there."] * any(map(_has_gaps, every))
-    if log:
-        notes.append("On logarithmic axes means and bands are of logarithms, without values of 0.")
+    if any(curve.log for curve in every):
+        of = f"{CENTER_WORDS[column.center]}s and bands are of logarithms, without values of 0."
+        notes.append(f"On logarithmic axes {of}")
     blank: dict[str, int] = {}
     for curve in every:
-        if count := int((~np.isfinite(curve.runs)).all(axis=1).sum()):
+        if count := int(curve.values.isna().all().sum()):
             blank[curve.condition] = max(count, blank.get(curve.condition, 0))
     if blank:
         of = ", ".join(f"{count} of {name}" for name, count in blank.items())
         whose = of if len(blank) <= MOST_NAMED else f"of {len(blank)} conditions"
         notes.append(f"Some runs have no value in a panel, and count in no mean there: {whose}.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
-    if {*curves} & {*EPISODE_QUANTITIES}:
+    if names & {*EPISODE_QUANTITIES}:
         last = f"the last {data.averaged_over or 100} episodes"
-        trailing = last if window == TRAILING_WINDOW else f"the episodes {of_budget}"
+        trailing = (
+            last if (column.window or data.windows[0]) == TRAILING_WINDOW else f"the episodes {of_budget}"
+        )
         averaged.append(f"{last}, as Stable-Baselines3 logs them" if data.averaged_over else trailing)
-    if {*curves} & {*UPDATE_QUANTITIES}:
+    if names & {*UPDATE_QUANTITIES}:
         averaged.append(f"the updates {of_budget}")
     if averaged:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
-    return notes
+    return [*notes, *([X_NOTES[column.x]] if column.x in X_NOTES else [])]

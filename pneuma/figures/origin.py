@@ -59,10 +59,10 @@ class Origin(BaseModel):
 def samples_of(*studies: StudyData) -> list[Sample]:
     """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
     return [
-        sample(data.study.name, name, (run.config_id for run in runs), [run.seed for run in runs])
+        sample(data.study.name, name, runs["config_id"], [*runs["seed"]])
         for data in studies
         for name in data.conditions
-        if (runs := data.of_condition(name))
+        if len(runs := data.runs[data.runs["condition"] == name])
     ]
 
 

@@ -30,7 +30,7 @@ from pneuma.errors import counted, plain
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import Origin, sample, samples_of
-from pneuma.figures.style import COLOURS, GREY, INK, WIDTH
+from pneuma.figures.style import COLOURS, INK, WIDTH
 from pneuma.figures.words import capital, headline_of, notes_of
 from pneuma.search.promote import Winner, fresh_values, gains
 from pneuma.search.record import Record
@@ -201,7 +201,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
     ]
     if shown := means and bool(np.isfinite(found["low"]).any()):
         ticks = grid.points if share else grid.few
-        differences = partial(_draw_differences, rows=rows)
+        differences = partial(grid.draw_differences, rows=rows, markerfacecolor=COLOURS[1])
         panels.append(Panel(differences, x="Tuned less untuned", x_ticks=ticks, rows=[""] * len(rows)))
     inches = max(grid.ROW_INCHES * len(rows) + 0.7, 1.4)
     seeds = counted(len(data.of_condition(winners[0].tuned)), "fresh seed")
@@ -239,10 +239,3 @@ def _draw_values(
         )
     if from_zero:
         axes.set_xlim(left=0)
-
-
-def _draw_differences(axes: Axes, rows: Sequence[Mapping[Any, Any]]) -> None:
-    axes.axvline(0, color=GREY, linewidth=0.8)
-    for place, row in enumerate(rows):
-        drawn = {"value": row["difference"], "low": row["low"], "high": row["high"]}
-        grid.draw_interval(axes, place, drawn, markerfacecolor=COLOURS[1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -135,69 +134,6 @@ def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[N
 
 MOST_IN_A_PANEL = len(MARKERS)
 """Most conditions in one panel of curves; of a study with more, a summary shows them in rows."""
-
-_OWN_PLACES = {
-    **dict.fromkeys(
-        ("table-6-2", "tanh", "non-stationary", "adam", "smallest", "0.1", "thesis", "final", "alone", "ppo"),
-        0,
-    ),
-    **dict.fromkeys(("relu", "l2", "trpo"), 1),
-    **dict.fromkeys(("leaky-relu", "rmsprop", "dqn"), 2),
-    **dict.fromkeys(("stationary", "double-dqn"), 3),
-    **dict.fromkeys(("sgd", "a2c"), 4),
-    "momentum": 5,
-    "upgd": 6,
-}
-"""Fixed styles of some names: settings of Table 6.2, what they are compared with, and methods."""
-
-
-def condition_styles(conditions: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the colour and marker of each condition, the same in all figures of a study.
-
-    If there are too many conditions for one panel, those that differ only in crossed factors look alike,
-    because each has its own row: `tanh` looks the same under every `limit=…`.
-    """
-    many = len(conditions) > MOST_IN_A_PANEL
-    kinds = {name: (split_name(name)[1] or name) if many else name for name in conditions}
-    places: dict[str, int] = {}
-    for kind in kinds.values():
-        if kind in _OWN_PLACES and _OWN_PLACES[kind] not in places.values():
-            places[kind] = _OWN_PLACES[kind]
-    free = (place for place in range(len(kinds)) if place not in places.values())
-    places |= {kind: next(free) for kind in dict.fromkeys(kinds.values()) if kind not in places}
-    return {
-        name: {
-            "color": f"C{places[kind]}",  # of the style sheet
-            "marker": MARKERS[places[kind] % len(MARKERS)],
-        }
-        for name, kind in kinds.items()
-    }
-
-
-def split_name(condition: str) -> tuple[dict[str, str], str]:
-    """Return the factors and levels in a crossed condition's name, and the rest of the name.
-
-    'reward=thesis, scale=raw, relu' is relu at two levels. A level may be a list: betas=[0.9, 0.999].
-    """
-    parts = re.split(r", (?![^\[]*\])", condition)
-    levels = dict(part.split("=", 1) for part in parts if "=" in part)
-    return levels, ", ".join(part for part in parts if "=" not in part)
-
-
-def short_names(conditions: Sequence[str]) -> tuple[dict[str, str], str]:
-    """Return the names of conditions in a figure, and what the names consist of if it is not said.
-
-    If all conditions have the same factors, their levels alone are used, if they are unique.
-    """
-    split = {name: split_name(name) for name in conditions}
-    short = {
-        name: ", ".join([*levels.values(), *filter(None, [rest])]) for name, (levels, rest) in split.items()
-    }
-    factors = {tuple(levels) for levels, _ in split.values()}
-    if len(factors) != 1 or len(next(iter(factors))) < 2 or len({*short.values()}) < len(short):
-        return {name: name for name in conditions}, ""
-    last = ["condition"] * any(last for _, last in split.values())
-    return short, ", ".join([*next(iter(factors)), *last]).replace("_", " ")
 
 
 # --- Files -------------------------------------------------------------------------------------------

@@ -6,8 +6,8 @@ They show the share of monsters killed at the end, or the return if there are no
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -39,6 +39,7 @@ from pneuma.figures.words import (
     label_of,
     merge_notes,
     notes_of,
+    short_names,
     styles_of,
 )
 
@@ -56,7 +57,7 @@ ABOVE = 0.2
 
 @dataclass(frozen=True)
 class OutcomeRows:
-    """An outcome of the runs of a study, a row for each condition."""
+    """An outcome of the runs of a study, a row for each condition that has runs."""
 
     data: StudyData
     named: str = ""
@@ -90,56 +91,21 @@ class OutcomeRows:
 
     @property
     def heading(self) -> str:
-        return self._parts[0]
+        """The words up to the last comma; `detail` is the rest."""
+        return self.words.rpartition(", ")[0] or self.words
 
     @property
     def detail(self) -> str:
-        """What the heading leaves out, as a sentence."""
-        return f"{capital(self._parts[1])}." if self._parts[1] else ""
-
-    @property
-    def _parts(self) -> tuple[str, str]:
-        head, _, detail = self.words.rpartition(", ")
-        return (head, detail) if head else (detail, "")
+        return capital(self.words.removeprefix(self.heading).removeprefix(", "))
 
     @property
     def of_killed(self) -> bool:
         """Whether it is a share of monsters, which can be compared with the random player's."""
         return self.outcome.endswith("share-killed")
 
-    @cached_property
-    def colours(self) -> dict[str, str]:
-        return {name: look["color"] for name, look in styles_of(self.data).items()}
-
     @property
-    def highest(self) -> float:
-        return max((float(runs.max()) for runs in self.values.values() if len(runs)), default=0.0)
-
-    def panel(
-        self,
-        colours: Mapping[str, str],
-        short: Mapping[str, str],
-        mark: float,
-        ends: tuple[float, float],
-        title: str,
-    ) -> Panel:
-        """Return the panel with a row for each name, in its colour.
-
-        `short` has the names that are shown; `ends` are where axes of shares killed begin, and the greatest
-        share in any panel.
-        """
-        names = list(colours)
-        measured = "Return of an episode" if is_return(self.outcome) else find_outcome(self.outcome).unit
-        labels = [
-            label_of(self.data, name, short.get(name, " ")) if name in self.values else "" for name in names
-        ]
-        return Panel(
-            partial(_draw_runs, found=self, colours=colours, mark=mark, ends=ends),
-            title,
-            "Share killed" if self.of_killed else measured,
-            x_ticks=grid.shares if self.of_killed else grid.few,
-            rows=[label.strip() or short.get(name, "") for name, label in zip(names, labels, strict=True)],
-        )
+    def all_values(self) -> np.ndarray:
+        return np.concatenate([*self.values.values(), []])
 
     @property
     def notes(self) -> list[str]:
@@ -149,23 +115,23 @@ class OutcomeRows:
             if not len(known):
                 notes.append(f"{name} has no value.")
             elif len(known) < total:
-                notes.append(
-                    f"{total - len(known)} of {total} runs of {name} have no value, and count nowhere."
-                )
-        if any(0 < len(known) < LEAST_RUNS for known in self.values.values()):
-            notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
-        if any(len(known) >= LEAST_RUNS for known in self.values.values()):
-            notes.append("Intervals: Student's t for means, else bootstrap.")
-        return notes
+                lacking = f"{total - len(known)} of {total} runs of {name}"
+                notes.append(f"{lacking} have no value, and count nowhere.")
+        counts = [len(known) for known in self.values.values()]
+        few = any(0 < count < LEAST_RUNS for count in counts)
+        notes += [f"Of fewer than {LEAST_RUNS} runs there is no interval."] * few
+        enough = any(count >= LEAST_RUNS for count in counts)
+        return [*notes, *["Intervals: Student's t for means, else bootstrap."] * enough]
 
 
 def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: str = "") -> Page:
     """Return what every run of a study came to, in all outcomes that it names.
 
-    Of several worlds, by title, it is the one outcome that the study names, or the usual one.
+    Of several worlds, by title, it is the one outcome that the study names, or the usual one. Each has a row
+    for each condition that has runs there.
     """
     columns: Mapping[str, OutcomeRows | None]
-    if isinstance(studies, StudyData):
+    if one_study := isinstance(studies, StudyData):
         every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
         short_titles = {each.heading: each for each in every}
         columns = short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
@@ -177,27 +143,37 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
             for title, data in studies.items()
         }
     drawn = {title: found for title, found in columns.items() if found}
+    alone = next(iter(drawn.values()))
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
     for found in drawn.values():
-        colours |= {name: found.colours[name] for name in found.values if name not in colours}
-    names = list(colours)
-    short, parts = style.short_names(names)
-    pitch = min(max(LONGEST_INCHES / len(names), LEAST_ROW_INCHES), ROW_INCHES)
-    mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
-    alone = next(iter(drawn.values()))
-    top = max((found.highest for found in drawn.values() if found.of_killed), default=0.0)
-    lowest = min((float(runs.min()) for runs in alone.values.values() if len(runs)), default=0.0)
-    begin = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
-    panels = [
-        drawn[title].panel(colours, short if drawn[title] is alone else {}, mark, (begin, top), title)
-        if title in drawn else grid.no_runs(title)
-        for title in columns
-    ]  # fmt: skip
-    if one_study := isinstance(studies, StudyData):  # the same runs in all panels
-        panels = [panels[0], *(replace(panel, rows=[""] * len(names)) for panel in panels[1:])]
+        looks = styles_of(found.data)
+        colours |= {name: looks[name]["color"] for name in found.values if name not in colours}
+    named, parts = short_names([found.data for found in drawn.values()], [*colours])
+    alike = all(found.values.keys() == colours.keys() for found in drawn.values())
+    most = max(len(found.values) for found in drawn.values())
+    pitch = min(max(LONGEST_INCHES / most, LEAST_ROW_INCHES), ROW_INCHES)
+    killed = [share for found in drawn.values() if found.of_killed for share in found.all_values]
+    highest, lowest = max([0.0, *killed]), min(killed, default=0.0)
+    least = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
+
+    def panel(title: str, found: OutcomeRows | None) -> Panel:
+        if found is None:
+            return grid.no_runs(title)
+        data, names = found.data, [*found.values]
+        whole = not alike or found is alone  # else the first panel's rows have the names
+        said = (data.study.labels.get(name, named[name]) if whole else " " for name in names)
+        labels = [label_of(data, name, words).strip() for name, words in zip(names, said, strict=True)]
+        if one_study and not whole:  # the same runs in all panels
+            labels = [""] * len(labels)
+        measured = "Return of an episode" if is_return(found.outcome) else find_outcome(found.outcome).unit
+        draw = partial(_draw_runs, found=found, colours=colours, pitch=pitch, ends=(least, highest))
+        shares = grid.shares if alike else partial(grid.shares, most=3)  # beside names panels are narrow
+        label, ticks = ("Share killed", shares) if found.of_killed else (measured, grid.few)
+        return Panel(draw, title, label, x_ticks=ticks, rows=[*labels, *[""] * (most - len(names))])
+
     notes = merge_notes(
         {
-            title: (found.data, [found.detail if one_study else f"{found.words}.", *found.notes])
+            title: (found.data, [f"{found.detail if one_study else found.words}.", *found.notes])
             for title, found in drawn.items()
         }
     )
@@ -205,25 +181,28 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
     return Page(
         basename or alone.data.basename("summary"),
-        [panels],
-        max(pitch * len(names) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline_of(alone.data, shown)
-        if isinstance(studies, StudyData)
-        else f"{alone.data.study.title}: {shown}",
+        [[panel(title, found) for title, found in columns.items()]],
+        max(pitch * most + 0.7, 0.6 * style.PANEL_INCHES),
+        headline_of(alone.data, shown) if one_study else f"{alone.data.study.title}: {shown}",
         samples_of(*(found.data for found in drawn.values())),
-        _marks([*drawn.values()]),
+        _marks(max(len(runs) for found in drawn.values() for runs in found.values.values())),
         [*notes, parts and f"Rows: {parts}."],
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
     )
 
 
 def _draw_runs(
-    axes: Axes, found: OutcomeRows, colours: Mapping[str, str], mark: float, ends: tuple[float, float]
+    axes: Axes, found: OutcomeRows, colours: Mapping[str, str], pitch: float, ends: tuple[float, float]
 ) -> None:
-    """Draw each run of a condition as a dot, and its means with intervals."""
-    reach = float(np.ptp(np.concatenate([*found.values.values(), [0.0]])))
-    for condition, runs in found.values.items():
-        place, colour = list(colours).index(condition), colours[condition]
+    """Draw each run of a condition as a dot, and its means with intervals.
+
+    `pitch` is the height of rows in inches; `ends` are where axes of shares killed begin, and the greatest
+    share in any panel.
+    """
+    mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
+    reach = float(np.ptp([*found.all_values, 0.0]))
+    for place, (condition, runs) in enumerate(found.values.items()):
+        colour = colours[condition]
         (dots,) = axes.plot(
             runs, place + _beside(runs, reach), "o", color=colour, markersize=0.6 * mark,
             markeredgewidth=0, alpha=0.7 if len(runs) < 20 else 0.4, clip_on=False, zorder=2.6,
@@ -231,15 +210,14 @@ def _draw_runs(
         dots.set_in_layout(False)  # there may be none
         for row in found.table[found.table["condition"] == condition].to_dict("records"):
             if row["statistic"] == "mean" and len(runs) > 1:
-                shown = row if len(runs) >= LEAST_RUNS else {**row, "low": np.nan, "high": np.nan}
-                grid.draw_interval(axes, place - ABOVE, shown, markerfacecolor=colour, markersize=mark)
+                grid.draw_interval(axes, place - ABOVE, row, markerfacecolor=colour, markersize=mark)
             elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
                 iqm: Any = {"marker": "s", "markerfacecolor": "white", "markersize": mark}
                 grid.draw_interval(axes, place + ABOVE, row, **iqm)
     if found.of_killed:
         levels = random_levels(found.data, "share_killed")
         begin, top = ends
-        grid.draw_random_player(axes, levels, top, colours, [*colours])
+        grid.draw_random_player(axes, levels, top, colours, [*found.values])
         axes.set_xlim(begin, max(axes.get_xlim()[1], 1.05 * (top - begin) + begin, begin + 0.01))
 
 
@@ -254,8 +232,8 @@ def _beside(values: np.ndarray, reach: float) -> np.ndarray:
     return beside
 
 
-def _marks(drawn: Sequence[OutcomeRows]) -> dict[str, Any]:
-    most = max((len(runs) for found in drawn for runs in found.values.values()), default=0)
+def _marks(most: int) -> dict[str, Any]:
+    """Return the legend of panels in which a condition has at most so many runs."""
     run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
     iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}
     entries = {"a run": Line2D([], [], **run)}
@@ -276,36 +254,26 @@ def comparison_page(data: StudyData, table: pd.DataFrame, basename: str) -> Page
 
     The table contains the results of `compare_conditions` for several pairs.
     """
-    every = dict.fromkeys(table["outcome"])
-    finite = {*table["outcome"][np.isfinite(table["difference"])]} or {*every}
-    outcomes = [name for name in every if name in finite]
+    every = [*dict.fromkeys(table["outcome"])]
+    shown = table[np.isfinite(table["difference"])] if np.isfinite(table["difference"]).any() else table
+    counts = table.groupby(["a", "b"])[["seeds_a", "seeds_b"]].agg(format_counts)
+    outcomes = [*dict.fromkeys(shown["outcome"])]
     rows = -(-len(outcomes) // style.COLUMNS)
     columns, panels = -(-len(outcomes) // rows), []
     for place, name in enumerate(outcomes):
         compared = table[table["outcome"] == name].to_dict("records")
+        pairs = [(row["a"], row["b"]) for row in compared]
+        labels = ["{} -\n{} (n = {} and {})".format(*pair, *counts.loc[pair]) for pair in pairs]
         found = find_outcome(name)
         shares = found.bounds == (0.0, 1.0)
-        labels = [f"{row['a']} -\n{row['b']} ({_counts(table, row)})" for row in compared]
-        draw = partial(_draw_differences, compared=compared)
+        draw = partial(grid.draw_differences, rows=compared)
         label, ticks = ("percentage points", grid.points) if shares else (found.unit, grid.few)
         panels.append(
             Panel(draw, name, label, x_ticks=ticks, rows=[""] * len(labels) if place % columns else labels)
         )
-    caption = ["Differences of means of runs, with Welch's 95 % intervals.", *notes_of(data)]
-    if lacking := [name for name in every if name not in finite]:
+    caption = ["Differences of means of runs, with Welch's 95 % intervals.", *notes_of(data), data.ends]
+    if lacking := [name for name in every if name not in outcomes]:
         caption.append(f"Without a finite difference: {', '.join(lacking)}.")
     inches = rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
-    notes, runs = [*caption, data.ends], samples_of(data)
     headline = headline_of(data, "differences")
-    return Page(basename, in_grid(panels, columns), inches, headline, runs, caption=notes)
-
-
-def _draw_differences(axes: Axes, compared: list[dict[Any, Any]]) -> None:
-    for place, row in enumerate(compared):
-        grid.draw_interval(axes, place, {**row, "value": row["difference"]})
-    axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
-
-
-def _counts(table: pd.DataFrame, row: Mapping[Any, Any]) -> str:
-    same = table[(table["a"] == row["a"]) & (table["b"] == row["b"])]
-    return f"n = {format_counts(same['seeds_a'])} and {format_counts(same['seeds_b'])}"
+    return Page(basename, in_grid(panels, columns), inches, headline, samples_of(data), caption=caption)

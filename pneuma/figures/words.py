@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
-from pneuma.figures.style import MOST_IN_A_PANEL, condition_styles
+from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL
+from pneuma.study.spec import CONDITION, Study
 from pneuma.values import shown_settings
 
 
@@ -75,12 +77,43 @@ def label_of(data: StudyData, condition: str, name: str = "") -> str:
 
 
 def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
-    """Return the styles of conditions, which they keep where a part of the study is drawn, if it is small."""
-    trained = [name for name in data.conditions if data.of_condition(name)]
-    few = [
-        names for names in ([*data.study.conditions], data.conditions) if 0 < len(names) <= MOST_IN_A_PANEL
-    ]
-    return condition_styles([*few, trained][0])
+    """Return the colour and marker of each condition, which it keeps where a part of the study is drawn.
+
+    Colours are those of the style sheet in the file's order, but for those that it names. If there are too
+    many conditions for one panel, those that differ only in crossed factors look alike, because each has its
+    own row: `tanh` looks the same under every limit.
+    """
+    study, every = data.study, [[*data.study.conditions], data.conditions]
+    names = next((each for each in every if 0 < len(each) <= MOST_IN_A_PANEL), every[1])
+    many = len(names) > MOST_IN_A_PANEL
+    kinds = {name: _kind(study, name) if many else name for name in names}
+    own = {
+        kind: colour
+        for name, kind in kinds.items()
+        if (colour := study.colors.get(name) or study.colors.get(_kind(study, name)))
+    }
+    free = (colour for place in itertools.count() if (colour := f"C{place}") not in own.values())
+    looks = {
+        kind: {"color": own.get(kind) or next(free), "marker": MARKERS[place % len(MARKERS)]}
+        for place, kind in enumerate(dict.fromkeys(kinds.values()))
+    }
+    return {name: looks[kind] for name, kind in kinds.items()}
+
+
+def _kind(study: Study, condition: str) -> str:
+    """Return the condition of a crossed study's file that a condition is of, or its last factor's value."""
+    levels = study.levels.get(condition, {})
+    return levels.get(CONDITION) or [condition, *levels.values()][-1]
+
+
+def short_names(studies: Iterable[StudyData], conditions: Sequence[str]) -> tuple[dict[str, str], str]:
+    """Return names of conditions in rows, and what they consist of: of crossed ones the factors' values."""
+    every = {name: of for data in studies for name, of in data.study.levels.items()}
+    levels = [every.get(name, {}) for name in conditions]
+    short = [", ".join(of.values()) for of in levels]
+    if len({*map(tuple, levels)}) > 1 or len(levels[0]) < 2 or len({*short}) < len(short):
+        return {name: name for name in conditions}, ""
+    return dict(zip(conditions, short, strict=True)), ", ".join(levels[0]).replace("_", " ")
 
 
 def fits_panel(data: StudyData) -> bool:

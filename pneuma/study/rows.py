@@ -194,7 +194,6 @@ class Row:
         fields: its configuration, which may be untrusted.
         provenance: what produced it, and how long that took.
         signs: where each recorded sign of collapse holds.
-        condition: of the study that it is read for; the seed of a fork is then its number in the study.
     """
 
     table: pa.Table = field(repr=False)
@@ -208,7 +207,6 @@ class Row:
     fields: Mapping[str, Any] = field(repr=False)
     provenance: Mapping[str, Any] = field(repr=False)
     signs: Mapping[str, list[Stretch]] = field(repr=False)
-    condition: str = ""
 
     def cell(self, column: str) -> Any:
         return self.table[column][0].as_py() if column in self._columns else None

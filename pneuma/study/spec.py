@@ -159,6 +159,7 @@ class Study(Table):
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
     conditions: dict[Name, Fields] = {}
     labels: dict[str, Annotated[str, MinLen(1)]] = {}
+    colors: dict[str, Annotated[str, matching("C[0-9]|#[0-9a-fA-F]{6}", "C0 to C9 or #RRGGBB")]] = {}
     scores: dict[str, Scale] = {}
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Preset], MinLen(1)]
 
@@ -255,6 +256,8 @@ def _read_study(path: Path) -> Study:
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
     mentioned += [(("labels",), name, name) for name in study.labels]
+    parts = {levels.get(CONDITION) for levels in study.levels.values()}
+    mentioned += [(("colors",), name, name) for name in study.colors if name not in parts]
     for preset, amounts in study.presets.items():
         mentioned += [(("presets", preset, "conditions"), name, name) for name in amounts.conditions]
     for where, key, name in mentioned:

@@ -48,7 +48,7 @@ def save_run(
 def publish(data: StudyData, store: Store, *curves: str) -> Path:
     """Write a study's runs as a published table into a results folder, with curves of these, or of all."""
     study = data.study
-    runs = [{"run_id": run.run_id, "condition": run.condition, "seed": run.seed} for run in data.rows]
+    runs = data.runs[["run_id", "condition", "seed"]].to_dict("records")
     listing = {"study": study.name, "title": study.title, "baseline": study.baseline, "runs": runs}
     path = store.published_path(study.name)
     about = {"study": study.name, "world": None, "settings": {}, "listing": listing}

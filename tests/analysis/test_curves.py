@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from pneuma.analysis.curves import Curve, curves_table, evaluation_curves, training_curves
+from pneuma.analysis.curves import Curve, curves_table, study_curves
 from pneuma.analysis.study_data import StudyData
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.series import held_curve, make_grid, update_curve
@@ -43,9 +45,9 @@ def _one_run(
     store: Store, slots: Mapping[int, Sequence[Episode]], window: str = WINDOWS[0]
 ) -> dict[float, float]:
     """Return the curve of a single run as {t: value}."""
-    (curve,) = training_curves(_study(store, {("a", 0): slots}), "return", window)
-    assert curve.runs.shape == (1, 200)
-    return dict(zip(curve.step.tolist(), curve.runs[0].tolist(), strict=True))
+    (curve,) = study_curves(_study(store, {("a", 0): slots}), ["return"], window)["return"]
+    assert curve.runs.shape == (200, 1)
+    return dict(zip(curve.runs.index, curve.runs[0], strict=True))
 
 
 # --- One run -------------------------------------------------------------------------------------
@@ -95,19 +97,18 @@ def test_trailing_100_is_the_mean_of_the_last_hundred_episodes_once_there_are_as
 
 def test_runs_of_different_ends_are_averaged_where_they_are(store: Store) -> None:
     long, short = {0: [(40, 2.0), (80, 4.0)]}, {0: [(40, 6.0)]}
-    (curve,) = training_curves(_study(store, {("a", 0): long, ("a", 1): short}), "return")
-    at = {int(t): i for i, t in enumerate(curve.step)}
-    assert [curve.count[at[t]] for t in (39, 40, 49, 50, 80, 90)] == [0, 2, 2, 0, 1, 0]
-    assert curve.mean[at[40]] == 4.0  # of 2 and 6
-    assert curve.mean[at[80]] == 4.0  # of the long one alone
-    assert np.isnan(curve.mean[at[50]])
+    (curve,) = study_curves(_study(store, {("a", 0): long, ("a", 1): short}), ["return"])["return"]
+    frame = curve.frame().set_index("x")
+    assert frame["count"][[39, 40, 49, 50, 80, 90]].tolist() == [0, 2, 2, 0, 1, 0]
+    assert frame["centre"][[40, 80]].tolist() == [4, 4]  # of 2 and 6; of the long one alone
+    assert np.isnan(frame["centre"][50])
 
 
 # --- Mean, bands ---------------------------------------------------------------------------------
 
 # Points of five runs, four, none and one.
 POINTS = [[1, 2, NAN, NAN], [3, 4, NAN, 4], [8, 2, NAN, NAN], [4, 4, NAN, NAN], [4, NAN, NAN, NAN]]
-CURVE = Curve("a", np.array([1.0, 2.0, 3.0, 4.0]), np.array(POINTS, float))
+CURVE = Curve("a", pd.DataFrame(np.transpose(POINTS), [1.0, 2.0, 3.0, 4.0]))
 # means 20 / 5 = 4, 12 / 4 = 3; squares about them 9 + 1 + 16 = 26 over 4, 4 over 3
 ROOT_6_5, ROOT_4_3, ROOT_1_3 = 2.5495097567963922, 1.1547005383792515, 1.140175425099138
 T_4 = 2.7764451051977987  # of a table: 97.5 % of Student's t, 4 degrees
@@ -126,9 +127,21 @@ T_4 = 2.7764451051977987  # of a table: 97.5 % of Student's t, 4 degrees
 def test_a_band_has_its_edges_and_none_for_too_few_runs(
     band: str, low: list[float], high: list[float]
 ) -> None:
-    edges = CURVE.band(band)
-    np.testing.assert_allclose(edges[0], [*low, NAN, NAN])
-    np.testing.assert_allclose(edges[1], [*high, NAN, NAN])
+    frame = CURVE.frame(band)
+    np.testing.assert_allclose(frame["centre"], [4, 3, NAN, 4])
+    np.testing.assert_allclose(frame["low"], [*low, NAN, NAN])
+    np.testing.assert_allclose(frame["high"], [*high, NAN, NAN])
+
+
+@pytest.mark.parametrize(
+    ("center", "centres"),
+    [("median", [4, 3, NAN, 4]), ("iqm", [11 / 3, 3, NAN, 4])],  # of 3, 4 and 4; of 2 and 4
+)
+def test_a_centre_that_is_no_mean_has_an_interval_of_its_own(center: str, centres: list[float]) -> None:
+    frame = replace(CURVE, center=center).frame("ci")
+    np.testing.assert_allclose(frame["centre"], centres)
+    assert 1 <= frame["low"][0] <= centres[0] <= frame["high"][0] <= 8
+    assert frame[["low", "high"]][1:].isna().all(axis=None)  # some run has no value there
 
 
 # --- Evaluations, and the table of curves --------------------------------------------------------
@@ -137,21 +150,31 @@ def test_a_band_has_its_edges_and_none_for_too_few_runs(
 def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> None:
     shares = {("b", 0): [(64, 0.25), (128, 0.5)], ("a", 0): [(64, 0.0), (128, 1.0)]}
     shares["b", 1] = [(64, 0.75)]  # and then it diverged
-    first, second = evaluation_curves(_study(store, dict.fromkeys(shares, {}), shares))
+    data = _study(store, dict.fromkeys(shares, {}), shares)
+    first, second = study_curves(data, ["share_killed"])["share_killed"]
     assert (first.condition, second.condition) == ("b", "a")
-    np.testing.assert_array_equal(first.step, [64, 128])
-    np.testing.assert_array_equal(first.runs, [[0.25, 0.5], [0.75, NAN]])
-    np.testing.assert_array_equal(first.mean, [0.5, 0.5])
-    np.testing.assert_array_equal(first.count, [2, 1])
-    np.testing.assert_array_equal(second.runs, [[0, 1]])
+    np.testing.assert_array_equal(first.runs.T, [[0.25, 0.5], [0.75, NAN]])
+    assert first.frame()[["x", "centre", "count"]].to_numpy().tolist() == [[64, 0.5, 2], [128, 0.5, 1]]
+    np.testing.assert_array_equal(second.runs.T, [[0, 1]])
 
 
 def test_runs_that_were_evaluated_at_unlike_steps_share_those_of_the_fewest(store: Store) -> None:
     """Between its evaluations the other is on a straight line, and before and after them it has no value."""
     shares = {("a", 0): [(20, 0.2), (120, 0.6)], ("a", 1): [(50, 0.0), (100, 0.5), (150, 1.0)]}
-    (curve,) = evaluation_curves(_study(store, dict.fromkeys(shares, {}), shares))
-    assert curve.step.tolist() == [20, 120]
-    np.testing.assert_allclose(curve.runs, [[0.2, 0.6], [NAN, 0.7]], atol=1e-12)
+    data = _study(store, dict.fromkeys(shares, {}), shares)
+    (curve,) = study_curves(data, ["share_killed"])["share_killed"]
+    assert curve.runs.index.tolist() == [20, 120]
+    np.testing.assert_allclose(curve.runs.T, [[0.2, 0.6], [NAN, 0.7]], atol=1e-12)
+
+
+def test_curves_lie_over_episodes_and_over_time_too(store: Store) -> None:
+    """Episodes of 50 steps (as `save_run` has them) in one slot: four of 200; 8 seconds, as it took."""
+    runs = {("a", 0): {0: [(50, 1.0), (100, 2.0), (150, 3.0), (200, 4.0)]}}
+    data = _study(store, runs)
+    for x, end in (("episodes", 4.0), ("wall-clock", 8.0)):
+        (curve,) = study_curves(data, ["return"], x=x)["return"]
+        assert curve.runs.index.max() == pytest.approx(end)
+        assert curve.runs[0].loc[curve.runs.index >= end / 4].dropna().iloc[[0, -1]].tolist() == [1, 4]
 
 
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:
@@ -164,15 +187,14 @@ def test_the_table_of_curves_has_a_row_for_each_point() -> None:
 
 def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     """Of 1, 10 and 100 the mean is 10, and its interval reaches as many times above as below it."""
-    runs = np.array([[1, 5], [10, 0], [100, 5], [1, 0], [100, 5]], float)  # what is 0 has no logarithm
-    curve = Curve("mine", np.array([1.0, 2.0]), runs, log=True)
-    assert curve.count.tolist() == [5, 3]
-    assert curve.mean == pytest.approx([10.0, 5.0])
-    low, high = curve.band("ci")
+    runs = pd.DataFrame([[1, 10, 100, 1, 100], [5, 0, 5, 0, 5]])  # what is 0 has no logarithm
+    curve = Curve("mine", runs, log=True)
     half = T_4 / np.sqrt(5)  # of logarithms 0, 1, 2, 0 and 2, whose deviation is 1
-    assert (low[0], high[0]) == (pytest.approx(10 ** (1 - half)), pytest.approx(10 ** (1 + half)))
-    low, high = curve.band("minmax")
-    assert (low[0], high[0]) == (pytest.approx(1.0), pytest.approx(100.0))
+    for band, ends in (("ci", (10 ** (1 - half), 10 ** (1 + half))), ("minmax", (1, 100))):
+        frame = curve.frame(band)
+        assert frame["count"].tolist() == [5, 3]
+        assert frame["centre"].tolist() == pytest.approx([10, 5])
+        assert (frame["low"][0], frame["high"][0]) == pytest.approx(ends)
 
 
 # --- One run's series -----------------------------------------------------------------------------

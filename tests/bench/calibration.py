@@ -15,11 +15,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import special
 
-from pneuma.analysis import intervals
+from pneuma.analysis import EDGED_BANDS, intervals
 from pneuma.analysis.contrasts import compare
-from pneuma.analysis.curves import BANDS
+from pneuma.analysis.curves import Curve
 from pneuma.analysis.intervals import mean
 from pneuma.analysis.judgement import decide
 from pneuma.cli.output import print_result, rows_result
@@ -162,7 +163,7 @@ def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str
         generator: draws the runs.
     """
     fewer = max(1, samples // 20)
-    bands = [name for name, band in BANDS.items() if band.edges]
+    bands = EDGED_BANDS[:1] + EDGED_BANDS[2:]  # of which two are one
     one_by_one = [
         ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
         ("deviation", intervals.deviation_interval, 1.0),
@@ -189,11 +190,9 @@ def _covered(method: str, distribution: str, seeds: int, share: float) -> dict[s
 
 
 def band_coverage(band: str, runs: np.ndarray) -> float:
-    """Return how often a figure's band covers the mean 0 of (samples, runs)."""
-    edges = BANDS[band].edges
-    assert edges
-    low, high = edges(runs.T)
-    return float(((low <= 0) & (high >= 0)).mean())
+    """Return how often a figure's band covers the mean 0 of (samples, runs); NaN for too few runs."""
+    frame = Curve("", pd.DataFrame(runs)).frame(band).dropna()
+    return float(((frame["low"] <= 0) & (frame["high"] >= 0)).mean())
 
 
 def main(lists: int = 400) -> None:

@@ -23,8 +23,9 @@ def test_bands_of_enough_runs_cover_the_mean_of_every_distribution(
 
 
 def test_a_t_band_covers_as_theory_says_and_a_range_by_hand() -> None:
-    runs = np.random.default_rng(2).normal(size=(20_000, 3))
-    assert band_coverage("ci", runs) == pytest.approx(0.95, abs=0.006)
+    generator = np.random.default_rng(2)
+    assert band_coverage("ci", generator.normal(size=(20_000, 5))) == pytest.approx(0.95, abs=0.006)
+    runs = generator.normal(size=(20_000, 3))
     within = 3**0.5  # of t with 2 degrees: its chance is t / sqrt(2 + t ** 2)
     assert band_coverage("sd", runs) == pytest.approx(within / 5**0.5, abs=0.014)
     assert band_coverage("minmax", runs) == pytest.approx(1 - 2 / 8, abs=0.011)  # not all on one side

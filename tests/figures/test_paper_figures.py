@@ -85,7 +85,7 @@ def test_earlier_runs_of_a_world_stand_beside_those_of_its_file_if_they_have_mor
         fresh.write(fresh.published_path(f"table-{seed}"), encode_published(rows, about))
         index = RunIndex(fresh, stored=False, shipped=False)
         columns = figures.thesis_columns(index, "activation", ("tanh", "relu", "leaky-relu"))
-        return {title: {run.condition for run in data.rows} for title, data in columns.items()}
+        return {title: {*data.runs["condition"]} for title, data in columns.items()}
 
     assert shown_with(1, ("tanh",), 0) == {}
     assert shown_with(1, ("relu",), 1) == {earlier: {"tanh", "relu"}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.dom.minidom
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,21 +12,21 @@ from matplotlib.figure import Figure
 from pneuma.errors import plain
 from pneuma.figures.grid import label_rows
 from pneuma.figures.origin import Origin
-from pneuma.figures.style import (
-    condition_styles,
-    house_style,
-    save_figure,
-)
+from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.words import styles_of
 
 from .hand_made import HandMade
 
 
-def test_table_6_2_has_one_colour_under_all_its_names() -> None:
-    studies = [("stationary", "non-stationary"), ("tanh", "relu", "leaky-relu"), ("0.2", "0.1")]
-    looks = {name: look for names in studies for name, look in condition_styles(names).items()}
-    first = [name for name, look in looks.items() if look["color"] == "C0"]
-    assert first == ["non-stationary", "tanh", "0.1"]
+def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandMade) -> None:
+    def colours(**named: str) -> dict[str, str]:
+        data = study.data
+        own = replace(data, study=data.study.model_copy(update={"colors": named}))
+        return {name: look["color"] for name, look in styles_of(own).items()}
+
+    assert colours() == {"tanh": "C0", "relu": "C1"}
+    assert colours(relu="C0") == {"tanh": "C1", "relu": "C0"}
+    assert colours(tanh="#123456") == {"tanh": "#123456", "relu": "C0"}
 
 
 def test_a_part_of_a_study_keeps_its_colours(study: HandMade) -> None:

@@ -34,13 +34,13 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
     described("import", "tensorboard", logs, "--name", "again", "--results", logged, "--json")
     again = open_data("again", logged)
     store = Store(logged)
-    for back in again.rows:
-        (path,) = (logs / f"{back.condition}_5").iterdir()
+    for condition, back in again.runs.set_index("condition")["row"].items():
+        (path,) = (logs / f"{condition}_5").iterdir()
         scalars, _ = read_event_file(path)
         points: dict[str, list[tuple[int, float]]] = {}
         for tag, step, value, _ in scalars:
             points.setdefault(tag, []).append((step, value))
-        (own,) = (name for name in store.runs() if _activation(store, name) == back.condition)
+        (own,) = (name for name in store.runs() if _activation(store, name) == condition)
         tables = {name: record_frame(store, own, name) for name in TABLES}
         returns = tables["episodes"]["return"]
         steps = tables["episodes"]["step"]
