@@ -22,7 +22,7 @@ from scipy import special
 
 from pneuma.analysis import intervals
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
-from pneuma.analysis.outcomes import without_monsters
+from pneuma.analysis.outcomes import LARGEST, without_monsters
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
@@ -70,7 +70,7 @@ class Curve:
     @cached_property
     def values(self) -> pd.DataFrame:
         """The known values of runs, or their logarithms."""
-        known = self.runs.where(np.isfinite(self.runs))
+        known = self.runs.where(self.runs.abs() <= LARGEST)
         return pd.DataFrame(np.log10(known.where(known > 0))) if self.log else known
 
     @property

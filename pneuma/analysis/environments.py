@@ -1,38 +1,35 @@
-"""Studies of several environments: their runs in each, and scores over all.
+"""Studies of several environments: their runs in each, and scores over all (Agarwal et al. 2021).
 
 StudyData → `by_environment` → StudyData of each environment, with conditions of the same names
-    → scores on a common scale → `over_environments`, `improvements`
+    → scores on a common scale → `over_environments`, `improvements`, `profiles`
+
+A run's score is its outcome on the scale of its environment, on which 0 and 1 are two reference scores.
+Statistics are rliable's; they take the scores of one condition, or of many resamples of them. Intervals are
+of the stratified bootstrap: runs are drawn anew within each environment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.intervals import no_interval
+from pneuma.analysis.intervals import LEVEL, interquartile_mean
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.scores import (
-    AGGREGATES,
-    Scores,
-    bootstrap,
-    improvement,
-    normalized,
-    profile,
-    profile_band,
-)
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
 OUTCOME = "evaluated-return"
 """Of which scores are made, unless another is asked for."""
-FEWEST = 3
-"""Fewer runs in an environment are too few to draw anew."""
+FEWEST, RESAMPLES = 3, 10_000
+"""Fewer runs in an environment are too few to draw anew; and how often they are drawn."""
 POINTS = 200
-"""Of a performance profile."""
+"""Of a performance profile, for whose band a tenth as many are drawn."""
 Parts = Mapping[str, StudyData]
+Scores = Sequence[np.ndarray]
+"""(…, runs) for each environment."""
 Statistic = Callable[..., np.ndarray]
 
 
@@ -93,39 +90,38 @@ def _values(data: StudyData, condition: str, outcome: str) -> np.ndarray:
 def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
     """Return the scores of each condition that has runs in every environment: (runs,) by environment."""
     scales = references(parts, outcome)
-    names = dict.fromkeys(name for data in parts.values() for name in data.conditions)
-    found = {
-        name: [normalized(_values(data, name, outcome), *scales[env]) for env, data in parts.items()]
-        for name in names
-        if all(name in data.conditions for data in parts.values())
-    }
-    return {name: each for name, each in found.items() if all(len(runs) for runs in each)}
+    found = {}
+    for name in dict.fromkeys(name for data in parts.values() for name in data.conditions):
+        if all(data.of_condition(name) for data in parts.values()):
+            values = {env: _values(data, name, outcome) for env, data in parts.items()}
+            found[name] = [(own - scales[env][0]) / np.diff(scales[env]) for env, own in values.items()]
+    return {name: each for name, each in found.items() if all(map(len, each))}
 
 
 def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return condition, statistic, value, low, high: one row for each of `AGGREGATES`."""
-    rows = []
-    for condition, each in scores(parts, outcome).items():
-        for name, aggregate in AGGREGATES.items():
-            rows.append((condition, name, float(aggregate(each)), *_ends(aggregate, each)))
+    rows = [
+        (condition, name, float(aggregate(each)), *bootstrap(aggregate, each))
+        for condition, each in scores(parts, outcome).items()
+        for name, aggregate in AGGREGATES.items()
+    ]
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
 def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
-    """Return condition, x, centre, low, high, runs: the share of runs with a score above each x, with a band.
-
-    A condition of fewer than `FEWEST` runs in an environment has no band.
-    """
+    """Return the share of runs with a score above each x: condition, x, centre, low, high, runs."""
     found = scores(parts, outcome)
+    if not found:
+        raise UserError(f"no condition has runs in every environment: {', '.join(parts)}")
     every = [0.0, 1.0, *(score for each in found.values() for runs in each for score in runs)]
     thresholds = np.linspace(min(every), max(every), POINTS)
-    frames = []
+    above, frames = partial(profile, thresholds=thresholds), []
     for condition, each in found.items():
-        low, high = profile_band(each, thresholds) if _enough(each) else [thresholds * np.nan] * 2
-        frame = {"x": thresholds, "centre": profile(each, thresholds), "low": low, "high": high}
-        counts = ", ".join(str(len(runs)) for runs in each)
-        frames.append(pd.DataFrame({"condition": condition, **frame, "runs": counts}))
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["condition"])
+        low, high = bootstrap(above, each, resamples=RESAMPLES // 10)
+        frame = {"x": thresholds, "centre": above(each), "low": low, "high": high}
+        runs = ", ".join(str(len(runs)) for runs in each)
+        frames.append(pd.DataFrame({"condition": condition, **frame, "runs": runs}))
+    return pd.concat(frames, ignore_index=True)
 
 
 def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
@@ -134,22 +130,53 @@ def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.Dat
     for name in (a, b):
         if name not in found:
             raise UserError(f"{name}: no runs in every environment; there are {', '.join(found) or 'none'}")
-    arms = found[a], found[b]
-    rows = [("P(better)", float(improvement(*arms)), *_ends(improvement, *arms))]
-    for name, aggregate in AGGREGATES.items():
-        less = partial(_difference, aggregate)
-        rows.append((f"{name}, difference", float(less(*arms)), *_ends(less, *arms)))
+    told: dict[str, Statistic] = {"P(better)": improvement}
+    told |= {f"{name}, difference": partial(_difference, of) for name, of in AGGREGATES.items()}
+    rows = [
+        (name, float(statistic(found[a], found[b])), *bootstrap(statistic, found[a], found[b]))
+        for name, statistic in told.items()
+    ]
     return pd.DataFrame(rows, columns=["statistic", "value", "low", "high"])
+
+
+# --- Statistics --------------------------------------------------------------------------------------
+
+AGGREGATES: Mapping[str, Statistic] = {
+    "mean": lambda scores: np.mean([each.mean(axis=-1) for each in scores], axis=0),
+    "median": lambda scores: np.median([each.mean(axis=-1) for each in scores], axis=0),
+    "IQM": lambda scores: interquartile_mean(np.concatenate(scores, axis=-1)),
+    "optimality gap": lambda scores: 1 - np.minimum(np.concatenate(scores, axis=-1), 1).mean(axis=-1),
+}
+"""Mean and median over environments of means over runs; the mean of the middle half of all runs; and by how
+much all miss a score of 1, in the mean, where what lies above 1 does not count."""
+
+
+def profile(scores: Scores, thresholds: np.ndarray) -> np.ndarray:
+    """Return the share of all runs with scores above each threshold: (…, thresholds)."""
+    runs = np.concatenate(scores, axis=-1)
+    return (runs[..., None, :] > thresholds[:, None]).mean(axis=-1)
+
+
+def improvement(a: Scores, b: Scores) -> np.ndarray:
+    """Return the probability that a run of `a` is above one of `b` in the same environment, a tie a half.
+
+    The mean over environments, which stand in the same order in both.
+    """
+    pairs = [(first[..., :, None], second[..., None, :]) for first, second in zip(a, b, strict=True)]
+    return np.mean([((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1)) for a, b in pairs], axis=0)
 
 
 def _difference(aggregate: Statistic, a: Scores, b: Scores) -> np.ndarray:
     return aggregate(a) - aggregate(b)
 
 
-def _ends(statistic: Statistic, *groups: Scores) -> tuple[float, float]:
-    ends = bootstrap(statistic, *groups) if all(map(_enough, groups)) else no_interval()
-    return ends.low, ends.high
-
-
-def _enough(scores: Scores) -> bool:
-    return min(map(len, scores)) >= FEWEST
+def bootstrap(statistic: Statistic, *groups: Scores, resamples: int = RESAMPLES) -> np.ndarray:
+    """Return the ends of a statistic's 95 % interval, (2, …); NaN if an environment has too few runs."""
+    if min(len(runs) for group in groups for runs in group) < FEWEST:
+        return np.array([statistic(*groups)] * 2) * np.nan
+    generator = np.random.default_rng(0)
+    drawn = [
+        [runs[generator.integers(len(runs), size=(resamples, len(runs)))] for runs in group]
+        for group in groups
+    ]
+    return np.quantile(statistic(*drawn), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)

@@ -250,9 +250,9 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
 def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
     """Return how many decimal places a number is shown with; negative for tens and more."""
     half = (high - low) / 2
-    if math.isfinite(half) and half > 0:
+    if math.isfinite(half) and round(half, MOST) > 0:
         return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half)))
-    if not math.isfinite(value) or value == 0:
+    if not math.isfinite(value) or round(value, MOST) == 0:
         return 0
     return min(MOST, ALONE - 1 - math.floor(math.log10(abs(value))))
 
@@ -270,8 +270,8 @@ def shown(value: float, places: int) -> str:
 def shown_with_interval(value: float, low: float, high: float) -> str:
     """Return a number and its interval as text, with the digits that the interval supports."""
     places = decimals(value, low, high)
-    if math.isnan(low) or math.isnan(high):
-        return shown(value, places)
     ends = shown(low, places), shown(high, places)
+    if math.isnan(low) or math.isnan(high) or ends[0] == ends[1]:  # nearly equal runs: no width would show
+        return shown(value, places)
     between = "; " if "," in "".join(ends) else ", "  # as in [-8,400; 9,400]
     return f"{shown(value, places)} [{between.join(ends)}]"

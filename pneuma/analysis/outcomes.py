@@ -27,6 +27,8 @@ from pneuma.study.rows import Row
 
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
+LARGEST = 1e70
+"""Greater numbers count as none: their fourth powers could not be summed."""
 NEAR_AN_END = 0.5 / 14
 """How close to 0 or 1 a share killed counts as equal, for claims without a margin: half a monster of 14."""
 MIN_CPU_SHARE = 0.9
@@ -109,16 +111,16 @@ def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] 
 
 
 def outcome(run: Row, name: str) -> float:
-    """Return a run's outcome at its end; NaN if it has none."""
-    return find_outcome(name).measure(run)
+    """Return a run's outcome at its end; NaN if it has none, or one that no statistic can be made of."""
+    value = find_outcome(name).measure(run)
+    return NAN if LARGEST < abs(value) < np.inf else value
 
 
 def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
     """Return the outcome of each finished run of a condition, in the order of seeds, (seeds,)."""
     if condition not in data.fields:
         raise unknown_name(f"condition of study {data.study.name}", condition, data.fields)
-    measure = find_outcome(name).measure
-    return np.array([measure(run) for run in data.of_condition(condition)], float)
+    return np.array([outcome(run, name) for run in data.of_condition(condition)], float)
 
 
 def find_outcome(name: str) -> Outcome:
@@ -158,8 +160,10 @@ def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
 def reason(run: Row, name: str) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
     found = find_outcome(name)
-    if not np.isnan(found.measure(run)):
+    if not np.isnan(outcome(run, name)):
         return ""
+    if not np.isnan(value := found.measure(run)):
+        return f"{name} is {value:g}, beyond {LARGEST:g}"
     if found.source == "signs" and not diagnose(run).collapsed:
         return "no sign of collapse is recorded, or there was none"
     end = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"

@@ -118,8 +118,6 @@ def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
     Scores are those of `pneuma.analysis.environments.scores`, over all environments together.
     """
     table, looks = profiles(parts, outcome), styles_of(next(iter(parts.values())))
-    if table.empty:
-        raise UserError(f"study {data.study.name}: no condition has runs in every environment")
 
     def draw(axes: Axes) -> None:
         for condition, frame in table.groupby("condition", sort=False):

@@ -166,8 +166,9 @@ def row_cells(
         cells[rows.AVERAGED_OVER] = recorded.averaged_over
     if updates:
         cells |= dict(zip(rows.STUCK, series.stuck_updates(step, updates), strict=True))
-    for quantity in recorded.series:
-        cells |= _of_quantity(recorded, quantity, grid, status.step)
+    with np.errstate(over="ignore"):  # of returns of 1e308 sums are infinite
+        for quantity in recorded.series:
+            cells |= _of_quantity(recorded, quantity, grid, status.step)
     if "return" in recorded.series and not recorded.averaged_over:
         curve = np.array(cells[curve_column("return", WINDOWS[0])])
         cells[rows.LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)

@@ -197,7 +197,7 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
             only, such as the entropy of learners of action values, is ignored.
     """
     known = {name: values for name, values in columns.items() if not np.isnan(values).all()}
-    if "action_0" in {*columns} - {*known}:
+    if "action_0" in {*columns} - {*known} or not _has_choice(columns):
         known.pop("entropy", None)  # of actions that are numbers it may be of any size
     holding: dict[str, np.ndarray] = {}
     if "entropy" in known:
@@ -207,6 +207,11 @@ def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[st
     if "dead_units" in known:
         holding[DEAD_UNITS] = known["dead_units"] >= MOST_DEAD
     return {sign: stretches(step, holds) for sign, holds in holding.items()}
+
+
+def _has_choice(columns: Mapping[str, np.ndarray]) -> bool:
+    """Return whether a policy ever had any entropy, which it never has where there is a single action."""
+    return bool(np.nanmax(columns.get("entropy", 0.0), initial=0.0) > 0)
 
 
 def _most_used(columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -222,14 +227,15 @@ STUCK_SHARE = 0.99
 def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
     """Return the number of stuck updates, of all updates, and of unbroken spells of stuck ones.
 
-    (0, 0, 0) if entropy or actions were not recorded.
+    (0, 0, 0) if entropy or actions were not recorded, or there is a single action.
 
     Args:
         step: (updates,) increasing.
         columns: (updates,) each: entropy and `ACTION_QUANTITIES`. NaN is not stuck.
     """
     names = ("entropy", *ACTION_QUANTITIES)
-    if any(name not in columns or np.isnan(columns[name]).all() for name in names):
+    unknown = any(name not in columns or np.isnan(columns[name]).all() for name in names)
+    if unknown or not _has_choice(columns):
         return 0, 0, 0
     holds = (columns["entropy"] < LEAST_ENTROPY) & (_most_used(columns) > STUCK_SHARE)
     return int(holds.sum()), len(step), len(stretches(step, holds))

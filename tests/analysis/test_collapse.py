@@ -84,6 +84,7 @@ NONE = {
     "dead units alone": (health(2, 0.9), learning()),
     "one bad evaluation": (health(), after(learning(), 15, 0.1, 15)),
     "never learned": (health(), np.where(np.arange(20) < 10, 0.1, 0.0)),
+    "a single action, as the world has": (one_action(1) * (0, 1, 0), learning()),
 }
 
 

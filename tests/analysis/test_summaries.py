@@ -13,6 +13,7 @@ from scipy import stats
 
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.intervals import shown_with_interval
+from pneuma.analysis.outcomes import reason
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import compare_conditions, summary_table
 from pneuma.study.store import Store
@@ -121,13 +122,28 @@ def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
         ((12.345, 12.33, 12.36), "12.345 [12.330, 12.360]"),
         ((0.5, np.nan, np.nan), "0.500"),
         ((0.0, np.nan, np.nan), "0"),
-        ((-6.7e-16, np.nan, np.nan), "0.000000"),
+        ((-6.7e-16, np.nan, np.nan), "0"),
+        ((0.5, 0.5 - 1e-9, 0.5 + 1e-9), "0.500"),
         ((np.nan, np.nan, np.nan), "–"),
         ((np.inf, np.nan, np.nan), "never"),
     ],
 )
 def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) -> None:
     assert shown_with_interval(*numbers) == expected
+
+
+def test_a_return_of_any_size_is_summarised_without_a_warning(tmp_path: Path) -> None:
+    """Squares of 1e308 are infinite: such a run has no value, which is said."""
+    store, cells = Store(tmp_path / "results"), {("a", seed): f"a{seed}" * 8 for seed in range(6)}
+    for (_, seed), run_id in cells.items():
+        returns = np.full(100, -1e308 if seed == 0 else float(seed))
+        save_collapse(store, run_id, healthy(), learning(), returns=returns)
+    data = study_of(store, cells)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        row = value(data, "a", "final-return", "mean")
+    assert (row["value"], row["runs"]) == (3, 5)
+    assert reason(data.rows[0], "final-return") == "final-return is -1e+308, beyond 1e+70"
 
 
 # --- Two conditions ---------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
     (logs,) = (tmp_path / "logs").iterdir()
     described("import", "tensorboard", logs, "--name", "again", "--results", logged, "--json")
     again = open_data("again", logged)
+    assert {*again.runs["seed"]} == {5}
     store = Store(logged)
     for condition, back in again.runs.set_index("condition")["row"].items():
         (path,) = (logs / f"{condition}_5").iterdir()
@@ -53,7 +54,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         row = stored_row(store, own)
         for name in row.evaluation_columns:
             np.testing.assert_allclose(back.evaluations(name), row.evaluations(name), rtol=1e-6)
-        assert (back.seed, back.end) == (5, 256)
+        assert back.end == 256
         assert again.curve(back, "return")[-1] == pytest.approx(returns[-100:].mean(), rel=0.01)
     assert again.conditions == ["relu", "tanh"]
 
