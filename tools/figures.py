@@ -87,6 +87,8 @@ WINNERS = {
 """A study of winners on fresh seeds, and the searches that found them."""
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
+ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
+"""Studies that ask the same of other environments, by the titles of their panels."""
 WHOLE = ("architecture", "activation", "actor-size", "robustness")
 """Studies of which the thesis's figure shows every condition, or a table all that there is to see."""
 EARLIER = {"slots": 1}
@@ -204,9 +206,19 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         fresh = data.runs["seed"][data.runs["condition"] == winners[0].tuned]
         same_seeds = replace(data, runs=data.runs[data.runs["seed"].isin(fresh)])
         pages.append(winners_page(study, winners, same_seeds))
+    elif study == "acrobot":
+        pages.append(_elsewhere(index))
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
     return _save(folder, pages)
+
+
+def _elsewhere(index: RunIndex) -> Page:
+    found = {title: study_runs(index, study, None) for title, study in ELSEWHERE.items()}
+    columns = {title: data for title, data in found.items() if data}
+    title, first = next(iter(columns.items()))
+    named = first.study.model_copy(update={"title": "tanh or ReLU, and Adam's betas, in other environments"})
+    return curves_page({**columns, title: replace(first, study=named)}, "return", basename="elsewhere")
 
 
 def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
@@ -302,6 +314,8 @@ def _longest(
 ) -> StudyData | None:
     """Return runs of the longest budget that two conditions have, or of a condition's own if that is less."""
     data = find_study(index, study, Selection(settings=settings, conditions=tuple(conditions)), world)
+    if world != "godot":  # fresh seeds there belong to claims of other studies, and to some conditions alone
+        data = replace(data, runs=data.runs[data.runs["seed"] < FRESH])
     if not len(data.runs):
         return None
     longest = data.runs.groupby("condition")["steps"].max().nlargest(2).iloc[-1]

@@ -38,6 +38,8 @@ BELOW_ZERO = 0.02
 CAPTION_LINES = 5
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
+NARROW = 2.5
+"""Inches of a panel in which the labels of three ticks fit, and no more."""
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
 RANDOM_PLAYER = "random player"
@@ -205,6 +207,8 @@ def fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
     title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
     panel.x_ticks(axes.xaxis)
+    if width < NARROW and panel.x_ticks is steps:
+        steps(axes.xaxis, 3)
     if panel.rows is None:
         panel.y_ticks(axes.yaxis)
     else:
