@@ -27,12 +27,12 @@ from gymnasium import spaces
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
+from pneuma.engines.records import episode_row
 from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
 from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
 """Extras that install environments, whose ids begin with their names."""
-NAN = float("nan")
 
 
 def check_spaces(run: Run) -> None:
@@ -180,17 +180,11 @@ class GymnasiumSlots:
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.observations[slot]
+        episode, returned, length = (
+            each[slot].item() for each in (self.episodes, self.returns, self.lengths)
+        )
         self.finished.append(
-            {
-                "slot": slot,
-                "episode": int(self.episodes[slot]),
-                "step": self.steps * len(self.envs),
-                "return": float(self.returns[slot]),
-                "length": int(self.lengths[slot]),
-                "kills": NAN,
-                "hp": NAN,
-                "ending": ending,
-            }
+            episode_row(slot, episode, self.steps * len(self.envs), returned, length, ending)
         )
         self.episodes[slot] += 1
         self.returns[slot], self.lengths[slot] = 0.0, 0

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.gymnasium_env import NAN, GymnasiumSlots, blamed
+from pneuma.engines.gymnasium_env import GymnasiumSlots, blamed
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS, Row
+from pneuma.engines.records import NAN, Row, evaluation_row
 from pneuma.errors import OwnCodeError
 
 BEST_EPISODES = 5
@@ -47,17 +47,9 @@ class Evaluation:
 
         returns, lengths, successes = _play(GymnasiumSlots(self.run, self._seeds), act)
         told_success = np.isfinite(successes[:episodes]).all()
-        return {
-            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
-            "step": step,
-            "episodes": episodes,
-            "return": float(returns[:episodes].mean()),
-            "length": float(lengths[:episodes].mean()),
-            "argmax_starts": BEST_EPISODES,
-            "argmax_return": float(returns[episodes:].mean()),
-            "success": float(successes[:episodes].mean()) if told_success else NAN,
-            **self.random,
-        }
+        success = float(successes[:episodes].mean()) if told_success else NAN
+        drawn, best = returns[:episodes], returns[episodes:]
+        return evaluation_row(step, drawn, lengths[:episodes], best, {"success": success, **self.random})
 
 
 def _play(

@@ -86,19 +86,23 @@ class Trainer(ABC):
         return self._evaluation.evaluate(self.policy(), step)
 
     @abstractmethod
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
-
-        Any of `RESTORE_ERRORS` says that it does not fit.
-        """
-
-    @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
         """Do the update between two agent steps and record it; return whether all numbers are finite."""
 
     @abstractmethod
     def policy(self) -> Policy | None:
         """Return the current policy; None if it is not of networks that `Policy` has."""
+
+
+class ResumableTrainer(Trainer):
+    """A trainer that knows the whole state of its run."""
+
+    @abstractmethod
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
+
+        Any of `RESTORE_ERRORS` says that it does not fit.
+        """
 
     @abstractmethod
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
@@ -107,13 +111,12 @@ class Trainer(ABC):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
-    resumes = not is_open(run)
-    module, name = (TRAINERS[run.engine] if resumes else OPEN_TRAINER).split(":")
+    module, name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
     kind = getattr(import_module(module), name)
     _seed_shared_generators(run)  # after an import, which may draw
     trainer: Trainer = kind(run)
     records, step = Records(), 0
-    if checkpoint:
+    if checkpoint and isinstance(trainer, ResumableTrainer):
         step = checkpoint.step
         try:
             trainer.restore(checkpoint)
@@ -130,7 +133,9 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             begun = time.perf_counter()
             records.evaluations.append(trainer.evaluate(step))
             seconds += time.perf_counter() - begun
-        checkpoint_now = partial(trainer.checkpoint, step, records) if resumes else None
+        checkpoint_now = None
+        if isinstance(trainer, ResumableTrainer):
+            checkpoint_now = partial(trainer.checkpoint, step, records)
         if not on_update(Progress(step, records, checkpoint_now, seconds)):
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())

@@ -17,8 +17,7 @@ from pneuma.config import Run
 
 CLIP = 10.0
 EPSILON = 1e-8
-FIRST_COUNT = 1e-4
-"""Of a mean of 0 and a variance of 1, before anything is seen."""
+MOMENTS = ("mean", "var", "count")
 
 
 @dataclass(frozen=True)
@@ -34,22 +33,6 @@ class Scaling:
         return np.clip(scaled, -CLIP, CLIP).astype(np.float32)
 
 
-class RunningMoments:
-    """Mean and variance of all rows so far, batch by batch (Chan, Golub and LeVeque 1979)."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.mean, self.variance, self.count = np.zeros(shape), np.ones(shape), FIRST_COUNT
-
-    def update(self, rows: np.ndarray) -> None:
-        """Add rows, (N, *shape)."""
-        mean, variance, count = rows.mean(axis=0), rows.var(axis=0), len(rows)
-        delta, total = mean - self.mean, self.count + count
-        between = np.square(delta) * self.count * count / total
-        self.variance = (self.variance * self.count + variance * count + between) / total
-        self.mean = self.mean + delta * count / total
-        self.count = total
-
-
 class Normalization:
     """The statistics that a run's slots learn in training, from their first observations, (S, features), on.
 
@@ -57,8 +40,10 @@ class Normalization:
     """
 
     def __init__(self, run: Run, observations: np.ndarray) -> None:
+        from gymnasium.wrappers.utils import RunningMeanStd  # which reading policies does not need
+
         self._run = run
-        self._observed, self._returned = RunningMoments(observations.shape[1:]), RunningMoments(())
+        self._observed, self._returned = RunningMeanStd(shape=observations.shape[1:]), RunningMeanStd()
         self._moments = {"observed": self._observed, "returned": self._returned}
         self._returns = np.zeros(len(observations))
         self._see(observations)
@@ -67,7 +52,7 @@ class Normalization:
     def scaling(self) -> Scaling | None:
         """How a policy normalises from now on; None if observations are left as they are."""
         observed = self._observed
-        return Scaling(observed.mean, observed.variance) if self._run.normalize_observations else None
+        return Scaling(observed.mean, observed.var) if self._run.normalize_observations else None
 
     def step(
         self, observations: np.ndarray, rewards: np.ndarray, over: np.ndarray, terminal: np.ndarray
@@ -85,7 +70,7 @@ class Normalization:
         self._returns = self._returns * self._run.gamma + rewards
         self._returned.update(self._returns)
         self._returns[over] = 0.0
-        return np.clip(rewards / np.sqrt(self._returned.variance + EPSILON), -CLIP, CLIP)
+        return np.clip(rewards / np.sqrt(self._returned.var + EPSILON), -CLIP, CLIP)
 
     def _see(self, observations: np.ndarray) -> None:
         if self._run.normalize_observations:
@@ -95,9 +80,9 @@ class Normalization:
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return the statistics: arrays by name."""
         arrays = {
-            f"{of}_{name}": np.array(value)
+            f"{of}_{name}": np.array(getattr(each, name))
             for of, each in self._moments.items()
-            for name, value in vars(each).items()
+            for name in MOMENTS
         }
         return {**arrays, "discounted": self._returns.copy()}
 
@@ -107,7 +92,7 @@ class Normalization:
         A fork may have another gamma than the run that learned them, so they do not follow from its actions.
         """
         for of, each in self._moments.items():
-            for name in vars(each):
+            for name in MOMENTS:
                 setattr(each, name, saved[f"{of}_{name}"].copy())
         self._returns = saved["discounted"].copy()
         self.seen = scaling(observations) if (scaling := self.scaling) else observations

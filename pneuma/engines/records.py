@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -55,6 +55,37 @@ share the kills. Older runs lack these four.
 """
 
 Row = Mapping[str, Any]
+NAN = float("nan")
+
+
+def episode_row(
+    slot: int, episode: int, step: int, returned: float, length: int, ending: str, kills: float = NAN,
+    hp: float = NAN,
+) -> dict[str, Any]:  # fmt: skip
+    return dict(zip(EPISODE_COLUMNS, (slot, episode, step, returned, length, kills, hp, ending), strict=True))
+
+
+def metrics_row(step: int, values: Row) -> dict[str, Any]:
+    return {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": step, **values}
+
+
+def evaluation_row(
+    step: int, returns: Sequence[float], lengths: Sequence[float], best: Sequence[float], values: Row
+) -> dict[str, Any]:
+    """Return the evaluation of a policy where there are no monsters.
+
+    It is of returns and lengths of episodes, and of returns of episodes with the `best` actions.
+    """
+    return {
+        **dict.fromkeys(EVALUATION_COLUMNS, NAN),
+        "step": step,
+        "episodes": len(returns),
+        "return": float(np.mean(returns)),
+        "length": float(np.mean(lengths)),
+        "argmax_starts": len(best),
+        "argmax_return": float(np.mean(best)),
+        **values,
+    }
 
 
 def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]:

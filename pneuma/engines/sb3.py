@@ -23,9 +23,9 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env, slot_seeds
 from pneuma.engines.gymnasium_env import choices_of
-from pneuma.engines.loop import Trainer, begins_fork
+from pneuma.engines.loop import ResumableTrainer, begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows
-from pneuma.engines.records import EPISODE_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, action_shares
+from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, action_shares, metrics_row
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
@@ -34,8 +34,6 @@ from pneuma.engines.sb3_learners import (
     seed_streams,
     take_checkpoint,
 )
-
-NAN = float("nan")
 
 _OF_VALUES = {"value_loss": (1, "value_loss"), "explained_variance": (1, "explained_variance")}
 _ENTROPY = {"entropy": (-1, "entropy_loss")}
@@ -50,7 +48,7 @@ LOGGED: dict[str, dict[str, tuple[int, str]]] = {
 """Metrics that each learner logs, with their sign and name in its log."""
 
 
-class Sb3Trainer(Trainer):
+class Sb3Trainer(ResumableTrainer):
     def __init__(self, run: Run) -> None:
         super().__init__(run)
         torch.set_num_threads(1)
@@ -82,9 +80,7 @@ class Sb3Trainer(Trainer):
                 metrics = learn_by_values(model, run, self._visited)
             else:
                 metrics = learn(model, run, self._policy, self._callback)
-        records.metrics.append(
-            {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, **metrics, **norms.means()}
-        )
+        records.metrics.append(metrics_row(after, {**metrics, **norms.means()}))
         records.episodes.extend({name: row[name] for name in EPISODE_COLUMNS} for row in model.env.finished)
         model.env.finished.clear()
         if not is_finite(records.metrics[-1], model):

@@ -25,10 +25,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from pneuma.algorithms import OPEN_LEARNERS
 from pneuma.config import Run, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.gymnasium_env import NAN, blamed, load_class, make_env
+from pneuma.engines.gymnasium_env import blamed, load_class, make_env
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
-from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, Row
+from pneuma.engines.records import NAN, Records, Row, episode_row, evaluation_row, metrics_row
 from pneuma.engines.sb3_learners import LEARNERS, learner_arguments
 from pneuma.errors import UserError
 
@@ -129,9 +129,6 @@ class OpenTrainer(Trainer):
         self._random = Evaluation(run).random
         self._seed = stream_seed(run.stream, "evaluation")
 
-    def restore(self, checkpoint: Checkpoint) -> None:
-        raise ValueError("its learner's state is not stored")
-
     def update(self, before: int, after: int, records: Records) -> bool:
         model = self._model
         with blamed(f"{self.run.algorithm} in {self.run.env}"):
@@ -143,7 +140,7 @@ class OpenTrainer(Trainer):
             name: float(next((log[f"train/{key}"] for key in keys if f"train/{key}" in log), NAN))
             for name, keys in LOGGED.items()
         }
-        records.metrics.append({**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, **told})
+        records.metrics.append(metrics_row(after, told))
         records.episodes.extend(self._episodes.take())
         with torch.no_grad():
             return all(bool(torch.isfinite(each).all()) for each in model.policy.parameters())
@@ -152,16 +149,7 @@ class OpenTrainer(Trainer):
         """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
         drawn, lengths = self._play(self.run.evaluation_episodes, deterministic=False)
         best, _ = self._play(BEST_EPISODES, deterministic=True)
-        return {
-            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
-            "step": step,
-            "episodes": self.run.evaluation_episodes,
-            "return": float(np.mean(drawn)),
-            "length": float(np.mean(lengths)),
-            "argmax_starts": BEST_EPISODES,
-            "argmax_return": float(np.mean(best)),
-            **self._random,
-        }
+        return evaluation_row(step, drawn, lengths, best, self._random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
         generators = torch.get_rng_state(), np.random.get_state()
@@ -181,9 +169,6 @@ class OpenTrainer(Trainer):
     def policy(self) -> None:
         return None
 
-    def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        raise NotImplementedError
-
 
 class Episodes(BaseCallback):
     """Collects the episodes that end, from what `Monitor` tells."""
@@ -196,19 +181,9 @@ class Episodes(BaseCallback):
     def _on_step(self) -> bool:
         for slot, info in enumerate(self.locals["infos"]):
             if episode := info.get("episode"):
-                cut = info.get("TimeLimit.truncated", False)
-                self._ended.append(
-                    {
-                        "slot": slot,
-                        "episode": self._counts[slot],
-                        "step": self.num_timesteps,
-                        "return": float(episode["r"]),
-                        "length": int(episode["l"]),
-                        "kills": NAN,
-                        "hp": NAN,
-                        "ending": "truncated" if cut else "terminated",
-                    }
-                )
+                ending = "truncated" if info.get("TimeLimit.truncated") else "terminated"
+                told = float(episode["r"]), int(episode["l"]), ending
+                self._ended.append(episode_row(slot, self._counts[slot], self.num_timesteps, *told))
                 self._counts[slot] += 1
         return True
 

@@ -11,17 +11,24 @@ from __future__ import annotations
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.loop import Trainer
-from pneuma.engines.mailman import ACTIONS, HOME, PLACES, POST_OFFICE, MailmanEnv, decision_process
+from pneuma.engines.loop import ResumableTrainer
+from pneuma.engines.mailman import ACTIONS, HOME, LETTERS, PLACES, POST_OFFICE, MailmanEnv, decision_process
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS, Checkpoint, Records, Row, action_shares
+from pneuma.engines.records import (
+    Checkpoint,
+    Records,
+    Row,
+    action_shares,
+    episode_row,
+    evaluation_row,
+    metrics_row,
+)
 
-NAN = float("nan")
 ENDING = "home"
 LONGEST_ROUTE = 2
 
 
-class TableTrainer(Trainer):
+class TableTrainer(ResumableTrainer):
     """Trains a run's tables: (1 or 2, places, actions) values, 0 at first; two in double Q-learning."""
 
     def __init__(self, run: Run) -> None:
@@ -38,8 +45,7 @@ class TableTrainer(Trainer):
         steps = (self._step(taken) for taken in range(before, after))
         actions, errors = (np.array(each) for each in zip(*steps, strict=True))
         loss, shares = float((errors**2).mean()), action_shares(self.run, actions, ACTIONS)
-        row = {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": after, "value_loss": loss, **shares}
-        records.metrics.append(row)
+        records.metrics.append(metrics_row(after, {"value_loss": loss, **shares}))
         records.episodes.extend(self._finished)
         self._finished.clear()
         return bool(np.isfinite(self.tables).all())
@@ -52,18 +58,12 @@ class TableTrainer(Trainer):
         """
         run, mean = self.run, self.tables.mean(axis=0)
         process, greedy = decision_process(self.env.slip), mean.argmax(axis=1)[:HOME]
-        returns, lengths = _play(run, mean, step)
-        return {
-            **dict.fromkeys(EVALUATION_COLUMNS, NAN),
-            "step": step,
-            "episodes": run.evaluation_episodes,
-            "return": float(np.mean(returns)),
-            "length": float(np.mean(lengths)),
-            "argmax_starts": 1,
-            "argmax_return": float(policy_values(process, greedy, 1.0)[POST_OFFICE]),
+        best = policy_values(process, greedy, 1.0)[POST_OFFICE:LETTERS]
+        values = {
             "q_estimate": float(estimated_values(self.tables)[:HOME].mean()),
             "q_true": float(policy_values(process, greedy, run.gamma).mean()),
         }
+        return evaluation_row(step, *_play(run, mean, step), best, values)
 
     def _step(self, taken: int) -> tuple[int, float]:
         """Take one step, after `taken` others, and learn from it; return the action and its error."""
@@ -79,8 +79,8 @@ class TableTrainer(Trainer):
         self.tables[updated, self._place, action] += self.run.learning_rate * error
         self._return, self._length, self._place = self._return + reward, self._length + 1, int(next_place)
         if ended:
-            row: Row = {"slot": 0, "episode": self._episode, "step": taken + 1, "return": self._return}
-            self._finished.append({**row, "length": self._length, "kills": NAN, "hp": NAN, "ending": ENDING})
+            row = episode_row(0, self._episode, taken + 1, self._return, self._length, ENDING)
+            self._finished.append(row)
             self._return, self._length, self._episode = 0.0, 0, self._episode + 1
             self._place = int(self.env.reset()[0])
         return action, error

@@ -15,12 +15,12 @@ from pneuma.config import Run, is_gymnasium_id, stream_seed
 from pneuma.engines.batched.gymnasium_rollout import GymnasiumCollector
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector
-from pneuma.engines.loop import Trainer, begins_fork
+from pneuma.engines.loop import ResumableTrainer, begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
 
 
-class BatchedTrainer(Trainer):
+class BatchedTrainer(ResumableTrainer):
     """Trains one run by compiled programs; each policy, of all players or of one, has a learner."""
 
     def __init__(self, run: Run) -> None:
