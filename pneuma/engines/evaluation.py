@@ -127,7 +127,6 @@ class Evaluation:
         return float((share.mean() - self.random_share) / (1 - self.random_share))
 
     def _play_at_random(self) -> float:
-        """Return the share of monsters that the random player kills in these worlds."""
         generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
         self._play(RandomPlayer(generator).act)
         killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)

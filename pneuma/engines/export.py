@@ -232,7 +232,6 @@ def _add_scaling(graph: _Graph, scaling: Scaling) -> str:
 
 
 def _add_layers(graph: _Graph, part: str, layers: Layers, activation: str, seen: str, output: str) -> str:
-    """Compute a multilayer perceptron's output of what is seen."""
     kind, attributes = _ONNX_ACTIVATIONS[activation]
     for i, (weight, bias) in enumerate(layers):
         name = f"{part}.{i}"

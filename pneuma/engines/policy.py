@@ -133,7 +133,6 @@ class Policy:
         return actions if np.ndim(observation) > 1 else actions[0], state
 
     def _parts(self, logits: np.ndarray) -> list[np.ndarray]:
-        """Return the logits of each choice."""
         if self.choices is None:
             return [logits]
         return np.split(logits, self.choices.ravel().cumsum()[:-1], axis=1)

@@ -256,7 +256,6 @@ def _tensors(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, torch.T
 
 
 def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, np.ndarray]:
-    """Return an optimizer's state of each parameter as optimizer/INDEX/NAME."""
     state: dict[int, dict[str, Any]] = optimizer.state_dict()["state"]
     return {
         f"optimizer/{index}/{name}": _copy(torch.as_tensor(value))

@@ -148,7 +148,6 @@ def exploration_rate(run: Run, taken: int) -> float:
 
 
 def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
-    """Return the return and length of each episode."""
     generator = np.random.default_rng(stream_seed(run.stream, "evaluation-actions", step))
     env = _make_env(run)
     env.reset(seed=stream_seed(run.stream, "evaluation"))

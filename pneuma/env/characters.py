@@ -235,38 +235,24 @@ def _ticks(seconds: float) -> int:
     return round(seconds * TICKS_PER_SECOND)
 
 
-def _fill(row: Any, **values: Any) -> None:
-    for name, value in values.items():
-        row[name] = value
-
-
-def _fill_body(row: Any, character: _Body) -> None:
-    _fill(
-        row,
-        hp=character.hp,
-        speed=character.speed / TICKS_PER_SECOND,
-        half_width=character.body[0] / 2,
-        half_height=character.body[1] / 2,
-        safe=_ticks(character.invulnerable),
-    )
+def _fill(row: Any, character: _Body) -> None:
+    """Write what a character and the rules call alike, and its body."""
+    for name in row.dtype.names:
+        if isinstance(value := getattr(character, name, None), int | float):
+            row[name] = value
+    row["speed"] = character.speed / TICKS_PER_SECOND
+    row["half_width"], row["half_height"] = (side / 2 for side in character.body)
     row["body_x"], row["body_y"] = character.body_at
+    row["safe"] = _ticks(character.invulnerable)
 
 
 def _fill_player(row: Any, character: Player, weapon: Weapon, spells: Spells) -> None:
     flame, heal = spells.flame, spells.heal
-    _fill_body(row, character)
-    _fill(
-        row,
-        energy=character.energy,
-        energy_gain=character.energy_recovery * character.magic / TICKS_PER_SECOND,
-        swing=_ticks(weapon.swing),
-        flame_ticks=_ticks(flame.cast),
-        flame_cost=flame.cost,
-        heal_ticks=_ticks(heal.cast),
-        heal=heal.strength,
-        heal_cost=heal.cost,
-        heal_reach=heal.reach,
-    )
+    _fill(row, character)
+    row["energy_gain"] = character.energy_recovery * character.magic / TICKS_PER_SECOND
+    row["swing"], row["flame_ticks"], row["heal_ticks"] = map(_ticks, (weapon.swing, flame.cast, heal.cast))
+    row["flame_cost"], row["heal_cost"] = flame.cost, heal.cost
+    row["heal"], row["heal_reach"] = heal.strength, heal.reach
     ahead = Reach(**dict.fromkeys(FACINGS, flame.length / 2))
     _fill_strike(row["sword"], weapon.box, weapon.reach, weapon.damage + character.attack)
     _fill_strike(row["flame"], (flame.length, flame.width), ahead, flame.strength + character.magic)
@@ -286,19 +272,14 @@ def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: floa
 
 
 def _fill_monster(row: Any, kind: Monster) -> None:
-    _fill_body(row, kind)
-    for name in ("stand_off", "damage", "xp", "heal"):
-        row[name] = getattr(kind, name)
+    _fill(row, kind)
     for name in ("notice", "attack"):
         row[f"{name}_squared"] = getattr(kind, name) ** 2
         row[f"{name}_x"], row[f"{name}_y"] = getattr(kind, f"{name}_at")
-    _fill(
-        row,
-        bite_ticks=_ticks(kind.bite_time),
-        knock_ticks=-1 if kind.knock_back_time is None else _ticks(kind.knock_back_time),
-        knock_speed=(kind.knock_back or 0.0) / TICKS_PER_SECOND,
-        pair_ticks=math.ceil(kind.pair_time * TICKS_PER_SECOND),
-    )
+    row["bite_ticks"] = _ticks(kind.bite_time)
+    row["knock_ticks"] = -1 if kind.knock_back_time is None else _ticks(kind.knock_back_time)
+    row["knock_speed"] = (kind.knock_back or 0.0) / TICKS_PER_SECOND
+    row["pair_ticks"] = math.ceil(kind.pair_time * TICKS_PER_SECOND)
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:

@@ -180,7 +180,6 @@ def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) 
 
 
 def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
-    """Return whether a bridge meets land both above and below."""
     for way in (-1, 1):
         r = row
         while ground[r, column] == BRIDGE:

@@ -103,7 +103,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return seeds
 
     def _reset_mask(self, mask: object) -> np.ndarray:
-        """Return which worlds to reset, (N,)."""
         if mask is None:
             return np.ones(len(self.state), np.bool_)
         if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
@@ -114,9 +113,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
-        actions = self.slots.checked(actions)
-        if not self.slots.begun:
-            raise ResetNeeded("no episode has begun: call reset first")
         slots = self.slots
         waiting = slots.world_over
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():

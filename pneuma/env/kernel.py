@@ -8,7 +8,6 @@ from functools import cache
 from typing import Any
 
 import numba
-import numpy as np
 from llvmlite import binding
 from numba.core import event, types
 
@@ -55,8 +54,8 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
             events, until it is reset.
         work: `RESET`; or `STEP`, `RECORD` what the step paid, or both.
     """
-    s = open_state(array_at(handle, (21,), HANDLE))
-    taken = array_at(actions, (s.players.shape[0], s.players.shape[1]), np.int64)
+    s = open_state(handle)
+    taken = array_at(actions, (s.players.shape[0], s.players.shape[1]))
     ended = 0
     for w in range(s.worlds.shape[0]):
         if work & STEP:
@@ -103,7 +102,6 @@ class _Announcer(event.Listener):
 
 @inlined
 def _clear(event: Array) -> None:
-    """Empty a player's events before a step."""
     event.reward = 0.0
     event.xp_gained = 0.0
     event.hp_lost = 0.0

@@ -71,7 +71,6 @@ def fill_scales(
     """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
     perceived, rows = perceived_kinds(config, levels)
     settings["layout"] = LAYOUTS[config.observation]
-    settings["observe_facing"] = config.observe_facing
     settings["fixed_order"] = config.order == "fixed"
     settings["perceived"] = rows
     monsters["perceived"] = perceived

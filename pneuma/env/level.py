@@ -108,8 +108,6 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
 
 
 class _Body:
-    """A body's box at the place where it begins."""
-
     def __init__(self, who: str, x: float, y: float, stats: np.void) -> None:
         self.who = f"{who} at ({x:g}, {y:g})"
         middle = np.array([x + stats["body_x"], y + stats["body_y"]], np.float64)
@@ -124,7 +122,6 @@ class _Body:
 
 
 def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
-    """Refuse a body that overlaps a tile that stops it; touching is allowed."""
     corner = (level.left, level.top)
     first = np.floor((body.low - corner) / level.tile).astype(int)
     last = np.ceil((body.high - corner) / level.tile).astype(int)

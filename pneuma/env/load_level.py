@@ -124,12 +124,10 @@ def _level_path(name: str) -> Path:
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    """Return the files of a level's folder, sorted; none if it holds no level."""
     return [folder / name for name in FOLDER_FILES if (folder / name).is_file()]
 
 
 def _read_layer(path: Path) -> np.ndarray:
-    """Return the codes of a layer, (rows, columns) int64."""
     table = _read_table(path, np.int64)
     if not table.size or max(table.shape) > MAX_SIDE:
         raise UserError(f"{path}: a layer has 1 to {MAX_SIDE} tiles a side")

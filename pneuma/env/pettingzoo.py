@@ -74,7 +74,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             self.worlds.seed([fresh])
             self._keyed = True
         self.worlds.reset(starts=start)
-        self.agents = list(self.possible_agents)
+        self.agents, self.slots.begun = list(self.possible_agents), True
         self._show()
         return self._observations(self.agents), self._masks(self.agents)
 

@@ -148,7 +148,6 @@ class Renderer:
     # --- What stands in the world ----------------------------------------------------------------
 
     def _draw(self, canvas: np.ndarray, world: int, left: int, top: int) -> None:
-        """Draw everything in a world onto a canvas whose corner is at (left, top)."""
         height, width = canvas.shape[:2]
         items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
         for item in sorted(items, key=lambda item: item.foot):
@@ -190,7 +189,6 @@ class Renderer:
                 yield from self._pluses(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
-        """Return which players a living monster has just bitten, (players,)."""
         level = int(self.worlds.worlds["level"][world])
         monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats[level]
         fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
@@ -198,7 +196,6 @@ class Renderer:
         return np.asarray(fresh.any(axis=0))
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
-        """Yield a picture with its feet at the lower edge of a body, and its shadow."""
         return _upright(picture, *self._place(body["x"], _foot(body, stats)))
 
     def _blow(self, player: Any, stats: Any) -> Iterator[Item]:
@@ -269,7 +266,6 @@ class Renderer:
     # --- The strip above -------------------------------------------------------------------------
 
     def _strip(self, world: int, player: int) -> np.ndarray:
-        """Return the strip of numbers for a player of a world, (height, width, 3) uint8."""
         strip = np.full(self._panel or (), sprites.rgb(sprites.PLATE), np.uint8)
         left, factor = PANEL_GAP, self._panel_factor
         for picture in self._pieces(world, player):
@@ -312,7 +308,6 @@ def _foot(body: Any, stats: Any) -> float:
 
 
 def _above(foot: float, picture: np.ndarray, x: int, y: int) -> Item:
-    """Return a picture whose lower edge is centred on a place."""
     return Item(foot, picture, x - picture.shape[1] // 2, y - picture.shape[0])
 
 
@@ -321,7 +316,6 @@ def _centred(foot: float, picture: np.ndarray, x: int, y: int) -> Item:
 
 
 def _upright(picture: np.ndarray, x: int, foot: int) -> Iterator[Item]:
-    """Yield what stands somewhere, and its shadow."""
     yield _above(foot - 0.5, sprites.shadow_picture(picture.shape[1] - 2), x, foot + 2)
     yield _above(foot, picture, x, foot + 1)
 

@@ -119,7 +119,7 @@ def step_world(s: State, w: int, actions: Array) -> bool:
         world.ending = KILLED
     elif world.monsters_left == 0 and settings.end_on_clear:
         world.ending = CLEARED
-    elif world.steps >= settings.step_limit:
+    elif world.steps >= settings.episode_steps:
         world.ending = TIME_LIMIT
     if world.ending == CLEARED or world.ending == TIME_LIMIT:
         for p in range(s.players.shape[1]):
@@ -292,7 +292,6 @@ def _within_heal(other: Array, player: Array, reach: float) -> bool:
 
 @inlined
 def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
-    """Give a player HP by a spell, up to full HP."""
     hp = max(player.hp, min(player.hp + most, stats.hp))
     event.hp_gained += hp - player.hp
     player.hp = hp
@@ -300,7 +299,6 @@ def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
 
 @kernel
 def _walk(s: State, w: int, p: int, speed: float) -> None:
-    """Move a player for one tick in the direction it faces."""
     player = s.players[w, p]
     player.x, player.y = ahead(s, w, p, speed, s.settings[0].player_stops)
     _pack(s, w, s.monsters.shape[1] + p)
@@ -317,7 +315,6 @@ def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, fl
 
 @inlined
 def _strike(player: Array, strike: Array, tick: Array) -> None:
-    """Record the box that a sword or a flame strikes in this tick."""
     facing = player.facing
     tick.strikes = 1
     tick.box_x = player.x + strike.x[facing]
@@ -344,7 +341,6 @@ def _die(player: Array, event: Array) -> None:
 
 @inlined
 def _tick_monster(s: State, w: int, m: int) -> None:
-    """Run one living monster's tick."""
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
     if monster.safe > 0:
@@ -390,7 +386,6 @@ def _tick_monster(s: State, w: int, m: int) -> None:
 
 @inlined
 def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
-    """Return whether what strikes in this tick overlaps a monster's body."""
     across = abs(monster.x + kind.body_x - tick.box_x) < tick.half_width + kind.half_width
     return across and abs(monster.y + kind.body_y - tick.box_y) < tick.half_height + kind.half_height
 
@@ -583,7 +578,6 @@ def moved(s: State, w: int, me: int, dx: float, dy: float, stops: int) -> tuple[
 
 @inlined
 def _tile_at(s: State, level: int, x: float, y: float) -> int:
-    """Return the terrain at a point."""
     settings = s.settings[0]
     return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
 

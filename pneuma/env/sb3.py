@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
@@ -88,7 +87,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""
         self._steps_taken = np.zeros(1, np.int64)
-        self._actions = np.zeros(self.num_envs, np.int64)
+        self._actions = np.zeros(self.num_envs)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed world i with seed + i at the next reset; return each slot's seed."""
@@ -115,9 +114,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        self._actions[:] = self.slots.checked(actions)
-        if not self.slots.begun:
-            raise ResetNeeded("no episode has begun: call reset first")
+        self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
         slots = self.slots

@@ -6,6 +6,7 @@ import operator
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
 from pneuma.env.worlds import ENDINGS, Worlds
@@ -28,23 +29,20 @@ class Slots:
         self.worlds = worlds
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
-        self._action_count = int(worlds.action_space.n)
         self._cuts = worlds.config.time_limit == "truncate"
         self.begun = False
         self.terminated = self.truncated = np.zeros(self.count, np.bool_)
 
-    def checked(self, actions: np.ndarray) -> np.ndarray:
-        """Return actions in the form that the rules take, (slots,) int64; ValueError for invalid ones."""
-        given = np.asarray(actions)
-        if given.dtype.kind in "iu" and given.size == self.count:
-            whole = np.ascontiguousarray(given, np.int64).reshape(self.count)
-            if whole.view(np.uint64).max() < self._action_count:  # negative numbers are huge as unsigned ones
-                return whole
-        raise ValueError(f"actions {given} are outside {self.count} of {self.worlds.action_space}")
-
     def step(self, actions: np.ndarray) -> np.ndarray:
-        """Advance all worlds by (slots,) actions; return which slots' episodes ended, (slots,)."""
-        self.worlds.advance(actions.reshape(self.worlds.players.shape))
+        """Advance all worlds by (slots,) actions; return which slots' episodes ended, (slots,).
+
+        Raises:
+            ResetNeeded: before the first reset.
+            ValueError: for what is no action.
+        """
+        if not self.begun:
+            raise ResetNeeded("no episode has begun: call reset first")
+        self.worlds.step(actions)
         ending = self.book["ending"]
         self.truncated = (ending == rules.TIME_LIMIT) & self._cuts
         self.terminated = (ending != rules.RUNNING) & ~self.truncated

@@ -175,7 +175,6 @@ def text_picture(text: str) -> np.ndarray:
 
 @cache
 def _glyphs() -> dict[str, np.ndarray]:
-    """Return every letter's picture, as wide as the letter is."""
     cells = np.split(read_art("font.png"), len(LETTERS), axis=1)
     widths = (int(np.flatnonzero(cell[..., 3].any(axis=0))[-1]) + 1 for cell in cells)
     return {letter: cell[:, :width] for letter, cell, width in zip(LETTERS, cells, widths, strict=True)}

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
-from numba import njit, types
+from llvmlite import ir
+from numba import from_dtype, njit, types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
@@ -155,7 +156,7 @@ SETTINGS = _record(
     ("top", "f8"),
     ("tile", "f8"),
     ("ticks", "i4"),  # of one agent step
-    ("step_limit", "i8"),
+    ("episode_steps", "i8"),
     ("end_on_clear", "i4"),
     ("deadly_coast", "i4"),
     ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players, or bodies do
@@ -247,60 +248,69 @@ SCRATCH = _record(("order", "u8"), ("distance", "f8"))
 
 
 class State(NamedTuple):
-    """Every array that the kernels share.
+    """Every array that the kernels share, with its dtype and axes.
 
-    The first three are the whole state of the worlds. `events`, `observations`, `masks`, `slots`, `tallies`
-    and `taken` are written by every step. `tick`, `scratch`, `near` and `boxes` are scratch space.
+    N worlds of P players, M monsters and B = P + M bodies; L levels of R x C tiles and S start places; A
+    actions, F features. The first three are the whole state of the worlds. `events`, `observations`, `masks`,
+    `slots`, `tallies` and `taken` are written by every step. `tick`, `scratch`, `near` and `boxes` are for
+    the rules alone.
     """
 
-    worlds: Array  # (N,) WORLD
-    players: Array  # (N, P) PLAYER
-    monsters: Array  # (N, M) MONSTER
-    player_stats: Array  # (2 P,) PLAYER_STATS: of players, then with their second weapon
-    monster_stats: Array  # (L, M) MONSTER_STATS
-    settings: Array  # (1,) SETTINGS
-    terrain: Array  # (L, rows, columns) uint8: OPEN, SOLID, COAST or SLOW
-    starts: Array  # (L, S, 2) start places
-    events: Array  # (N, P) EVENTS
-    observations: Array  # (N, P, features) float32
-    masks: Array  # (N, P, actions) int8: 0 where an action would do nothing
-    tick: Array  # (P,) TICK
-    scratch: Array  # (M,) SCRATCH
-    near: Array  # (M + P, M + P) int32: how many bodies a body may meet in this step, and which
-    boxes: Array  # (M + P, 4): centre and half sides of each body now; those of the dead are -inf
-    begins: Array  # (N,) int64: start places of the worlds that the next call of `run_worlds` resets
-    first_players: Array  # (P,) PLAYER: of which an episode's are copies, but for place and kept XP
-    first_monsters: Array  # (L, M) MONSTER: of which an episode's are copies
-    slots: Array  # (N, P) SLOT
-    tallies: Array  # (N,) TALLY
-    taken: Array  # (N, actions) int64: how often players who lived took each action in this episode
+    worlds: Annotated[Array, WORLD, "N"]
+    players: Annotated[Array, PLAYER, "N P"]
+    monsters: Annotated[Array, MONSTER, "N M"]
+    player_stats: Annotated[Array, PLAYER_STATS, "2P"]  # of players, then with their second weapon
+    monster_stats: Annotated[Array, MONSTER_STATS, "L M"]
+    settings: Annotated[Array, SETTINGS, "1"]
+    terrain: Annotated[Array, np.uint8, "L R C"]  # OPEN, SOLID, COAST or SLOW
+    starts: Annotated[Array, np.float64, "L S 2"]
+    events: Annotated[Array, EVENTS, "N P"]
+    observations: Annotated[Array, np.float32, "N P F"]
+    masks: Annotated[Array, np.int8, "N P A"]  # 0 where an action would do nothing
+    tick: Annotated[Array, TICK, "P"]
+    scratch: Annotated[Array, SCRATCH, "M"]
+    near: Annotated[Array, np.int32, "B B"]  # how many bodies a body may meet in this step, and which
+    boxes: Annotated[Array, np.float64, "B 4"]  # centre and half sides of bodies; those of the dead are -inf
+    begins: Annotated[Array, np.int64, "N"]  # start places of the worlds that `run_worlds` resets
+    first_players: Annotated[Array, PLAYER, "P"]  # an episode's are copies, but for place and kept XP
+    first_monsters: Annotated[Array, MONSTER, "L M"]  # an episode's are copies
+    slots: Annotated[Array, SLOT, "N P"]
+    tallies: Annotated[Array, TALLY, "N"]
+    taken: Annotated[Array, np.int64, "N A"]  # how often players who lived took each action
 
 
-DTYPES = State(
-    WORLD, PLAYER, MONSTER, PLAYER_STATS, MONSTER_STATS, SETTINGS, np.dtype(np.uint8), np.dtype(np.float64),
-    EVENTS, np.dtype(np.float32), np.dtype(np.int8), TICK, SCRATCH, np.dtype(np.int32),
-    np.dtype(np.float64), np.dtype(np.int64), PLAYER, MONSTER, SLOT, TALLY, np.dtype(np.int64),
-)  # fmt: skip
-DIMENSIONS = State(1, 2, 2, 1, 2, 1, 3, 3, 2, 3, 3, 1, 1, 2, 2, 1, 1, 2, 2, 1, 2)
+def _kinds() -> dict[str, tuple[np.dtype[Any], list[str]]]:
+    hints = get_type_hints(State, include_extras=True)
+    return {name: (np.dtype(of.__metadata__[0]), of.__metadata__[1].split()) for name, of in hints.items()}
 
-LAYOUT_DIGEST = hashlib.sha256(repr([dtype.descr for dtype in DTYPES[:3]]).encode()).hexdigest()[:16]
+
+KINDS = _kinds()
+"""Dtype and axes of each array."""
+_SAVED = repr([each.descr for each in (WORLD, PLAYER, MONSTER)])
+LAYOUT_DIGEST = hashlib.sha256(_SAVED.encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
-HANDLE = _record(("address", "i8"), ("shape", "i8", (3,)), (f"code_{DIGEST}", "i8"))
-"""A row for each array of a `State`; the last one's name is the sources' digest: an edit recompiles."""
+HANDLE = np.dtype([(f"code_{DIGEST}", "i8", (4,))])
+"""Address and shape of an array of a `State`; the name is the sources' digest: an edit recompiles."""
+
+
+def allocate(given: Mapping[str, np.ndarray], **sizes: int) -> State:
+    """Return a state of the arrays that are given, and zeros for the others, by the sizes of their axes."""
+    arrays = dict(given)
+    for name, (dtype, axes) in KINDS.items():
+        if name not in given:
+            arrays[name] = np.zeros([sizes[axis] if axis in sizes else int(axis) for axis in axes], dtype)
+    return State(**{name: np.ascontiguousarray(arrays[name], dtype) for name, (dtype, _) in KINDS.items()})
 
 
 def make_handle(state: State) -> np.ndarray:
     """Return addresses and shapes of all arrays, (21,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
-    arrays must outlive the handle, and be laid out as declared here.
+    arrays must outlive the handle.
     """
     handle = np.zeros(len(state), HANDLE)
-    for row, array, dtype, dimensions in zip(handle, state, DTYPES, DIMENSIONS, strict=True):
-        if array.dtype != dtype or array.ndim != dimensions or not array.flags.c_contiguous:
-            raise ValueError(f"an array of the state is {array.dtype} with shape {array.shape}")
-        row["address"] = array.ctypes.data
-        row["shape"][:dimensions] = array.shape
+    for numbers, array in zip(handle[HANDLE.names[0]], state, strict=True):
+        numbers[: 1 + array.ndim] = array.ctypes.data, *array.shape
     return handle
 
 
@@ -346,13 +356,11 @@ def cached(*signature: Any, using: Any = njit, **options: Any) -> Callable[[Any]
 # Only the call from outside can be called from outside: the code that takes Python's arguments
 # apart would take longer to compile than the rules. Nothing allocates, so all do without
 # numba's reference counts, which took half the time of a step.
-_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_UNCOUNTED: Any = {**_INNER, "_nrt": False}
+_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
 entry: Any = cached(error_model="numpy", nogil=True)
-inlined_counted: Any = njit(**_INNER, forceinline=True)
-kernel: Any = njit(**_UNCOUNTED)
-inlined: Any = njit(**_UNCOUNTED, forceinline=True)
-inlined_early: Any = njit(**_UNCOUNTED, inline="always")  # by numba before compiling: for the few large ones
+kernel: Any = njit(**_INNER)
+inlined: Any = njit(**_INNER, forceinline=True)
+inlined_early: Any = njit(**_INNER, inline="always")  # by numba before compiling: for the few large ones
 typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
@@ -368,52 +376,52 @@ def seed_compiled(seed: int) -> None:
     np.random.seed(seed)
 
 
-@inlined_counted
-def open_state(h: Array) -> State:
-    """Turn addresses and shapes back into arrays; the reverse of `make_handle`."""
-    return State(
-        array_at(h[0].address, (h[0].shape[0],), WORLD),
-        array_at(h[1].address, (h[1].shape[0], h[1].shape[1]), PLAYER),
-        array_at(h[2].address, (h[2].shape[0], h[2].shape[1]), MONSTER),
-        array_at(h[3].address, (h[3].shape[0],), PLAYER_STATS),
-        array_at(h[4].address, (h[4].shape[0], h[4].shape[1]), MONSTER_STATS),
-        array_at(h[5].address, (h[5].shape[0],), SETTINGS),
-        array_at(h[6].address, (h[6].shape[0], h[6].shape[1], h[6].shape[2]), np.uint8),
-        array_at(h[7].address, (h[7].shape[0], h[7].shape[1], h[7].shape[2]), np.float64),
-        array_at(h[8].address, (h[8].shape[0], h[8].shape[1]), EVENTS),
-        array_at(h[9].address, (h[9].shape[0], h[9].shape[1], h[9].shape[2]), np.float32),
-        array_at(h[10].address, (h[10].shape[0], h[10].shape[1], h[10].shape[2]), np.int8),
-        array_at(h[11].address, (h[11].shape[0],), TICK),
-        array_at(h[12].address, (h[12].shape[0],), SCRATCH),
-        array_at(h[13].address, (h[13].shape[0], h[13].shape[1]), np.int32),
-        array_at(h[14].address, (h[14].shape[0], h[14].shape[1]), np.float64),
-        array_at(h[15].address, (h[15].shape[0],), np.int64),
-        array_at(h[16].address, (h[16].shape[0],), PLAYER),
-        array_at(h[17].address, (h[17].shape[0], h[17].shape[1]), MONSTER),
-        array_at(h[18].address, (h[18].shape[0], h[18].shape[1]), SLOT),
-        array_at(h[19].address, (h[19].shape[0],), TALLY),
-        array_at(h[20].address, (h[20].shape[0], h[20].shape[1]), np.int64),
-    )
+@typed_intrinsic
+def open_state(context: Any, handle: Any) -> Any:
+    """Return the `State` of a handle, or of a pointer to one; the reverse of `make_handle`."""
+    kinds = [types.Array(from_dtype(dtype), len(axes), "C") for dtype, axes in KINDS.values()]
+    opened = types.NamedTuple(kinds, State)
+
+    def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        start = arguments[0]
+        if isinstance(handle, types.Array):
+            start = typed_arrays.make_array(handle)(codegen, builder, start).data
+        start = builder.bitcast(start, ir.IntType(64).as_pointer())
+
+        def number(place: int) -> Any:
+            return builder.load(builder.gep(start, [ir.IntType(64)(place)]))
+
+        arrays = [
+            _array(codegen, builder, kind, number(at), [number(at + 1 + axis) for axis in range(kind.ndim)])
+            for at, kind in zip(range(0, 4 * len(kinds), 4), kinds, strict=True)
+        ]
+        return codegen.make_tuple(builder, opened, arrays)
+
+    return opened(handle), generate
 
 
 @typed_intrinsic
-def array_at(context: Any, address: Any, shape: Any, dtype: Any) -> Any:
-    """Return the array of a shape and dtype at an address or pointer.
+def array_at(context: Any, pointer: Any, shape: Any) -> Any:
+    """Return the array of a shape at a pointer.
 
     `numba.carray` does the same, but compiles slowly, and with reference counts.
     """
-    kind = types.Array(dtype.dtype, len(shape), "C")
+    kind = types.Array(pointer.dtype, len(shape), "C")
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = typed_arrays.make_array(kind)(codegen, builder)
-        item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
         lengths = typed_codegen.unpack_tuple(builder, arguments[1], len(shape))
-        strides = [item]
-        for length in reversed(lengths[1:]):
-            strides.insert(0, builder.mul(strides[0], length))
-        from_there = builder.inttoptr if isinstance(address, types.Integer) else builder.bitcast
-        data = from_there(arguments[0], array.data.type)
-        typed_arrays.populate_array(array, data, lengths, strides, item, None)
-        return array._getvalue()
+        return _array(codegen, builder, kind, arguments[0], lengths)
 
-    return kind(address, shape, dtype), generate
+    return kind(pointer, shape), generate
+
+
+def _array(codegen: Any, builder: Any, kind: Any, address: Any, lengths: Any) -> Any:
+    array = typed_arrays.make_array(kind)(codegen, builder)
+    item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
+    strides = [item]
+    for length in reversed(lengths[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    from_there = builder.inttoptr if isinstance(address.type, ir.IntType) else builder.bitcast
+    data = from_there(address, array.data.type)
+    typed_arrays.populate_array(array, data, lengths, strides, item, None)
+    return array._getvalue()

@@ -71,7 +71,6 @@ class Window:
         self.closed = True
 
     def _is_closed(self) -> bool:
-        """Process the window's events; return whether somebody has closed it."""
         for event in [] if self.closed else self._pygame.event.get():
             if event.type == self._pygame.QUIT:
                 self.close()
@@ -217,7 +216,7 @@ def agent_steps(worlds: Worlds) -> int:
 def smooth(worlds: Worlds, frames_per_step: int = FRAMES_PER_STEP) -> None:
     """Let worlds advance by the ticks of one frame at a time."""
     worlds.settings["ticks"] = TICKS_PER_STEP // frames_per_step
-    worlds.settings["step_limit"] *= frames_per_step
+    worlds.settings["episode_steps"] *= frames_per_step
 
 
 # --- Videos ---------------------------------------------------------------------------------------

@@ -68,56 +68,41 @@ class Worlds:
             observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
             for player in self.player_stats
         ]
-        self.action_space = spaces.Discrete(len(self.action_names))
-        self._allocate(count, len(self.action_names))
+        self._actions = len(self.action_names)
+        self.action_space = spaces.Discrete(self._actions)
+        self._allocate(count, self._actions)
         self._try_rewards()
 
     def _allocate(self, count: int, actions: int) -> None:
-        players, monsters = len(self.player_stats), self.monster_stats.shape[1]
-        self.worlds = np.zeros(count, state.WORLD)
+        (players,), (levels, monsters) = self.player_stats.shape, self.monster_stats.shape
+        first_players = np.zeros(players, state.PLAYER)
+        for name in ("hp", "energy"):
+            first_players[name] = self.player_stats[name]
+        first_monsters = np.zeros((levels, monsters), state.MONSTER)
+        first_monsters["hp"] = self.monster_stats["hp"]
+        homes = np.array([[place for _, *place in level.monsters] for level in self.levels], np.float64)
+        first_monsters["x"], first_monsters["y"] = np.moveaxis(homes.reshape(levels, monsters, 2), 2, 0)
+        given = {
+            "player_stats": self._stats,
+            "monster_stats": self.monster_stats,
+            "settings": self.settings,
+            "terrain": np.array([level.terrain for level in self.levels]),
+            "starts": np.array([level.starts for level in self.levels]),
+            "first_players": first_players,
+            "first_monsters": first_monsters,
+        }
+        arrays = self._arrays = state.allocate(
+            given, N=count, P=players, M=monsters, B=players + monsters, A=actions, F=self.space.shape[0]
+        )
+        self.worlds, self.players, self.monsters, *_ = arrays
+        self.events, self.observations, self.masks = arrays.events, arrays.observations, arrays.masks
+        self.slots, self.tallies, self.taken = arrays.slots, arrays.tallies, arrays.taken
         fresh = np.random.SeedSequence()
         self.worlds["key"] = fresh.generate_state(count, np.uint64)  # until they are seeded
-        self.players = np.zeros((count, players), state.PLAYER)
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
-        self.monsters = np.zeros((count, monsters), state.MONSTER)
-        self.events = np.zeros((count, players), state.EVENTS)
         self.events["distance"] = np.inf
-        self.observations = np.zeros((count, players, *self.space.shape), np.float32)
-        self.masks = np.zeros((count, players, actions), np.int8)
-        self.slots, self.tallies = np.zeros((count, players), state.SLOT), np.zeros(count, state.TALLY)
         self.slots["begins"] = 1.0
-        self.taken = np.zeros((count, actions), np.int64)
-        self._first_players = np.zeros(players, state.PLAYER)
-        for name in ("hp", "energy"):
-            self._first_players[name] = self.player_stats[name]
-        first_monsters = np.zeros(self.monster_stats.shape, state.MONSTER)
-        first_monsters["hp"] = self.monster_stats["hp"]
-        homes = np.array([[(x, y) for _, x, y in level.monsters] for level in self.levels])
-        first_monsters["x"], first_monsters["y"] = np.moveaxis(homes.reshape(*first_monsters.shape, 2), 2, 0)
         self._none = np.zeros((count, players), np.int64)  # actions that a reset does not read
-        self._arrays = state.State(
-            self.worlds,
-            self.players,
-            self.monsters,
-            self._stats,
-            self.monster_stats,
-            self.settings,
-            np.ascontiguousarray([level.terrain for level in self.levels]),
-            np.ascontiguousarray([level.starts for level in self.levels]),
-            self.events,
-            self.observations,
-            self.masks,
-            np.zeros(players, state.TICK),
-            np.zeros(monsters, state.SCRATCH),
-            np.zeros((monsters + players, monsters + players), np.int32),
-            np.zeros((monsters + players, 4)),
-            np.zeros(count, np.int64),
-            self._first_players,
-            first_monsters,
-            self.slots,
-            self.tallies,
-            self.taken,
-        )
         self._take_addresses()
         self._every = np.ones(count, np.bool_)
         start = -1 if self.config.start == "random" else 0
@@ -169,9 +154,10 @@ class Worlds:
         settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
         row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
+        for name, value in vars(config).items():
+            if name in state.SETTINGS.fields and not isinstance(value, str):
+                row[name] = value
         row["ticks"] = characters.TICKS_PER_STEP
-        row["step_limit"] = config.episode_steps
-        row["end_on_clear"] = config.end_on_clear
         row["deadly_coast"] = config.coast == "deadly"
         trees = (config.trees == "wall") << rules.SOLID
         bodies = (config.bodies == "block") << rules.BODIES
@@ -181,15 +167,10 @@ class Worlds:
         row["slow_factor"] = config.slow_factor if slow else 1.0
         row["dash"] = self.action_names.index(DASH) if config.dash else -1
         row["dash_ticks"], row["dash_cooldown"] = characters.DASH_TICKS, characters.DASH_COOLDOWN
-        row["magic"] = config.magic
         row["hold"] = self.action_names.index(WEAPON_NAMES[0]) if config.second_weapon else -1
-        row["tokens"] = config.tokens
         row["shared_reward"] = config.shared_reward and not self._custom
         row["blow_on_entry"] = config.blow == "entry"
-        row["bite_while_knocked"] = config.bite_while_knocked
-        row["healing_cap"] = config.healing_cap
         row["credit_near"] = config.kill_credit == "near"
-        row["ending_cost"] = config.ending_cost
         row["keep_xp"] = config.xp_scope == "forever"
         fastest = characters.fastest(self._stats, self.monster_stats.ravel())
         row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
@@ -252,15 +233,17 @@ class Worlds:
         """Advance all running worlds; return how many episodes ended.
 
         Args:
-            actions: (N, P) whole numbers of the action space.
+            actions: (N, P) whole numbers of the action space, or as many in another shape.
 
         Raises:
             ValueError: for anything else.
         """
-        actions = _checked(actions, self.players.shape, "iu", "actions")
-        if actions.size and not 0 <= actions.min() <= actions.max() < self.action_space.n:
-            raise ValueError(f"actions {actions.min()} to {actions.max()} are outside {self.action_space}")
-        return self.advance(actions)
+        given = np.asarray(actions)
+        if given.dtype.kind in "iu" and given.size == self.players.size:
+            whole = np.ascontiguousarray(given, np.int64).reshape(self.players.shape)
+            if whole.view(np.uint64).max() < self._actions:  # negative numbers are huge as unsigned ones
+                return self.advance(whole)
+        raise ValueError(f"actions {given} are outside {self.players.size} of {self.action_space}")
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
@@ -289,7 +272,7 @@ class Worlds:
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events."""
-        events, players = self.events.copy(), np.tile(self._first_players, (len(self), 1))
+        events, players = self.events.copy(), np.tile(self._arrays.first_players, (len(self), 1))
         events["present"] = self.settings["ticks"][0]
         places = np.arange(players.shape[1]) % len(self.level.starts)
         players["x"], players["y"] = self.level.starts[places].T

@@ -138,7 +138,6 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         self._ask({"type": "env_info"}, "env_info", self._set_spaces)
 
     def _accept(self, listening: socket.socket) -> socket.socket:
-        """Wait for the game while its process runs, and say so if it takes long."""
         listening.settimeout(0.1)
         for tenths in range(START_SECONDS * 10):
             if tenths == SILENT_SECONDS * 10:

@@ -12,16 +12,18 @@ import torch
 from gymnasium import spaces
 from numba import njit
 
+compiled: Any = njit
 
-@njit
-def _compiled() -> float:
+
+@compiled
+def _draw() -> float:
     return np.random.random() + random.random()
 
 
 CHANCES: dict[str, Callable[[], float]] = {
     "global": lambda: float(np.random.random()),
     "python": random.random,
-    "numba": lambda: float(_compiled()),
+    "numba": lambda: float(_draw()),
     "torch": lambda: float(torch.rand(())),
 }
 """Generators that are not the environment's own, by the kind of corridor that draws from them."""

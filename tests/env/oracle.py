@@ -170,7 +170,7 @@ class Oracle:
             self.ending = KILLED
         elif self.monsters_left == 0 and settings.end_on_clear:
             self.ending = CLEARED
-        elif self.steps >= settings.step_limit:
+        elif self.steps >= settings.episode_steps:
             self.ending = TIME_LIMIT
         if self.ending in (CLEARED, TIME_LIMIT):
             for player in self.players:

@@ -172,7 +172,6 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 def _play(
     handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, rollout: Any
 ) -> int:
-    """Play a horizon, one step for each of `draws`; return the number of endings."""
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     scratch = room(widths, chosen.size)
