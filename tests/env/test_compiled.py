@@ -18,7 +18,7 @@ CHOOSE = """
 import numpy as np
 from pneuma.config import env_config, make_run
 from pneuma.engines.batched import rollout
-from pneuma.engines.mlp import flat, room
+from pneuma.engines.mlp import flat
 from pneuma.engines.policy import sizes
 from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
@@ -29,9 +29,9 @@ layers = (  # one unit, tanh(1), then logits
 )
 weights, widths = flat(layers), sizes(layers)
 filled = rollout.empty_rollout(1, 1, features)
-draws, scratch = np.full(1, 0.5, np.float32), room(widths, 1)
+draws = np.full(1, 0.5, np.float32)
 chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, weights, widths, 0, draws, filled, 0, chosen, scratch)
+rollout._choose(worlds.handle, weights, widths, 0, draws, filled, 0, chosen)
 print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 

@@ -47,8 +47,8 @@ class GymnasiumCollector:
         for step in range(steps):
             rollout.observations[:, step] = slots.seen
             rollout.starts[:, step] = self._begins
-            chosen = rollout.actions[:, step]
-            choose(weights, widths, activation, slots.seen, draws[step], plays, chosen)
+            seen, chosen = rollout.observations[:, step], rollout.actions[:, step]
+            choose(weights, widths, activation, seen, draws[step], plays, chosen)
             rollout.rewards[:, step], terminated, truncated = slots.step(chosen)
             self._begins[:] = over = terminated | truncated
             for slot in np.flatnonzero(over):

@@ -15,7 +15,7 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.mlp import ACTIVATION_CODES, flat, forward, room, sample
+from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, forward, room
 from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
 from pneuma.env.fields import own_rewards
@@ -151,10 +151,9 @@ class Collector:
     ) -> int:  # fmt: skip
         """Do the same as `_play` step by step, because a user's reward is plain Python."""
         chosen = np.zeros(self.worlds.players.shape, np.int64)
-        scratch = room(widths, chosen.size)
         count = 0
         for step, draw in enumerate(draws):
-            _choose(handle, weights, widths, activation, draw, rollout, step, chosen, scratch)
+            _choose(handle, weights, widths, activation, draw, rollout, step, chosen)
             self.worlds.advance(chosen)
             count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
         return count
@@ -174,10 +173,9 @@ def _play(
 ) -> int:
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
-    scratch = room(widths, chosen.size)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, weights, widths, activation, draws[step], rollout, step, chosen, scratch)
+        _choose(handle, weights, widths, activation, draws[step], rollout, step, chosen)
         run_worlds(handle.ctypes.data, chosen.ctypes, STEP | RECORD)
         count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
     return count
@@ -185,9 +183,8 @@ def _play(
 
 @kernel
 def _choose(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, rollout: Any, step: int, chosen: Any,
-    scratch: Any,
-) -> None:  # fmt: skip
+    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, rollout: Any, step: int, chosen: Any
+) -> None:
     """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = open_state(handle)
     players = s.players.shape[1]
@@ -197,17 +194,10 @@ def _choose(
             for j in range(widths[0]):  # a slice would compile the text of an error
                 rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
         rollout.starts[i, step] = slot.begins
-    policies = len(weights)
-    count = len(draws) // policies
-    for own in range(policies):
-        for k in range(count):
-            for j in range(widths[0]):
-                scratch[0, k, j] = rollout.observations[own + k * policies, step, j]
-        logits = forward(weights[own], widths, activation, count, scratch)
-        for k in range(count):
-            i = own + k * policies
-            action = sample(logits, k, widths[-1], draws[i])
-            chosen[i // players, i % players] = rollout.actions[i, step] = action
+    seen, actions = rollout.observations[:, step], rollout.actions[:, step]
+    choose(weights, widths, activation, seen, draws, np.ones(len(draws), np.bool_), actions)
+    for i in range(len(draws)):
+        chosen[i // players, i % players] = actions[i]
 
 
 @kernel
