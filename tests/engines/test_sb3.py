@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3_learners
@@ -85,24 +84,3 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:
         assert row["ending"] in ("killed", "time-limit")
         assert (row["hp"] == 0) == (row["ending"] == "killed")
     assert [row["step"] for row in result.records.evaluations] == [128, 256, 384, 512]
-
-
-def test_metrics_are_the_learners_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    log: list[dict[str, float]] = []
-    record = Logger.record
-
-    def spy(logger: Logger, key: str, value: Any, *rest: Any, **options: Any) -> None:
-        if key == "train/entropy_loss":
-            log.append({})
-        if key.startswith("train/") and log:
-            log[-1][key.removeprefix("train/")] = float(value)
-        record(logger, key, value, *rest, **options)
-
-    monkeypatch.setattr(Logger, "record", spy)
-    rows = train(small_run(seed=11))[0].records.metrics
-    assert len(log) == len(rows) == 4
-    for row, own in zip(rows, log, strict=True):
-        assert row["policy_loss"] == own["policy_gradient_loss"]
-        assert row["entropy"] == -own["entropy_loss"]
-        for name in ("value_loss", "approx_kl", "clip_fraction", "explained_variance"):
-            assert row[name] == own[name]

@@ -14,7 +14,6 @@ from pneuma.algorithms import TABULAR, VALUE_BASED
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.records import EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.presets import BASES
 
 from .trained import bits, check_that_it_goes_on, train, train_once
@@ -54,37 +53,6 @@ def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> N
 @pytest.mark.parametrize("case", CASES)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
     check_that_it_goes_on(run_of(case), 0, 1, -1)
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_records_have_the_columns_of_the_contract(case: str) -> None:
-    records = train_once(run_of(case))[0].records
-    of_values = case in OF_VALUES
-    for row in records.metrics:
-        assert set(row) == set(METRIC_COLUMNS)
-        assert sum(row[f"action_{i}"] for i in range(5)) == pytest.approx(1)
-        assert 0 <= row["dead_units"] <= 1
-    if case == "dqn":  # it learns from step 80 on, of 64 an update
-        assert [np.isnan(row["value_loss"]) for row in records.metrics] == [True, False, False, False]
-    last = records.metrics[-1]
-    missing = {name for name in METRIC_COLUMNS if np.isnan(last[name])}
-    none_of: dict[str, set[str]] = {
-        "ppo": set(),
-        "a2c": {"approx_kl", "clip_fraction"},
-        "trpo": {"clip_fraction", "grad_norm", "grad_norm_actor", "grad_norm_critic"},
-        "dqn": {
-            *("policy_loss", "entropy", "approx_kl", "clip_fraction", "explained_variance"),
-            *("grad_norm_actor", "grad_norm_critic"),
-        },
-    }
-    assert missing == none_of["dqn" if of_values else case.removesuffix("-no-baseline")]
-    added = (
-        *(("q_estimate", "q_true") if of_values else ()),
-        "steps_to_clear",
-        "hp_lost",
-        "commonest_action",
-    )
-    assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
 
 
 def test_a_trained_network_is_let_go() -> None:

@@ -37,15 +37,3 @@ def test_an_update_takes_the_values_of_the_steps_that_are_left_after_it(engine: 
     with pytest.raises(AssertionError):
         np.testing.assert_equal(weights(taken[0]), weights(constant[0]))
     np.testing.assert_equal(weights(taken[3]), weights(taken[2]))
-
-
-@pytest.mark.parametrize("algorithm", ["a2c", "trpo", "dqn"])
-def test_the_rate_of_other_learners_falls_too(algorithm: str) -> None:
-    constant = {**SMALL, "algorithm": algorithm, "learning_starts": 10}
-    (one, taken), (other, _) = (
-        train_once(make_run({**constant, **fields})) for fields in ({"learning_rate_schedule": "linear"}, {})
-    )
-    assert one.policy is not None and other.policy is not None
-    assert one.policy.to_bytes() != other.policy.to_bytes()
-    if algorithm == "a2c":  # the others step otherwise, too
-        np.testing.assert_equal(weights(taken[3]), weights(taken[2]))

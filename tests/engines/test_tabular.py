@@ -11,7 +11,6 @@ import pytest
 from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.engines.mailman import GO_HOME, GO_ON, HOME, LETTERS, POST_OFFICE, MailmanEnv, decision_process
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.engines.tabular import (
     estimated_values,
     exploration_rate,
@@ -112,22 +111,6 @@ def test_noise_is_overestimated_by_one_table_as_much_as_theory_says(algorithm: s
 @pytest.mark.parametrize("algorithm", BOTH)
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(algorithm: str) -> None:
     check_that_it_goes_on(run_of(algorithm, reward_noise=0.5, horizon=5), 0, 6, -1)  # updates end amid days
-
-
-def test_records_have_the_columns_of_the_contract() -> None:
-    records = train(run_of())[0].records
-    assert [row["step"] for row in records.metrics] == list(range(10, 401, 10))
-    assert records.metrics and records.episodes
-    assert all(set(row) == set(METRIC_COLUMNS) for row in records.metrics)
-    assert all(row["action_0"] + row["action_1"] == pytest.approx(1) for row in records.metrics)
-    assert all(tuple(row) == EPISODE_COLUMNS for row in records.episodes)
-    lengths = np.cumsum([row["length"] for row in records.episodes])
-    assert [row["step"] for row in records.episodes] == lengths.tolist()
-    assert {row["length"] for row in records.episodes} <= {1, 2}
-    assert {(row["return"], row["length"]) for row in records.episodes} == {(1.0, 2), (-1.0, 1)}
-    added = ("q_estimate", "q_true")
-    assert all(tuple(row) == (*EVALUATION_COLUMNS, *added) for row in records.evaluations)
-    assert len(records.evaluations) == 20
 
 
 # --- The mailman's day (thesis Fig. 2.1) ----------------------------------------------------------

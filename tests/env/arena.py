@@ -20,7 +20,6 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
 
 EAST = 576.0 - 22
@@ -169,20 +168,3 @@ def state_bits(worlds: Worlds, which: object = slice(None)) -> list[bytes]:
 def on_screen(pygame: ModuleType) -> np.ndarray:
     """Return what pygame's window shows, shape (height, width, 3)."""
     return np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
-
-
-class Fighter:
-    """Hunts for a while, then does the same random thing for a while, and so on."""
-
-    def __init__(self, worlds: Worlds, seed: int) -> None:
-        self.hunter = Hunter(worlds)
-        self.generator = np.random.default_rng(seed)
-        self.action = np.full(worlds.players.shape, ATTACK)
-        self.hunts = np.ones(worlds.players.shape, np.bool_)
-
-    def act(self, worlds: Worlds) -> np.ndarray:
-        anew = self.generator.random(self.action.shape) < 0.15
-        drawn = self.generator.integers(int(worlds.action_space.n), size=self.action.shape)
-        self.action = np.where(anew, drawn, self.action)
-        self.hunts = np.where(anew, self.generator.random(self.action.shape) < 0.5, self.hunts)
-        return np.where(self.hunts, self.hunter.act(worlds), self.action)

@@ -37,17 +37,3 @@ def test_a_limit_is_the_worlds_own(steps: int, arena: str) -> None:
 
 def test_a_limit_that_terminates_does_not_truncate(arena: str) -> None:
     assert ending(gymnasium.make(GODOT, level=arena, episode_steps=7))[:3] == (7, True, False)
-
-
-def test_a_limit_of_gymnasiums_cuts_the_episode_from_outside(arena: str) -> None:
-    found, terminated, truncated, info = ending(gymnasium.make(GODOT, level=arena, max_episode_steps=7))
-    assert (found, terminated, truncated) == (7, False, True) and "ending" not in info
-
-
-@pytest.mark.parametrize("mode", [None, "sync"])
-def test_vectors_of_worlds_take_the_same_limit(mode: str | None, arena: str) -> None:
-    envs = gymnasium.make_vec(TEXT, num_envs=2, vectorization_mode=mode, level=arena, episode_steps=7)
-    envs.reset(seed=0)
-    cut = [envs.step([4, 4])[3].tolist() for _ in range(7)]
-    assert cut == [[False, False]] * 6 + [[True, True]]
-    envs.close()

@@ -8,16 +8,7 @@ import pytest
 from pneuma.env.rules import DASHING
 from pneuma.env.worlds import Worlds
 
-from .arena import ATTACK, DOWN, EAST, GODOT, LEFT, RIGHT, THESIS, UP, begin, stage
-
-
-def test_walking_on_into_a_wall_already_faced_is_masked(arena: str) -> None:
-    for x, y in ((EAST, 0.0), (234.0, 30.0)):  # the coast; the obstacle's left edge is at 256
-        worlds = stage(arena, players=[(x, y)], facing=RIGHT)
-        assert worlds.masks[0, 0].tolist() == [1, 1, 1, 0, 1]
-        worlds.players["facing"] = UP
-        worlds.observe()
-        assert worlds.masks[0, 0].tolist() == [1] * 5  # it would turn
+from .arena import ATTACK, DOWN, GODOT, LEFT, RIGHT, THESIS, UP, begin
 
 
 def wander(worlds: Worlds, generator: np.random.Generator, stride: np.ndarray) -> np.ndarray:

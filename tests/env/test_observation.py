@@ -11,7 +11,7 @@ import pytest
 from pneuma.env.fields import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, RIGHT, STAND, THESIS, UP, Place, begin, play, stage
+from .arena import GODOT, RIGHT, STAND, THESIS, Place, begin, play, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -31,20 +31,6 @@ def rows(worlds: Worlds) -> np.ndarray:
     """Return the monsters' part of what the first player sees, a row each."""
     head, width = WIDTHS[worlds.config.observation]
     return seen(worlds)[head:].reshape(-1, width)
-
-
-def test_godot_sees_raw_pixels_and_points_in_fixed_order(arena: str) -> None:
-    worlds = stage(arena, (180.0, -240.0), (-300.0, 0.0), still=True, settings={"observation": "godot"})
-    worlds.players["hp"], worlds.players["xp"], worlds.monsters["hp"][0, 0] = 43, 3, 20
-    worlds.monster_stats["attack_squared"] = 0.0
-    play(worlds, UP)  # to (0, -40)
-    assert seen(worlds)[:4].tolist() == [0, -40, 43, 3]
-    # (180, -240) to (0, -40) is (-180, 200), 269.07 px; (-300, 0) to (0, -40) is (300, -40), 302.65 px.
-    expected = [
-        [180, -240, 20, -180 / 269.0725, 200 / 269.0725],
-        [-300, 0, 40, 300 / 302.6549, -40 / 302.6549],
-    ]
-    assert rows(worlds)[:2] == pytest.approx(np.array(expected), abs=1e-6)
 
 
 def test_the_godot_environment_begins_with_74_published_numbers() -> None:

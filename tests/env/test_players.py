@@ -18,14 +18,6 @@ def play_out(worlds: Worlds, player: Hunter | RandomPlayer) -> None:
         worlds.step(player.act(worlds))
 
 
-def test_the_random_player_kills_fewer_than_three_on_average() -> None:
-    worlds = Worlds(120)
-    worlds.seed(range(120))
-    worlds.reset(starts=np.arange(120) % 6)
-    play_out(worlds, RandomPlayer(np.random.default_rng(0)))
-    assert worlds.players["kills"].mean() < 3
-
-
 @pytest.mark.parametrize("players", [1, 2])
 @pytest.mark.parametrize("env_id", [THESIS, GODOT, ARENA])
 def test_hunters_clear_the_level_from_every_start_and_survive(env_id: str, players: int) -> None:

@@ -35,17 +35,6 @@ def bare(worlds: Worlds) -> np.ndarray:
     return Renderer(worlds, panel=False).frame()[::3, ::3]
 
 
-def test_player_is_drawn_where_the_state_says(arena: str) -> None:
-    worlds = stage(arena)
-    before = bare(worlds)
-    worlds.players["x"], worlds.players["y"] = 200.0, -120.0
-    x, y = changed(before, bare(worlds))
-    old = (abs(x - MIDDLE) <= BODY) & (abs(y - MIDDLE) <= BODY)
-    new = (abs(x - MIDDLE - 50) <= BODY) & (abs(y - MIDDLE + 30) <= BODY)
-    assert (old | new).all()
-    assert old.sum() > 100 and new.sum() > 100  # a body is about 12 x 12 art pixels
-
-
 def test_slow_ground_is_hatched_and_nothing_else_changes() -> None:
     firm, slow = Worlds(1), Worlds(1, make_env_config({"slow": [3]}))
     different = (Renderer(firm).background != Renderer(slow).background).any(axis=2)
@@ -124,18 +113,6 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     across = abs(x + 0.5 - MIDDLE - sword["x"]) <= sword["half_width"] + 1
     down = abs(y + 0.5 - MIDDLE - sword["y"]) <= sword["half_height"] + 1
     assert (across & down).sum() > 0.85 * 4 * sword["half_width"] * sword["half_height"]
-
-
-def test_the_map_shows_the_land_and_two_tiles_of_water() -> None:
-    worlds = Worlds(1)
-    left, top, right, bottom = worlds.level.land
-    edges = Renderer(worlds).extent
-    assert edges == (left - 128, top - 128, right + 128, bottom + 128)
-    assert Renderer(worlds, panel=False).frame().shape == (
-        (bottom - top) / 4 + 64,
-        (right - left) / 4 + 64,
-        3,
-    )
 
 
 # --- Videos ---------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.own_modules import module_files
 
-from .arena import ATTACK, STAND, Place, move_monster, play, stage
+from .arena import ATTACK, STAND, Place, play, stage
 
 _NUMBERS = itertools.count()
 
@@ -92,19 +92,6 @@ def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost:
     assert worlds.ending(0) == "killed"
     assert (rewards(worlds), worlds.players["xp"][0, 0]) == ([paid], 3 - cost)
     assert worlds.events["xp_gained"][0, 0] == -cost
-
-
-def test_each_player_is_rewarded_by_its_own_formula(arena: str) -> None:
-    names = ["thesis", "pygame", "kills", "distance-sigmoid", "godot"]
-    players = [(0.0, -300.0 + 150 * p) for p in range(5)]
-    worlds = stage(arena, still=True, players=players, settings={"reward": names})
-    worlds.players["xp"], worlds.players["hp"] = 2, 25
-    worlds.monsters["hp"][0, 1:] = 0
-    move_monster(worlds, 0, -150.0, 150.0)  # 150 px from player 3
-    worlds.monster_stats["attack_squared"] = 0.0
-    play(worlds, STAND)
-    # Players 1 to 4 are within 300 px of the monster: entering its circle pays by Godot's formula alone.
-    assert rewards(worlds) == [2 - 0.25, 2 + 0.25, 0.0, pytest.approx(0.5), 1.0]
 
 
 # --- Functions of one's own ----------------------------------------------------------------------

@@ -25,7 +25,6 @@ from .arena import (
     layer,
     monster_at,
     monster_hp,
-    move_monster,
     play,
     player_at,
     player_hp,
@@ -46,15 +45,6 @@ def test_an_attack_lasts_three_steps_in_which_walking_does_nothing(arena: str) -
     play(worlds, LEFT)
     assert player_at(worlds) == (-40.0, 0.0)
     assert worlds.players["facing"][0, 0] == LEFT
-
-
-def test_the_sword_strikes_until_the_last_tick_of_a_swing(arena: str) -> None:
-    for tick, hp in ((24, 20), (25, 40)):
-        worlds = stage(arena, (500.0, 500.0), ticks=1, still=True)
-        play(worlds, ATTACK, *[UP] * (tick - 2))
-        move_monster(worlds, 0, 60.0, 0.0)  # comes within reach only now
-        play(worlds, RIGHT)
-        assert monster_hp(worlds) == hp, tick
 
 
 def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
@@ -90,21 +80,6 @@ def test_a_dash_goes_120_px_ahead_and_the_next_one_waits_for_60_ticks(arena: str
     assert player_at(worlds) == (240.0, -220.0)
 
 
-def test_a_dash_stops_at_a_wall_and_at_a_monster_and_nobody_turns_in_it(arena: str) -> None:
-    worlds = stage(arena, players=((150.0, 30.0),), settings={"dash": True})
-    play(worlds, DASH)
-    assert player_at(worlds) == (234.0, 30.0)
-    worlds.players["dash_cooldown"] = 0
-    worlds.observe()
-    assert worlds.masks[0, 0].tolist() == [1, 1, 1, 0, 1, 0]
-    worlds = stage(
-        arena, (100.0, -200.0), players=((0.0, -200.0),), ticks=1, still=True, settings={"dash": True}
-    )
-    play(worlds, DASH, UP, ATTACK, LEFT, UP, UP, UP, UP)
-    assert player_at(worlds) == (66.0, -200.0)
-    assert worlds.players["facing"][0, 0] == RIGHT
-
-
 # --- Slow ground ----------------------------------------------------------------------------------
 # Half of 5 px a tick where the body's centre, 1.5 px left of the player's place, is on a slow tile.
 
@@ -124,16 +99,6 @@ def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) ->
     ):
         play(worlds, RIGHT)
         assert player_at(worlds) == (x, -200.0)
-
-
-def test_dashes_and_flights_are_slow_too(arena: str) -> None:
-    slow = {"slow": [2], "slow_factor": 0.25, "dash": True}
-    worlds = stage(arena, players=((0.0, -200.0),), settings=slow)
-    play(worlds, DASH)
-    assert player_at(worlds) == (30.0, -200.0)
-    worlds = stage(arena, (84.0, -26.0), ticks=1, settings=slow)  # as on firm ground, but for 15 of 60 px
-    play(worlds, *[ATTACK] * 30)
-    assert monster_at(worlds) == pytest.approx((93.0, -38.0))
 
 
 # --- Magic ---------------------------------------------------------------------------------------
@@ -197,16 +162,6 @@ def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) ->
         play(worlds, STAND)
         hp.append(player_hp(worlds))
     assert hp == [93] * 60 + [86] * 60 + [79]
-
-
-def test_whoever_leaves_and_comes_back_is_bitten_at_once(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), ticks=1, still=True)
-    hp = []
-    for x in (-40.0, -65.25, -65.0, -65.0):  # in, just out, in again, still in
-        move_monster(worlds, 0, x, 0.0)
-        play(worlds, STAND)
-        hp.append(player_hp(worlds))
-    assert hp == [93, 93, 86, 86]
 
 
 # --- A step --------------------------------------------------------------------------------------

@@ -50,19 +50,6 @@ def test_not_by_two_from_one_side_nor_by_one_alone(
     assert hp_of_monster(pair) == 40.0
 
 
-def test_not_when_the_time_is_over(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, HERE, players=2, characters=GUARDED)
-    put(pair, **BESIDE, facing=(RIGHT, LEFT))
-    act(pair, ATTACK, LEFT)
-    for _ in range(7):  # 53 - 56: closed again
-        put(pair, x=(832.0, 832.0), y=(832.0, 832.0))
-        act(pair, UP, UP)
-    assert pair.worlds.monsters["opened"][0, 0] == 0
-    put(pair, **BESIDE, facing=(RIGHT, LEFT))
-    act(pair, LEFT, ATTACK)
-    assert hp_of_monster(pair) == 40.0
-
-
 def test_healing_reaches_others_where_a_file_says_so(tmp_path: Path) -> None:
     reaching = QUIET + "[spells.heal]\nreach = 100\n"
     pair = set_up(tmp_path, FAR, players=3, magic=True, characters=reaching, bodies="pass")
@@ -150,12 +137,6 @@ def test_a_monster_that_comes_back_is_hit_again_where_blows_fall_on_entry(
         act(pair, ATTACK)
         landed += int(told(pair, "hits")[0])
     assert landed == hits
-
-
-def test_an_attack_lasts_as_long_as_it_is_told(tmp_path: Path) -> None:
-    pair = set_up(tmp_path, FAR, attack_ticks=25)
-    act(pair, ATTACK)
-    assert told(pair, "busy") == [25 - 8]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
-from pneuma.env.watch import Window
 
 from .arena import ATTACK, RIGHT, begin, bits, on_screen, player_at
 
@@ -64,16 +63,6 @@ def test_human_mode_shows_every_step_by_itself(
         assert np.array_equal(on_screen(pygame), expected(arena, 4, RIGHT))
         assert env.render() is None
         env.close()
-
-
-def test_window_tells_that_it_was_closed(pygame: ModuleType) -> None:
-    window = Window((64, 64), "closed")
-    frame = np.zeros((64, 64, 3), np.uint8)
-    window.show(frame, 0)
-    assert not window.closed
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    window.show(frame, 0)
-    assert window.closed
 
 
 def test_an_episode_is_shown_in_four_frames_a_step_and_ends_as_it_does() -> None:

@@ -7,17 +7,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
 
-from .arena import RIGHT, STATE_ARRAYS, Fighter, begin, bits, play, state_bits
+from .arena import RIGHT, STATE_ARRAYS, begin, bits, play, state_bits
 
 
 def test_every_world_is_alone_as_in_company() -> None:
     company = begin(6, seed=40)
     alone = [begin(1, seed=40 + i) for i in range(6)]
-    fighter = Fighter(company, seed=3)
+    hunter, generator = Hunter(company), np.random.default_rng(3)
     for _ in range(400):
-        actions = fighter.act(company)
+        drawn = generator.integers(5, size=(6, 1))
+        actions = np.where(generator.random((6, 1)) < 0.5, drawn, hunter.act(company))
         company.step(actions)
         over = company.worlds["ending"] != 0
         for i, world in enumerate(alone):
