@@ -29,23 +29,12 @@ from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, ac
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
+    logged_losses,
     make_model,
     restore_checkpoint,
     seed_streams,
     take_checkpoint,
 )
-
-_OF_VALUES = {"value_loss": (1, "value_loss"), "explained_variance": (1, "explained_variance")}
-_ENTROPY = {"entropy": (-1, "entropy_loss")}
-_STEPS = {"approx_kl": (1, "approx_kl"), "clip_fraction": (1, "clip_fraction")}
-LOGGED: dict[str, dict[str, tuple[int, str]]] = {
-    "ppo": {"policy_loss": (1, "policy_gradient_loss"), **_OF_VALUES, **_ENTROPY, **_STEPS},
-    "a2c": {"policy_loss": (1, "policy_loss"), **_OF_VALUES, **_ENTROPY},
-    "trpo": {"policy_loss": (-1, "policy_objective"), **_OF_VALUES, "approx_kl": (1, "kl_divergence_loss")},
-    "dqn": {"value_loss": (1, "loss")},
-    "double-dqn": {"value_loss": (1, "loss")},
-}
-"""Metrics that each learner logs, with their sign and name in its log."""
 
 
 class Sb3Trainer(ResumableTrainer):
@@ -131,7 +120,7 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
         if sound and not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
             raise
         return {}
-    return logged_losses(model, run)
+    return logged_losses(model)
 
 
 def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
@@ -148,7 +137,7 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
         )
         if model.num_timesteps > model.learning_starts:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
-            losses.append(logged_losses(model, run)["value_loss"])
+            losses.append(logged_losses(model)["value_loss"])
     mean = float(np.mean(losses)) if losses else NAN  # `sum` rounds differently from Python 3.12 on
     return {"value_loss": mean, **visited_metrics(run, policy, *visited.take())}
 
@@ -237,11 +226,6 @@ class Visited(BaseCallback):
         observations, actions = zip(*self._seen, strict=True)
         self._seen.clear()
         return np.concatenate(observations), np.concatenate(actions)
-
-
-def logged_losses(model: Learner, run: Run) -> dict[str, float]:
-    log, logged = model.logger.name_to_value, LOGGED[run.algorithm].items()
-    return {name: sign * float(log[f"train/{theirs}"]) for name, (sign, theirs) in logged}
 
 
 def visited_metrics(

@@ -25,7 +25,7 @@ from torch import nn
 
 from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_FIELDS
 from pneuma.config import ANNEALED, Run, stream_seed
-from pneuma.engines.records import Checkpoint, Records
+from pneuma.engines.records import NAN, Checkpoint, Records
 from pneuma.sb3_names import NAMES
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
@@ -155,6 +155,30 @@ def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
     for argument in signature(kind).parameters:
         if (name := NAMES.get(argument, argument)) in read:
             yield argument, name
+
+
+LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
+    "policy_loss": (
+        (1, "policy_gradient_loss"), (1, "policy_loss"), (1, "actor_loss"), (-1, "policy_objective"),
+    ),
+    "value_loss": ((1, "value_loss"), (1, "critic_loss"), (1, "loss")),
+    "entropy": ((-1, "entropy_loss"),),
+    "approx_kl": ((1, "approx_kl"), (1, "kl_divergence_loss")),
+    "clip_fraction": ((1, "clip_fraction"),),
+    "explained_variance": ((1, "explained_variance"),),
+}  # fmt: skip
+"""Metrics, and what learners call them in their logs, with the sign; the first that is there counts."""
+
+
+def logged_losses(model: Any) -> dict[str, float]:
+    """Return the metrics that a learner logged when it last trained; NaN for others."""
+    log = model.logger.name_to_value
+    return {
+        metric: next(
+            (sign * float(log[f"train/{name}"]) for sign, name in names if f"train/{name}" in log), NAN
+        )
+        for metric, names in LOGGED.items()
+    }
 
 
 # --- Checkpoints ----------------------------------------------------------------------------------

@@ -28,20 +28,12 @@ from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
-from pneuma.engines.records import NAN, Records, Row, episode_row, evaluation_row, metrics_row
-from pneuma.engines.sb3_learners import LEARNERS, learner_arguments
+from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
+from pneuma.engines.sb3_learners import LEARNERS, learner_arguments, logged_losses
 from pneuma.errors import UserError
 
 OURS = ("env", "policy", "seed", "device", "learning_rate", "gamma", "tensorboard_log", "_init_setup_model")
 """Arguments that follow from a run's fields, or write files."""
-LOGGED = {
-    "policy_loss": ("policy_gradient_loss", "policy_loss", "actor_loss"),
-    "value_loss": ("value_loss", "critic_loss", "loss"),
-    "approx_kl": ("approx_kl",),
-    "clip_fraction": ("clip_fraction",),
-    "explained_variance": ("explained_variance",),
-}
-"""Metrics, and the names by which learners log them."""
 
 
 def learner_class(run: Run) -> Any:
@@ -135,12 +127,7 @@ class OpenTrainer(Trainer):
             left = after - model.num_timesteps
             if left > 0:  # learners of replayed steps may have gone further
                 model.learn(left, callback=self._callbacks, reset_num_timesteps=False)
-        log = model.logger.name_to_value
-        told = {
-            name: float(next((log[f"train/{key}"] for key in keys if f"train/{key}" in log), NAN))
-            for name, keys in LOGGED.items()
-        }
-        records.metrics.append(metrics_row(after, told))
+        records.metrics.append(metrics_row(after, logged_losses(model)))
         records.episodes.extend(self._episodes.take())
         with torch.no_grad():
             return all(bool(torch.isfinite(each).all()) for each in model.policy.parameters())

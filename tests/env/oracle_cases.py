@@ -10,17 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
 from pneuma.env.characters import load_characters
-from pneuma.env.fields import OBSERVATIONS, ORDERS, REWARDS, SCALES, make_env_config
+from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
+from pneuma.values import OneOf
 
 from .oracle import Oracle
 from .oracle_maps import GRASS, KINDS, SAND, Map, maps, settle
@@ -106,6 +107,15 @@ def _toml(value: Any) -> str:
 
 # --- Configurations ----------------------------------------------------------------------------------
 
+_HINTS = get_type_hints(EnvConfig, include_extras=True)
+CHOICES: dict[str, Sequence[object]] = {
+    name: (False, True) if hint.__origin__ is bool else of.names
+    for name, hint in _HINTS.items()
+    for of in hint.__metadata__[:1]
+    if name != "monsters" and (hint.__origin__ is bool or isinstance(of, OneOf))
+}
+"""What each field may be that is a choice; `monsters` is of random levels alone."""
+
 
 @st.composite
 def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
@@ -123,38 +133,22 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         some.map("kind:{}".format),
         st.integers(1, 9).map("rays:{}".format),
     )
+    chosen = {name: draw(st.sampled_from(choices)) for name, choices in CHOICES.items()}
     return {
+        **chosen,
         "players": players,
         "classes": one_each(CLASSES),
         "weapons": one_each(WEAPONS),
-        "magic": draw(st.booleans()),
-        "dash": draw(st.booleans()),
         "second_weapon": draw(st.sampled_from(["", "", *WEAPONS[1:]])),
         "tokens": draw(st.sampled_from([0, 0, 1, 3])) if players > 1 else 0,
-        "shared_reward": draw(st.booleans()),
         "attack_ticks": draw(st.sampled_from([0, 0, 1, 25])),
-        "blow": draw(st.sampled_from(["attack", "attack", "entry"])),
         "reward": one_each(REWARDS),
-        "observation": draw(st.sampled_from(OBSERVATIONS)),
         "perceive": draw(perceive),
-        "order": draw(st.sampled_from(["", *ORDERS])),
-        "scale": draw(st.sampled_from(["", *SCALES])),
-        "start": draw(st.sampled_from(["random", "first"])),
-        "coast": draw(st.sampled_from(["wall", "deadly"])),
-        "trees": draw(st.sampled_from(["wall", "pass"])),
-        "terrain_stops": draw(st.sampled_from(["all", "players"])),
         "bodies": draw(st.sampled_from(["block", "block", "block", "pass"])),
         "slow": draw(st.sampled_from([[], [], [GRASS], [SAND]])),
         "slow_factor": draw(st.sampled_from([0.5, 0.3])),
-        "bite_while_knocked": draw(st.booleans()),
-        "healing_cap": draw(st.booleans()),
-        "observe_facing": draw(st.booleans()),
-        "kill_credit": draw(st.sampled_from(["striker", "near"])),
-        "xp_scope": draw(st.sampled_from(["episode", "forever"])),
         "ending_cost": draw(st.sampled_from([0.0, 1.0, 0.3])),
         "episode_steps": draw(st.sampled_from([9, 25, 60, 200])),
-        "time_limit": draw(st.sampled_from(["truncate", "terminate"])),
-        "end_on_clear": draw(st.sampled_from([True, True, False])),
     }
 
 
