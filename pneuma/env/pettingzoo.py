@@ -51,7 +51,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         low = np.concatenate([space.low for space in self.worlds.spaces])
         high = np.concatenate([space.high for space in self.worlds.spaces])
         self.state_space = spaces.Box(low, high, dtype=np.float32)  # the space of `state`
-        self._keyed = False
         self._set_up_rendering(self.worlds, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -69,10 +68,8 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         `options={"start": i}` puts player 0 at start place i, and the others at the following ones.
         """
         start = chosen_starts(self.worlds, (options or {}).get("start"))
-        if seed is not None or not self._keyed:
-            fresh = seed if seed is not None else int(seeding.np_random()[0].integers(2**63))
-            self.worlds.seed([fresh])
-            self._keyed = True
+        if seed is not None or not self.slots.begun:
+            self.worlds.seed([seed if seed is not None else int(seeding.np_random()[0].integers(2**63))])
         self.worlds.reset(starts=start)
         self.agents, self.slots.begun = list(self.possible_agents), True
         self._show()
