@@ -148,7 +148,7 @@ def _seed_shared_generators(run: Run) -> None:
     if is_gymnasium_id(run.env) or own_rewards(run.reward):  # what loads slowly is for others' code alone
         import torch
 
-        from pneuma.env.state import seed_compiled
+        from pneuma.env.compiling import seed_compiled
 
         torch.manual_seed(seed)
         seed_compiled(seed % 2**32)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from llvmlite import ir
 
-from pneuma.env.state import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
+from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
 
 if TYPE_CHECKING:
     from pneuma.engines.policy import Layers

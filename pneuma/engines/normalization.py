@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,8 @@ class Normalization:
         from gymnasium.wrappers.utils import RunningMeanStd  # which reading policies does not need
 
         self._run = run
-        self._observed, self._returned = RunningMeanStd(shape=observations.shape[1:]), RunningMeanStd()
+        moments: Any = RunningMeanStd
+        self._observed, self._returned = moments(shape=observations.shape[1:]), moments()
         self._moments = {"observed": self._observed, "returned": self._returned}
         self._returns = np.zeros(len(observations))
         self._see(observations)

@@ -11,10 +11,11 @@ import numba
 from llvmlite import binding
 from numba.core import event, types
 
+from pneuma.env.compiling import cached, entry, inlined, typed_pointer
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, record_step, step_world
-from pneuma.env.state import HANDLE, Array, array_at, cached, entry, inlined, open_state, typed_pointer
+from pneuma.env.state import HANDLE, Array, array_at, open_state
 
 GO_ON = -2
 """In place of a start place in `begins`: this world is not reset."""

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from pneuma.env import rules
+from pneuma.env.compiling import inlined, inlined_early, kernel
 from pneuma.env.layouts import LAYOUT_GODOT, LAYOUT_PYGAME, LAYOUT_THESIS
-from pneuma.env.state import Array, State, inlined, inlined_early, kernel
+from pneuma.env.state import Array, State
 
 
 @inlined_early

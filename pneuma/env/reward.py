@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env.state import Array, inlined
+from pneuma.env.compiling import inlined
+from pneuma.env.state import Array
 from pneuma.errors import OwnCodeError, UserError
 from pneuma.own_modules import load_module
 

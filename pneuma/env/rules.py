@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.env.state import Array, State, inlined, inlined_early, kernel
+from pneuma.env.compiling import inlined, inlined_early, kernel
+from pneuma.env.state import Array, State
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, DASHING, BURNING, HEALING = 1, 2, 3, 4

@@ -1,4 +1,4 @@
-"""The world's state as plain structured arrays, and how functions that take them are compiled.
+"""The world's state as plain structured arrays, and a handle by which compiled functions take them.
 
 Lengths are pixels, times ticks of 1/60 s, speeds pixels a tick; y points down. N worlds, P players
 and M monsters in each, L levels, K monsters perceived.
@@ -7,26 +7,14 @@ and M monsters in each, L levels, K monsters perceived.
 from __future__ import annotations
 
 import hashlib
-import random
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from llvmlite import ir
-from numba import from_dtype, njit, types
-from numba.core import cgutils
-from numba.core.caching import FunctionCache
-from numba.extending import intrinsic
-from numba.np import arrayobj
+from numba import from_dtype, types
 
-PACKAGE = Path(__file__).parents[1]
-KERNEL_SOURCES = (
-    "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
-    "engines/batched/rollout.py", "engines/mlp.py",
-)  # fmt: skip
-"""Files whose code, or whose constants, are compiled into kernels."""
-DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
+from pneuma.env.compiling import DIGEST, array_from, typed_arrays, typed_codegen, typed_intrinsic, typed_tuple
 
 MAX_PLAYERS = 8
 MAX_RAYS = 64
@@ -325,62 +313,14 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
     return array.reshape(-1).view(np.uint8)
 
 
-# --- Compiling ------------------------------------------------------------------------------------
-# Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
-# the handle of a world's state has an unused field whose name is a digest of all files with kernels. If one
-# of them changes, every kernel that takes a handle is compiled again. A kernel that takes no handle must not
-# use code from other files.
-
-
-def cached(*signature: Any, using: Any = njit, **options: Any) -> Callable[[Any], Any]:
-    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
-
-    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
-    to none of them.
-    """
-
-    def compiled(function: Any) -> Any:
-        try:
-            cache = typed_cache(function)
-        except RuntimeError:  # no such folder
-            return using(*signature, **options)(function)
-        try:
-            cache._cache_file._load_index()
-        except Exception:  # it names a class that is gone, and is read whole before its age is seen
-            cache.flush()
-        return using(*signature, cache=True, **options)(function)
-
-    return compiled
-
-
-# Only the call from outside can be called from outside: the code that takes Python's arguments
-# apart would take longer to compile than the rules. Nothing allocates, so all do without
-# numba's reference counts, which took half the time of a step.
-_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
-entry: Any = cached(error_model="numpy", nogil=True)
-kernel: Any = njit(**_INNER)
-inlined: Any = njit(**_INNER, forceinline=True)
-inlined_early: Any = njit(**_INNER, inline="always")  # by numba before compiling: for the few large ones
-typed_intrinsic: Any = intrinsic
-typed_arrays: Any = arrayobj
-typed_codegen: Any = cgutils
-typed_void: Any = types.void
-typed_pointer: Any = types.CPointer
-typed_cache: Any = FunctionCache
-
-
-@entry
-def seed_compiled(seed: int) -> None:
-    """Seed numba's own generators, from which a user's compiled code may draw."""
-    random.seed(seed)
-    np.random.seed(seed)
+# --- In compiled functions --------------------------------------------------------------------------
 
 
 @typed_intrinsic
 def open_state(context: Any, handle: Any) -> Any:
     """Return the `State` of a handle, or of a pointer to one; the reverse of `make_handle`."""
     kinds = [types.Array(from_dtype(dtype), len(axes), "C") for dtype, axes in KINDS.values()]
-    opened = types.NamedTuple(kinds, State)
+    opened = typed_tuple(kinds, State)
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         start = arguments[0]
@@ -392,7 +332,9 @@ def open_state(context: Any, handle: Any) -> Any:
             return builder.load(builder.gep(start, [ir.IntType(64)(place)]))
 
         arrays = [
-            _array(codegen, builder, kind, number(at), [number(at + 1 + axis) for axis in range(kind.ndim)])
+            array_from(
+                codegen, builder, kind, number(at), [number(at + 1 + axis) for axis in range(kind.ndim)]
+            )
             for at, kind in zip(range(0, 4 * len(kinds), 4), kinds, strict=True)
         ]
         return codegen.make_tuple(builder, opened, arrays)
@@ -410,18 +352,6 @@ def array_at(context: Any, pointer: Any, shape: Any) -> Any:
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lengths = typed_codegen.unpack_tuple(builder, arguments[1], len(shape))
-        return _array(codegen, builder, kind, arguments[0], lengths)
+        return array_from(codegen, builder, kind, arguments[0], lengths)
 
     return kind(pointer, shape), generate
-
-
-def _array(codegen: Any, builder: Any, kind: Any, address: Any, lengths: Any) -> Any:
-    array = typed_arrays.make_array(kind)(codegen, builder)
-    item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
-    strides = [item]
-    for length in reversed(lengths[1:]):
-        strides.insert(0, builder.mul(strides[0], length))
-    from_there = builder.inttoptr if isinstance(address.type, ir.IntType) else builder.bitcast
-    data = from_there(address, array.data.type)
-    typed_arrays.populate_array(array, data, lengths, strides, item, None)
-    return array._getvalue()

@@ -155,7 +155,7 @@ class Worlds:
         row = settings[0]
         row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
         for name, value in vars(config).items():
-            if name in state.SETTINGS.fields and not isinstance(value, str):
+            if name in (state.SETTINGS.names or ()) and not isinstance(value, str):
                 row[name] = value
         row["ticks"] = characters.TICKS_PER_STEP
         row["deadly_coast"] = config.coast == "deadly"

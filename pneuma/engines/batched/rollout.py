@@ -18,9 +18,10 @@ from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, forward, room
 from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
+from pneuma.env.compiling import cached
 from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, RECORD, RESET, STEP, run_worlds
-from pneuma.env.state import LAYOUT_DIGEST, as_bytes, cached, open_state
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
 
 ENDED = np.dtype(

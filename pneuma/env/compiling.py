@@ -1,0 +1,89 @@
+"""How functions over the state of worlds are compiled, and what of numba's own is used for that.
+
+Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
+the handle of a world's state (`state.HANDLE`) has a field whose name is a digest of all files with kernels.
+If one of them changes, every kernel that takes a handle is compiled again. A kernel that takes no handle must
+not use code from other files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.caching import FunctionCache
+from numba.extending import intrinsic
+from numba.np import arrayobj
+
+PACKAGE = Path(__file__).parents[1]
+KERNEL_SOURCES = (
+    "env/compiling.py", "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py",
+    "env/state.py", "engines/batched/rollout.py", "engines/mlp.py",
+)  # fmt: skip
+"""Files whose code, or whose constants, are compiled into kernels."""
+DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
+
+
+def cached(*signature: Any, using: Any = njit, **options: Any) -> Callable[[Any], Any]:
+    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
+
+    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
+    to none of them.
+    """
+
+    def compiled(function: Any) -> Any:
+        try:
+            cache = typed_cache(function)
+        except RuntimeError:  # no such folder
+            return using(*signature, **options)(function)
+        try:
+            cache._cache_file._load_index()
+        except Exception:  # it names a class that is gone, and is read whole before its age is seen
+            cache.flush()
+        return using(*signature, cache=True, **options)(function)
+
+    return compiled
+
+
+# Only the call from outside can be called from outside: the code that takes Python's arguments
+# apart would take longer to compile than the rules. Nothing allocates, so all do without
+# numba's reference counts, which took half the time of a step.
+_INNER: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+entry: Any = cached(error_model="numpy", nogil=True)
+kernel: Any = njit(**_INNER)
+inlined: Any = njit(**_INNER, forceinline=True)
+inlined_early: Any = njit(**_INNER, inline="always")  # by numba before compiling: for the few large ones
+typed_intrinsic: Any = intrinsic
+typed_arrays: Any = arrayobj
+typed_codegen: Any = cgutils
+typed_void: Any = types.void
+typed_pointer: Any = types.CPointer
+typed_tuple: Any = types.NamedTuple
+typed_cache: Any = FunctionCache
+
+
+@entry
+def seed_compiled(seed: int) -> None:
+    """Seed numba's own generators, from which a user's compiled code may draw."""
+    random.seed(seed)
+    np.random.seed(seed)
+
+
+def array_from(codegen: Any, builder: Any, kind: Any, address: Any, lengths: Any) -> Any:
+    """Generate the array of a type and lengths at an address, or a pointer."""
+    array = typed_arrays.make_array(kind)(codegen, builder)
+    item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
+    strides = [item]
+    for length in reversed(lengths[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    from_there = builder.inttoptr if isinstance(address.type, ir.IntType) else builder.bitcast
+    data = from_there(address, array.data.type)
+    typed_arrays.populate_array(array, data, lengths, strides, item, None)
+    return array._getvalue()
