@@ -18,7 +18,8 @@ from pneuma.config import Run
 
 CLIP = 10.0
 EPSILON = 1e-8
-MOMENTS = ("mean", "var", "count")
+MOMENTS = {"mean": "mean", "variance": "var", "count": "count"}
+"""What is saved of running means, and what Gymnasium calls it."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,9 @@ class Normalization:
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return the statistics: arrays by name."""
         arrays = {
-            f"{of}_{name}": np.array(getattr(each, name))
+            f"{of}_{name}": np.array(getattr(each, theirs))
             for of, each in self._moments.items()
-            for name in MOMENTS
+            for name, theirs in MOMENTS.items()
         }
         return {**arrays, "discounted": self._returns.copy()}
 
@@ -94,7 +95,7 @@ class Normalization:
         A fork may have another gamma than the run that learned them, so they do not follow from its actions.
         """
         for of, each in self._moments.items():
-            for name in MOMENTS:
-                setattr(each, name, saved[f"{of}_{name}"].copy())
+            for name, theirs in MOMENTS.items():
+                setattr(each, theirs, saved[f"{of}_{name}"].copy())
         self._returns = saved["discounted"].copy()
         self.seen = scaling(observations) if (scaling := self.scaling) else observations

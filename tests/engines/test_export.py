@@ -196,6 +196,7 @@ def test_what_is_no_policy_is_refused() -> None:
                 {"actor": ((hidden[0], hidden[1][:-1]), head)},
                 {"critic": policy.actor},
                 {"critic": (critic_head,)},
+                {"scaling": Scaling(np.zeros(3), np.ones(3))},
             )
         ),
     ):

@@ -14,12 +14,8 @@ from pneuma.config import Run, make_run
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.sb3 import extract_policy
 from pneuma.engines.sb3_learners import make_model
-from pneuma.errors import UserError
-from pneuma.study.identity import run_id
-from pneuma.study.spec import unread_fields
 
 from . import trained
 from .trained import bits, train, train_once
@@ -101,28 +97,3 @@ def test_a_fork_of_another_gamma_goes_on_with_what_was_learned() -> None:
     fork.restore_state(slots.saved_state())
     np.testing.assert_equal(fork.saved_state(), slots.saved_state())
     np.testing.assert_array_equal(fork.seen, slots.seen)
-
-
-def test_a_policy_acts_on_what_the_environment_shows() -> None:
-    policy = train_once(normalized())[0].policy
-    assert policy is not None and policy.scaling is not None
-    drawn = np.random.default_rng(0).standard_normal((200, 4))
-    seen = (policy.scaling.mean + 2 * np.sqrt(policy.scaling.variance) * drawn).astype(np.float32)
-    bare = replace(policy, scaling=None)
-    np.testing.assert_array_equal(policy.logits(seen), bare.logits(policy.scaling(seen)))
-    assert not np.array_equal(policy.logits(seen), bare.logits(seen))
-    again = read_sound_policy(policy.to_bytes())
-    np.testing.assert_array_equal(again.logits(seen), policy.logits(seen))
-    np.testing.assert_array_equal(again.values(seen), policy.values(seen))
-    short = replace(policy, scaling=Scaling(np.zeros(3), np.ones(3)))
-    with pytest.raises(UserError, match="do not fit each other"):
-        read_sound_policy(short.to_bytes())
-
-
-def test_where_nothing_is_normalised_the_fields_are_not_read() -> None:
-    worlds, values = make_run({}), make_run({"env": "CartPole-v1", "algorithm": "dqn"})
-    for run in (worlds, values):
-        assert unread_fields([run], NORMALIZED) == [*NORMALIZED]
-    assert run_id(normalized()) != run_id(replace(normalized(), normalize_rewards=False))
-    unset = dict.fromkeys(NORMALIZED, False)
-    assert run_id(make_run({"env": "CartPole-v1", **unset})) == run_id(make_run({"env": "CartPole-v1"}))
