@@ -277,7 +277,8 @@ KINDS = _kinds()
 _SAVED = repr([each.descr for each in (WORLD, PLAYER, MONSTER)])
 LAYOUT_DIGEST = hashlib.sha256(_SAVED.encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
-HANDLE = np.dtype([(f"code_{DIGEST}", "i8", (4,))])
+_CODE = f"code_{DIGEST}"
+HANDLE = np.dtype([(_CODE, "i8", (4,))])
 """Address and shape of an array of a `State`; the name is the sources' digest: an edit recompiles."""
 
 
@@ -297,7 +298,7 @@ def make_handle(state: State) -> np.ndarray:
     arrays must outlive the handle.
     """
     handle = np.zeros(len(state), HANDLE)
-    for numbers, array in zip(handle[HANDLE.names[0]], state, strict=True):
+    for numbers, array in zip(handle[_CODE], state, strict=True):
         numbers[: 1 + array.ndim] = array.ctypes.data, *array.shape
     return handle
 
