@@ -55,6 +55,7 @@ share the kills. Older runs lack these four.
 """
 
 Row = Mapping[str, Any]
+Numbers = Sequence[float] | np.ndarray
 NAN = float("nan")
 
 
@@ -70,7 +71,7 @@ def metrics_row(step: int, values: Row) -> dict[str, Any]:
 
 
 def evaluation_row(
-    step: int, returns: Sequence[float], lengths: Sequence[float], best: Sequence[float], values: Row
+    step: int, returns: Numbers, lengths: Numbers, best: Numbers, values: Row
 ) -> dict[str, Any]:
     """Return the evaluation of a policy where there are no monsters.
 

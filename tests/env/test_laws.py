@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +88,7 @@ def test_nobody_gets_into_another_or_into_what_stops_it(tmp_path: Path) -> None:
         before = [overlaps(worlds, world) for world in range(len(worlds))]
         count = worlds.players.shape[1]
         assert all(other < count for pairs in before for _, other in pairs)
-        actions = np.zeros(worlds.players.shape, np.int64)
+        actions: Any = np.zeros(worlds.players.shape, np.int64)
         for tick in range(200):
             if tick % 20 == 0:
                 actions = generator.integers(int(worlds.action_space.n), size=actions.shape)
