@@ -15,7 +15,7 @@ from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds
 
-from .arena import ATTACK, RIGHT, UP
+from .arena import ATTACK, RIGHT
 from .test_faces import MODES, N, assert_same, step
 
 IDLE_MASK = [0, 0, 0, 0, 1]
@@ -62,29 +62,6 @@ def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mod
     assert (env.state.players["hp"] == 100).all() and (env.state.worlds["steps"] == 0).all()
 
 
-def test_every_death_ends_a_slot_exactly_once(pit: str) -> None:
-    """Law: a slot's endings are as many as its player's deaths and its world's ends while it lived."""
-    mode = AutoresetMode.SAME_STEP
-    env = PneumaVectorEnv(12, autoreset_mode=mode, players=3, level=pit, episode_steps=40, reward="pygame")
-    env.reset(seed=0)
-    generator = np.random.default_rng(0)
-    idle = np.zeros(12, np.bool_)
-    deaths = 0
-    for _ in range(600):
-        observations, rewards, terminated, truncated, infos = env.step(generator.integers(5, size=12))
-        over = terminated | truncated
-        assert not (over & idle).any()
-        assert (rewards[idle] == 0).all() and (rewards[~idle & ~terminated] > 0).all()
-        anew = np.repeat(env.state.worlds["steps"] == 0, 3)
-        assert (over | idle)[anew].all()
-        idle = (idle | over) & ~anew
-        assert (infos["action_mask"][idle & ~over] == IDLE_MASK).all()
-        assert (observations[idle & ~over] == 0).all()
-        assert np.array_equal(idle, (env.state.players["hp"] <= 0).ravel())
-        deaths += int(terminated.sum())
-    assert deaths > 50
-
-
 # --- PettingZoo's face ---------------------------------------------------------------------------
 
 
@@ -99,31 +76,6 @@ def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
     assert rewards == {"player_0": -1.0, "player_1": 1.0}
     with pytest.raises(ValueError, match="action None of player_1"):
         env.step({"player_0": np.int64(ATTACK)})
-
-
-def test_players_leave_one_after_another(arena: str) -> None:
-    """The first is bitten to death at once, the second when the monster arrives, in tick 64."""
-    env = parallel_env(players=3, level=arena)
-    env.reset(seed=0)
-    players = env.worlds.players[0]
-    players["x"], players["y"], players["hp"] = (-300, -80, 400), (-60, 0, -300), (7, 7, 100)
-    players["facing"] = UP
-    env.worlds.monsters["x"][0, 0], env.worlds.monsters["y"][0, 0] = -300.0, 0.0
-    stand = np.full(3, ATTACK)
-    observations, rewards, terminations, truncations, infos = step(env, stand)
-    assert terminations == {"player_0": True, "player_1": False, "player_2": False}
-    assert not any(truncations.values())
-    assert rewards == {"player_0": 0.0, "player_1": -0.07, "player_2": -1.0}
-    del infos["player_0"]["action_mask"]
-    assert infos["player_0"] == {"ending": "killed", "kills": 0, "xp": 0.0, "hp": 0.0}
-    assert set(infos["player_1"]) == set(infos["player_2"]) == {"action_mask"}
-    assert observations["player_0"][2] == 0.0 and observations["player_0"][4] > 0.0  # HP; still sees
-    steps = 0
-    while "player_1" in env.agents:
-        told = step(env, stand)
-        assert all(set(part) == {"player_1", "player_2"} for part in told)
-        steps += 1
-    assert steps == 7 and env.agents == ["player_2"]
 
 
 # --- Stable-Baselines3's face --------------------------------------------------------------------
