@@ -12,38 +12,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.characters import FACINGS
-from pneuma.env.fields import WEAPON_NAMES, EnvConfig
+from pneuma.env.fields import EnvConfig
 from pneuma.env.level import RANDOM, Level
 from pneuma.errors import UserError, unknown_name
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
 LAYOUTS = {"thesis": LAYOUT_THESIS, "pygame": LAYOUT_PYGAME, "godot": LAYOUT_GODOT}
-PLAYER_FEATURES = {
-    "thesis": ("x", "y", "hp", "xp"),
-    "pygame": ("x", "y", "facing_x", "facing_y", "hp", "energy"),
-    "godot": ("x", "y", "hp", "xp"),
-}
-MONSTER_FEATURES = {
-    "thesis": ("distance", "direction_x", "direction_y", "hp"),
-    "pygame": ("distance", "direction_x", "direction_y", "hp", "xp"),
-    "godot": ("x", "y", "hp", "direction_x", "direction_y"),
-}
-FACING_FEATURES = tuple(f"faces_{name}" for name in FACINGS)
 MOST_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
-
-
-def player_features(config: EnvConfig) -> tuple[str, ...]:
-    """Return the names of the numbers that a player observes of itself, in order."""
-    names = PLAYER_FEATURES[config.observation] + (FACING_FEATURES if config.observe_facing else ())
-    names += WEAPON_NAMES[1:] if config.second_weapon else ()
-    heard = [
-        f"hears_{other}_say_{token}"
-        for other in range(1, config.players)
-        for token in range(1, config.tokens + 1)
-    ]
-    return names + tuple(heard)
 
 
 def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
@@ -121,34 +97,26 @@ def observation_space(
     diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
     forever = config.xp_scope == "forever"
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
-    xp = (MOST_XP if forever else worth) * settings["xp_scale"]
-    bounds = {
-        "x": _scaled(settings, "x", left, right),
-        "y": _scaled(settings, "y", top, bottom),
-        "hp": (0.0, most_hp(player, monsters, config) * player["hp_scale"]),
-        "energy": (0.0, player["energy"] * player["energy_scale"]),
-        "xp": (-xp if forever else -config.ending_cost * settings["xp_scale"], xp),
-        "facing_x": (-1.0, 1.0),
-        "facing_y": (-1.0, 1.0),
-        **dict.fromkeys(player_features(config)[len(PLAYER_FEATURES[config.observation]) :], (0.0, 1.0)),
-    }
-    seen = bounds | {
-        "distance": (0.0, diagonal * monsters["distance_scale"].max(initial=0.0)),
-        "hp": (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0)),
-        "xp": (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0)),
-        "direction_x": (-1.0, 1.0),
-        "direction_y": (-1.0, 1.0),
-    }
+    most = (MOST_XP if forever else worth) * settings["xp_scale"]
+    x, y = _scaled(settings, "x", left, right), _scaled(settings, "y", top, bottom)
+    hp = (0.0, most_hp(player, monsters, config) * player["hp_scale"])
+    xp = (-most if forever else -config.ending_cost * settings["xp_scale"], most)
+    energy, way, flag = (0.0, player["energy"] * player["energy_scale"]), (-1.0, 1.0), (0.0, 1.0)
+    own = [x, y, way, way, hp, energy] if config.observation == "pygame" else [x, y, hp, xp]
+    heard = config.tokens * (config.players - 1)
+    own += [flag] * (4 * config.observe_facing + bool(config.second_weapon) + heard)
+    distance = (0.0, diagonal * monsters["distance_scale"].max(initial=0.0))
+    its_hp = (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0))
+    its_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))
     if config.terrain_stops == "players":  # monsters follow out over the sea
-        seen["x"] = _scaled(settings, "x", edges[0], edges[2])
-        seen["y"] = _scaled(settings, "y", edges[1], edges[3])
-    row = [seen[name] for name in MONSTER_FEATURES[config.observation]]
-    ray = [(0.0, diagonal * settings["ray_scale"])] + [(0.0, 1.0)] * (2 + int(settings["sights"]))
-    limits = np.array(
-        [bounds[name] for name in player_features(config)]
-        + row * int(settings["perceived"])
-        + ray * int(settings["rays"])
-    )
+        x, y = _scaled(settings, "x", edges[0], edges[2]), _scaled(settings, "y", edges[1], edges[3])
+    row = {
+        "thesis": [distance, way, way, its_hp],
+        "pygame": [distance, way, way, its_hp, its_xp],
+        "godot": [x, y, its_hp, way, way],
+    }[config.observation]
+    ray = [(0.0, diagonal * settings["ray_scale"])] + [flag] * (2 + int(settings["sights"]))
+    limits = np.array(own + row * int(settings["perceived"]) + ray * int(settings["rays"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
     high = np.where(low == high, low + 1.0, high)  # such as nobody's energy: a space has some room
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
