@@ -11,45 +11,70 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
+from typer.main import get_command
 
-from pneuma import __version__
-from pneuma.cli import env, misc, runs, search, study
-from pneuma.cli.options import Commands
-from pneuma.cli.study_run import STOPPED
 from pneuma.errors import UserError, plain
 
-COMMANDS = ("study", "run", "search", "env", "report", "figure", "import")
-"""In the order of the help; Typer's own puts groups last."""
+STOPPED = 130
+"""The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
+COMMANDS = {
+    "study": ("study", "Compare conditions over many seeds."),
+    "run": ("runs", "Look at single runs and take them along."),
+    "search": ("search", "Find hyperparameters, and confirm them on fresh seeds."),
+    "env": ("env", "Look at and play environments."),
+    "report": ("misc", "Write all evidence as one HTML page."),
+    "figure": ("misc", "Say which command and runs a figure comes from."),
+    "import": ("logs", "Make a study of old logs."),
+}
+"""Of each command the module that has it, and what it does."""
 
 
-class _Ordered(TyperGroup):
-    def list_commands(self, ctx: Any) -> list[str]:
-        return [*COMMANDS]
+class _Commands(Mapping[str, Any]):
+    """The commands by name, each imported when it is asked for."""
+
+    def __getitem__(self, name: str) -> Any:
+        found = get_command(import_module(f"pneuma.cli.{COMMANDS[name][0]}").app)
+        return getattr(found, "commands", {}).get(name, found)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
 
 
-app = Commands(
-    "Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
+class _Root(TyperGroup):
+    """The group of all commands, whose help imports none."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{**given, "commands": _Commands()})
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+app = typer.Typer(
+    help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
     name="pneuma",
-    cls=_Ordered,
+    cls=_Root,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
-app.add_typer(study.app, name="study")
-app.add_typer(runs.app, name="run")
-app.add_typer(search.app, name="search")
-app.add_typer(env.app, name="env")
-app.command("report", short_help="Write all evidence as one HTML page.")(misc.report)
-app.command("figure", short_help="Say which command and runs a figure comes from.")(misc.figure)
-app.add_typer(misc.logs, name="import")
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from pneuma import __version__
+
         print(f"pneuma {__version__}")
         raise typer.Exit
 

@@ -17,13 +17,8 @@ Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 def delete_study(
     name: opt.Study,
+    picked: opt.RunFilter,
     yes: Yes = False,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
 ) -> Result:
     """Remove a study's runs from the results folder; without --steps those that are shown.
 
@@ -31,7 +26,6 @@ def delete_study(
     """
     from pneuma.analysis.runs import RunIndex, choose_runs, find_study, studies_here
 
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     index = RunIndex(picked.store)
     data = choose_runs(index, find_study(index, name, picked.selection, picked.world), picked.selection)
     here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study

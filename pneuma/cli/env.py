@@ -12,7 +12,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result
 from pneuma.errors import UserError, counted, unknown_name
 
-app = opt.Commands("Look at and play environments.")
+app = opt.Commands("env", "Look at and play environments.")
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
@@ -27,7 +27,7 @@ ABOUT = {
 CAMERAS = ("map", "follow")
 
 Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
-Seed = Annotated[int, opt.number("--seed", "Seed of the world.", min=0)]
+Seed = Annotated[int, opt.option("--seed", "N", "Seed of the world.", min=0)]
 
 
 @app.command("list")
@@ -61,7 +61,7 @@ def render(
     ] = None,
     seed: Seed = 0,
     seconds: Annotated[
-        float, opt.number("--seconds", "Most seconds of an episode in a video.", min=1.0)
+        float, opt.option("--seconds", "N", "Most seconds of an episode in a video.", min=1.0)
     ] = 20.0,
     set_: opt.Settings = None,
     trust: opt.Trust = False,

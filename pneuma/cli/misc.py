@@ -1,23 +1,20 @@
-"""The commands `pneuma report` and `figure`, and the group `import`."""
+"""The commands `pneuma report` and `figure`."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, command, say, write_file
+from pneuma.cli.output import Result, Table, check_file, say, write_file
 from pneuma.cli.study_notes import nothing_yet
-from pneuma.errors import counted
 from pneuma.study.store import Store
 
-if TYPE_CHECKING:
-    from pneuma.imports.logs import ImportedRun
-
-logs = opt.Commands("Make a study of old logs.")
+app = opt.Commands("", "")
 
 
+@app.command(short_help="Write all evidence as one HTML page.")
 def report(
     out: Annotated[Path, opt.option("--out", "FILE", "The page to write, ending in .html.")],
     names: Annotated[
@@ -43,6 +40,7 @@ def report(
     return Result({"file": out, "bytes": len(page), "studies": studies, "claims": claims}, [told])
 
 
+@app.command(short_help="Say which command and runs a figure comes from.")
 def figure(file: Annotated[Path, opt.argument("FILE", "A PNG that Pneuma drew.")]) -> Result:
     """Say where a figure comes from: the command that draws it, and the runs that it shows."""
     from pneuma.figures.origin import read_origin
@@ -53,67 +51,3 @@ def figure(file: Annotated[Path, opt.argument("FILE", "A PNG that Pneuma drew.")
         rows = [(one.study, one.condition, one.seeds, ", ".join(one.ids)) for one in origin.runs]
         shown += ["", Table(("study", "condition", "seeds", "runs"), rows)]
     return Result({"file": file, **origin.model_dump()}, shown)
-
-
-@logs.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
-def tensorboard(
-    folders: Annotated[
-        list[Path], opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one.")
-    ],
-    name: Annotated[
-        str | None, opt.option("--name", "NAME", "The study's name (default: the folder's).")
-    ] = None,
-    results: opt.Results = opt.HERE,
-) -> Result:
-    """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
-    from pneuma.imports.tensorboard import import_tensorboard
-
-    return _imported(import_tensorboard(folders, Store(results), name), results)
-
-
-@logs.command(short_help="Import CSV files: wandb's exports, Stable-Baselines3's, or any other.")
-def csv(
-    files: Annotated[
-        list[Path],
-        opt.argument("FILE", "wandb's export, monitor.csv, progress.csv, or any NAME_SEED.csv."),
-    ],
-    step: Annotated[
-        str, opt.option("--step", "COLUMN", "The column of agent steps, where a file does not tell.")
-    ] = "",
-    returns: Annotated[
-        str, opt.option("--return", "COLUMN", "That of returns; of wandb's RUN - COLUMN.")
-    ] = "",
-    averaged_over: Annotated[
-        Any,
-        opt.count("--averaged-over", "Episodes that a return is the mean of, where a file does not tell."),
-    ] = None,
-    name: Annotated[
-        str | None, opt.option("--name", "NAME", "The study's name (default: the file's or folder's).")
-    ] = None,
-    results: opt.Results = opt.HERE,
-) -> Result:
-    """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""
-    from pneuma.imports.csv_files import import_csv
-
-    return _imported(import_csv(files, Store(results), name, step, returns, averaged_over), results)
-
-
-def _imported(found: tuple[str, list[ImportedRun], list[str]], results: Path) -> Result:
-    study, runs, notes = found
-    for note in notes:
-        say(f"Note: {note}.", aside=True)
-    rows = [
-        {"run_id": run.run_id, "condition": run.condition, "seed": run.seed, "steps": run.log.steps,
-         "imported": run.new}
-        for run in runs
-    ]  # fmt: skip
-    new, points = sum(run.new for run in runs), sum(len(run.log.points) for run in runs)
-    amount = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
-    episodes = max(100, *(run.log.provenance.get("averaged_over", 100) for run in runs))
-    means = "" if episodes == 100 else "; those of runs trained here are of 100, and less smooth"
-    shown = [
-        f"{study}: {amount}; {new} imported now, {len(runs) - new} were stored.",
-        f"Returns are means of {episodes} episodes{means}.",
-        f"Draw it with: {command('study', 'plot', study, '--results', results)}",
-    ]
-    return Result({"study": study, "runs": rows, "notes": notes}, shown)

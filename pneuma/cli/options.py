@@ -1,21 +1,20 @@
 """Options: how they are declared, and those that several commands share.
 
-A command's parameters are annotated with options, as `steps: opt.Steps = None`. It returns a `Result`, which
-`Command` prints, with `--json` for programs.
+A command is a function whose parameters are annotated with options, as `steps: opt.Steps = None`, or with a
+dataclass of options, as `picked: opt.RunFilter`. It returns a `Result`, which `Commands` prints, with
+`--json` for programs.
 """
 
 from __future__ import annotations
 
 import functools
-import shlex
+import inspect
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
-from typer.core import TyperCommand
-from typer.main import get_command
 
 from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
@@ -33,9 +32,11 @@ if TYPE_CHECKING:
 # --- How options are declared ----------------------------------------------------------------------
 
 
-def option(name: str, metavar: str, help_text: str, read: Callable[[str], Any] | None = None) -> Any:
-    """Return an option; `read` converts its text."""
-    return typer.Option(name, metavar=metavar, help=help_text, parser=read)
+def option(
+    name: str, metavar: str, help_text: str, read: Callable[[str], Any] | None = None, **limits: Any
+) -> Any:
+    """Return an option; `read` converts its text, and limits are those of a number."""
+    return typer.Option(name, metavar=metavar, help=help_text, parser=read, **limits)
 
 
 def argument(metavar: str, help_text: str) -> Any:
@@ -44,11 +45,6 @@ def argument(metavar: str, help_text: str) -> Any:
 
 def flag(name: str, help_text: str) -> Any:
     return typer.Option(name, help=help_text)
-
-
-def number(name: str, help_text: str, metavar: str = "N", **limits: Any) -> Any:
-    """Return an option for a number within limits."""
-    return typer.Option(name, help=help_text, metavar=metavar, **limits)
 
 
 def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "") -> Any:
@@ -135,6 +131,7 @@ Results = Annotated[
 Format = Annotated[str, choice("--format", OUTPUT_FORMATS, "How to print it; --json is short for json.")]
 TABLE = OUTPUT_FORMATS[0]
 """The default of `Format`."""
+JSON = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
 Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
 Trust = Annotated[
@@ -191,20 +188,19 @@ Slurm = Annotated[
 
 @dataclass(frozen=True)
 class RunFilter:
-    """Which runs of a study a command reads, or trains: the options that choose them."""
+    """Which runs of a study a command reads: the options that choose them."""
 
-    seeds: Any = None
-    steps: Any = None
-    condition: Several = None
-    set_: SeveralRead = None
-    world: str | None = None
-    results: Path = HERE
-    preset: str | None = None
+    seeds: Seeds = None
+    steps: StoredSteps = None
+    condition: Conditions = None
+    set_: Settings = None
+    world: World = None
+    results: Results = HERE
 
     @property
     def selection(self) -> Selection:
-        conditions = tuple(self.condition or ())
-        return Selection(self.preset, self.seeds, self.steps, conditions, dict(self.set_ or ()))
+        settings, preset = dict(self.set_ or ()), getattr(self, "preset", None)
+        return Selection(preset, self.seeds, self.steps, tuple(self.condition or ()), settings)
 
     @property
     def store(self) -> Store:
@@ -220,89 +216,100 @@ class RunFilter:
             settings=picked.settings, world=self.world, say=aside,
         )  # fmt: skip
 
-    def again(self, data: StudyData, *words: str, **look: Iterable[str]) -> str:
-        """Return the command that draws a figure of some data again, whatever budget is trained meanwhile.
 
-        `look` are its other options, each with all its values.
-        """
-        chosen = selecting_words(replace(self.selection, steps=data.steps or self.steps))
-        chosen += ["--world", self.world] if self.world else []
-        options = [word for key, values in look.items() for value in values for word in (f"--{key}", value)]
-        where = ["--results", str(self.results)]
-        return shlex.join(["pneuma", "study", *words, *chosen, *options, *where])
+@dataclass(frozen=True)
+class TrainFilter(RunFilter):
+    """Which runs of a study are trained."""
+
+    steps: Steps = None
+    preset: Preset = None
 
 
-def place(
-    workers: int | None = None,
-    executor: str | None = None,
-    address: str | None = None,
-    slurm: SeveralRead = None,
-    detach: bool = False,
-) -> ExecutorConfig:
-    """Return where runs train, and how many at once; refuse options that do not go together."""
-    executor = executor or LOCAL
-    given = {"address": (address, RAY), "slurm": (slurm, SLURM), "detach": (detach, SLURM)}
-    for name, (value, needed) in given.items():
-        if value and executor != needed:
-            raise UserError(f"--{name}: goes with --executor {needed}")
-    asked = tuple((key.replace("-", "_"), value) for key, value in slurm or ())
-    config = ExecutorConfig(executor=executor, address=address, slurm=asked, detach=detach)
-    room = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
-    return replace(config, workers=workers or room)
+@dataclass(frozen=True)
+class Place:
+    """Where runs train, and how many at once."""
+
+    workers: Workers = None
+    executor: Executor = None
+    address: Address = None
+    slurm: Slurm = None
+
+    def config(self, **more: Any) -> ExecutorConfig:
+        """Return it with other fields; refuse options that do not go together."""
+        executor, given = self.executor or LOCAL, {**vars(self), **more}
+        for name, needed in {"address": RAY, "slurm": SLURM, "detach": SLURM}.items():
+            if given.get(name) and executor != needed:
+                raise UserError(f"--{name}: goes with --executor {needed}")
+        asked = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
+        config = ExecutorConfig(executor=executor, address=self.address, slurm=asked, **more)
+        room = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
+        return replace(config, workers=self.workers or room)
 
 
-def selecting_words(selection: Selection) -> list[str]:
-    """Return a selection of stored runs as words of a command."""
-    words = []
-    if selection.seeds is not None:
-        counted_up = selection.seeds == tuple(range(len(selection.seeds)))
-        listed = shown_seeds(selection.seeds) + ("," if len(selection.seeds) == 1 else "")
-        words += ["--seeds", str(len(selection.seeds)) if counted_up else listed]
-    words += ["--steps", str(selection.steps)] if selection.steps is not None else []
-    words += [word for name in selection.conditions for word in ("--condition", name)]
-    return words + setting_words(selection.settings)
+def words_of(asked: Any) -> list[object]:
+    """Return the options in a dataclass that are not at their defaults, as words of a command."""
+    words: list[object] = []
+    for item in _options_of(type(asked)):
+        value, name = getattr(asked, item.name), item.annotation.__metadata__[0].default
+        if value in (None, item.default) and item.name != "results":
+            continue
+        if name == "--set":
+            words += setting_words(dict(value))
+        elif name == "--seeds":
+            words += [name, shown_seeds(value) + "," * (len(value) == 1)]
+        elif value is True:
+            words.append(name)
+        else:
+            several = value if isinstance(value, list) else [value]
+            words += [word for each in several for word in (name, each)]
+    return words
 
 
 # --- Commands --------------------------------------------------------------------------------------
 
 
-class Command(TyperCommand):
-    """A command whose result is printed, with `--json` as one document."""
-
-    def __init__(self, *given: Any, **more: Any) -> None:
-        """Make a command with its own options and `--json`."""
-        super().__init__(*given, **more)
-        self.params += _options_of_all()
-
-    def invoke(self, ctx: Any) -> int:
-        json = ctx.params.pop("json")
-        with kept_for_the_result():
-            result: Result = super().invoke(ctx)
-        if json and result.file:
-            raise UserError("--json: standard output is for the table; name a file by --out")
-        print_result(result, "json" if json else result.form)
-        return result.code
-
-
-@functools.cache
-def _options_of_all() -> list[Any]:
-    """Return the options of every command, as Typer makes them."""
-    app = typer.Typer(add_completion=False)
-
-    @app.command()
-    def _command(
-        json: Annotated[bool, flag("--json", "Print one JSON document on standard output.")] = False,
-    ) -> None: ...
-
-    return get_command(app).params
-
-
 class Commands(typer.Typer):
     """A group of commands."""
 
-    def __init__(self, help_text: str, **more: Any) -> None:
+    def __init__(self, name: str, help_text: str, **more: Any) -> None:
         """Make a group without commands."""
-        super().__init__(help=help_text, no_args_is_help=True, rich_markup_mode=None, **more)
+        usual = {"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False}
+        super().__init__(name=name, help=help_text, **{**usual, **more})
 
     def command(self, name: str | None = None, **more: Any) -> Any:
-        return super().command(name, cls=Command, **more)
+        add = super().command(name, **more)
+        return lambda function: add(_printing(function))
+
+
+def _printing(function: Callable[..., Result]) -> Callable[..., int]:
+    """Return a command as Typer takes it: it prints its result, has --json, and options one by one."""
+    own = inspect.signature(function, eval_str=True).parameters
+    groups: dict[str, Any] = {
+        name: each.annotation for name, each in own.items() if is_dataclass(each.annotation)
+    }
+
+    @functools.wraps(function)
+    def called(json: bool, **given: Any) -> int:
+        for name, group in groups.items():
+            given[name] = group(**{item.name: given.pop(item.name) for item in fields(group)})
+        with kept_for_the_result():
+            result = function(**given)
+        if json and result.file:
+            raise UserError("--json: standard output is for the table; name a file by --out")
+        print_result(result, "json" if json else given.get("format", TABLE))
+        return result.code
+
+    options: list[inspect.Parameter] = []
+    for name, each in own.items():
+        options += _options_of(groups[name]) if name in groups else [each.replace(kind=each.KEYWORD_ONLY)]
+    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=JSON)
+    called.__signature__ = inspect.Signature([*options, json])  # type: ignore[attr-defined]
+    return called
+
+
+def _options_of(group: Any) -> list[inspect.Parameter]:
+    types, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    return [
+        inspect.Parameter(item.name, kind, default=item.default, annotation=types[item.name])
+        for item in fields(group)
+    ]

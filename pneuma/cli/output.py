@@ -120,7 +120,6 @@ class Result:
     """For pages and papers, with cells as text; or rows with equal keys."""
     numbers: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
     """The table as CSV, with whole numbers, likewise; `table` if None."""
-    form: str = "table"  # one of `OUTPUT_FORMATS`, unless `--json` asks for JSON
     code: int = 0
     file: bytes = b""  # for `--out -`, in place of all else
 
@@ -182,7 +181,7 @@ def frame_table(frame: pd.DataFrame) -> Table:
 def rows_result(many: str, rows: Sequence[Mapping[str, Any]]) -> Result:
     """Return rows with equal keys, which the document calls `many`."""
     shown = [[_shown(value) for value in row.values()] for row in rows]
-    return Result({many: rows}, [Table([*rows[0]], shown)])
+    return Result({many: rows}, [Table([*rows[0]], shown)], table=rows)
 
 
 def _shown(value: object) -> str:

@@ -22,7 +22,7 @@ from pneuma.values import shown_value
 if TYPE_CHECKING:
     from pneuma.analysis.runs import RunIndex
 
-app = opt.Commands("Look at single runs and take them along.")
+app = opt.Commands("run", "Look at single runs and take them along.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 
 
@@ -131,7 +131,7 @@ def fork(
     """
     store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
     plan = plan_fork(store, find_run(store, name), at, change, seeds, trust)
-    return train(plan, store, opt.place(workers), True, quiet)
+    return train(plan, store, opt.Place(workers).config(), True, quiet)
 
 
 # --- export ----------------------------------------------------------------------------------------

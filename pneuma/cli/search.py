@@ -31,7 +31,6 @@ from pneuma.study import execute, plan, shipped, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.store import Store
-from pneuma.values import setting_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,19 +38,16 @@ if TYPE_CHECKING:
 
     from pneuma.search.record import Record
 
-app = opt.Commands(
-    "Find hyperparameters over several seeds, and confirm them on fresh ones.",
-    short_help="Find hyperparameters, and confirm them on fresh seeds.",
-)
+app = opt.Commands("search", "Find hyperparameters over several seeds, and confirm them on fresh ones.")
 
 
 @dataclass(frozen=True)
 class Asked:
-    """Which search a command reads: options that its name goes with."""
+    """Which search a command reads: the options that its name goes with."""
 
-    set_: opt.SeveralRead
-    world: str | None
-    results: Path
+    set_: opt.Settings = None
+    world: opt.World = None
+    results: opt.Results = opt.HERE
 
     @property
     def store(self) -> Store:
@@ -65,11 +61,6 @@ class Asked:
         from pneuma.search.record import read_record
 
         return read_record(self.store, name, self.world, self.settings)
-
-    def words(self, *names: str) -> list[object]:
-        """Return these options, after names, as words of a command."""
-        world = ["--world", self.world] if self.world else []
-        return [*names, *setting_words(self.settings), *world, "--results", self.results]
 
 
 SearchName = Annotated[str, opt.argument("NAME", "A search's name, or the path of a search file (….toml).")]
@@ -95,16 +86,10 @@ def show(name: SearchName, world: opt.World = None) -> Result:
 
 
 @app.command()
-def status(
-    name: SearchName,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
-) -> Result:
+def status(name: SearchName, asked: Asked) -> Result:
     """Show how far a search is, and its best trials."""
-    asked = Asked(set_, world, results)
     found = asked.read(name)
-    return Result(found.document(), _status(found, asked.store, asked.words(name)))
+    return Result(found.document(), _status(found, asked.store, [name, *opt.words_of(asked)]))
 
 
 def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | Table]:
@@ -147,20 +132,17 @@ def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | 
 @app.command(short_help="Draw a search.")
 def plot(
     name: SearchName,
+    asked: Asked,
     out: opt.PlotFolder = None,
     format: opt.Formats = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     formats = read_formats(format, out)
     from pneuma.figures.search import draw_search
 
-    asked = Asked(set_, world, results)
     found = asked.read(name)
     formats_asked = (word for each in formats for word in ("--format", each))
-    again = command("search", "plot", *asked.words(name), *formats_asked)
+    again = command("search", "plot", name, *opt.words_of(asked), *formats_asked)
     files = keep_files(asked.store, out, lambda folder: draw_search(found, folder, formats, again))
     if not files:
         say("Note: nothing is drawn before a trial is complete.", aside=True)
@@ -173,6 +155,8 @@ def plot(
 @app.command(short_help="Search for hyperparameters, or go on with a search.")
 def run(
     name: SearchName,
+    asked: Asked,
+    place: opt.Place,
     preset: Annotated[str, opt.option("--preset", "|".join(spec.PRESETS), "How much to search.")] = "quick",
     trials: Annotated[Any, opt.count("--trials", "How many trials, those stored among them.")] = None,
     seeds: Annotated[
@@ -180,13 +164,6 @@ def run(
         opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED),
     ] = None,
     steps: opt.Steps = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
-    workers: opt.Workers = None,
-    executor: opt.Executor = None,
-    address: opt.Address = None,
-    slurm: opt.Slurm = None,
     retry_failed: opt.RetryFailed = False,
     quiet: opt.Quiet = False,
 ) -> Result:
@@ -195,7 +172,6 @@ def run(
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
 
-    asked = Asked(set_, world, results)
     store, tell = asked.store, partial(say, aside=True, quiet=quiet)
     search = load_search(name, asked.world, asked.settings)
     if preset not in (presets := search.spec.presets):
@@ -206,7 +182,7 @@ def run(
     train_trials = partial(
         train,
         store=store,
-        how=opt.place(workers, executor, address, slurm),
+        how=place.config(),
         retry_failed=retry_failed,
         quiet=quiet,
         noted=set(),
@@ -221,10 +197,10 @@ def run(
                     tell(f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}{note}")
                     told.add(trial.number)
             document, best = found.document(), found.best
-            words = f"front: {best}" if best else "none complete yet"
+            so_far = f"front: {best}" if best else "none complete yet"
             if isinstance(best, int):
-                words = f"best {_value(found.begun[best])}, trial {best}"
-            tell(f"{len(told)}/{task.budget.trials} trials; {words}")
+                so_far = f"best {_value(found.begun[best])}, trial {best}"
+            tell(f"{len(told)}/{task.budget.trials} trials; {so_far}")
     except Unfinished as error:
         say(f"Stopped: {error}", aside=True)
         code = 1
@@ -232,9 +208,10 @@ def run(
         stopped = str(left) if isinstance(left, Detached) else "Stopped."
         say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
         code = 130
+    words = [name, *opt.words_of(asked)]
     shown = [
-        f"See its trials with: {command('search', 'status', *asked.words(name))}",
-        f"Draw it with: {command('search', 'plot', *asked.words(name))}",
+        f"See its trials with: {command('search', 'status', *words)}",
+        f"Draw it with: {command('search', 'plot', *words)}",
     ]
     return Result(document, [] if code or quiet else shown, code=code)
 
@@ -282,22 +259,19 @@ def promote(
     names: Annotated[
         list[str], opt.argument("NAME", "Searches, or their files; several must be tuned alike.")
     ],
+    asked: Asked,
     seeds: opt.Seeds = "10",
     steps: opt.Steps = None,
-    trial: Annotated[int | None, opt.number("--trial", "Which trial (default: the best).")] = None,
+    trial: Annotated[int | None, opt.option("--trial", "N", "Which trial (default: the best).")] = None,
     out: Annotated[
         Path | None, opt.option("--out", "FILE", "Write the study to a .toml file; train nothing.")
     ] = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
     workers: opt.Workers = None,
     quiet: opt.Quiet = False,
 ) -> Result:
     """Train searches' winners and their bases on fresh seeds, and say how much of the gain was luck."""
     from pneuma.search import promote as promotion
 
-    asked = Asked(set_, world, results)
     promoted = promotion.promote(
         store := asked.store, names, seeds, steps, trial, asked.world, asked.settings
     )
@@ -315,7 +289,7 @@ def promote(
     planned, path = promoted.plan(store), promoted.path(store)
     for line in (f"wrote {path}", promoted.budgets):
         say(line, aside=True, quiet=quiet)
-    how = opt.place(workers)
+    how = opt.Place(workers).config()
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ids = {
         arm: [cell.run_id for cell in planned.cells if cell.condition == arm] for arm in planned.conditions
@@ -329,7 +303,7 @@ def promote(
     frame = promotion.gains(promoted.winners, data := promoted.data(store))
     given = ["--seeds", ",".join(map(str, seeds)), "--steps", promoted.steps]
     given += ["--trial", trial] * (trial is not None)
-    again = command("search", "promote", *names, *given, *asked.words())
+    again = command("search", "promote", *names, *given, *opt.words_of(asked))
     page = winners_page(promoted.name, promoted.winners, data)
     files = draw_files(store, None, read_formats(None, None), [(page, again)])
     document |= {"gains": rows_of(frame), "figures": files}

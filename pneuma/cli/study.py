@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.runs import RunIndex
     from pneuma.analysis.study_data import StudyData
 
-app = opt.Commands("Compare conditions over many seeds.")
+app = opt.Commands("study", "Compare conditions over many seeds.")
 
 app.command("plan", short_help="Say which runs are stored, and which would be trained.")(study_run.plan_)
 app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
@@ -134,19 +134,13 @@ def _who_has(values: Mapping[str, Any]) -> str:
 
 @app.command(short_help="Say how far the runs of a study are.")
 def status(
+    picked: opt.RunFilter,
     name: Annotated[str | None, opt.argument("NAME", "A study; left out: all that were run.")] = None,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
     format: opt.Format = opt.TABLE,
 ) -> Result:
     """Say how far the runs of a study are."""
     from pneuma.analysis.runs import RunIndex, choose_runs, find_study
 
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     index = RunIndex(picked.store)
     if name is None:
         return _every_status(index, picked.world, format)
@@ -169,7 +163,7 @@ def status(
     text: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
     text += [f"Stored too: {other}" for other in data.others]
     document = {"study": data.study.name, "runs": runs, "jobs": queued}
-    return Result(document, text, table=runs, form=format)
+    return Result(document, text, table=runs)
 
 
 def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
@@ -186,7 +180,7 @@ def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
         table.append({**about, "runs": tallied(runs["status"])})
     nothing = f"No study was run in {index.store.root} yet."
     shown = Table([""] * 3, [[*row.values()] for row in table]) if table else nothing
-    return Result({"studies": studies}, [shown], table=table, form=format)
+    return Result({"studies": studies}, [shown], table=table)
 
 
 def _queued(store: Store) -> dict[str, dict[str, Any]]:

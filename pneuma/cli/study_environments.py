@@ -59,7 +59,7 @@ def summary_of_environments(data: StudyData, parts: Parts, outcomes: Sequence[st
     document = {**what_is_shown(data), "summary": every.drop(columns="cell"), "scores": over}
     legend = [f"{with_unit(outcome)} in each environment, then scores over all.", *SCALE]
     shown: list[str | Table] = ["", frame_table(table), "", *legend]
-    return Result(document, shown, data.full_title, [data.ends], table, every, format)
+    return Result(document, shown, data.full_title, [data.ends], table, every)
 
 
 def _with_cells(numbers: pd.DataFrame) -> pd.DataFrame:
@@ -92,4 +92,4 @@ def compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence[
     table = table.rename(columns={"condition": "environment"})
     document = {**what_is_shown(data), "comparisons": table, "scores": over}
     shown: list[str | Table] = ["", frame_table(people), "", frame_table(scores), "", *SCALE]
-    return Result(document, shown, f"{data.full_title}: {a} against {b}", [data.ends], people, table, format)
+    return Result(document, shown, f"{data.full_title}: {a} against {b}", [data.ends], people, table)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import (
-    BAND_NAMES,
-    CENTER_NAMES,
-    EDGED_BANDS,
-    EXPORT_SUFFIXES,
-    EXPORT_TABLES,
-    X_AXES,
-)
+from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, draw_files, read_formats, say, write_file, wrote
+from pneuma.cli.output import (
+    Result,
+    check_file,
+    command,
+    draw_files,
+    read_formats,
+    rows_result,
+    say,
+    write_file,
+    wrote,
+)
 from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
@@ -44,22 +47,18 @@ PUBLISHED_CURVES = (
 # --- plot -----------------------------------------------------------------------------------------
 
 
-def plot(
-    names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
+@dataclass(frozen=True)
+class Drawing:
+    """What a figure shows, and how."""
+
     figure: Annotated[
         str | None,
         opt.choice(
             "--figure",
             FIGURE_KINDS,
-            "Curves (default for seven conditions or less), a summary, or profiles over environments.",
+            "Curves over steps (default for seven conditions or less), or a summary.",
         ),
-    ] = None,
+    ] = None
     quantity: Annotated[
         opt.SeveralRead,
         opt.choice(
@@ -68,98 +67,88 @@ def plot(
             "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
             "NAME",
         ),
-    ] = None,
+    ] = None
     band: Annotated[
         str | None,
         opt.choice(
             "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
         ),
-    ] = None,
-    window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None,
-    x: Annotated[str | None, opt.choice("--x", X_AXES, "What curves lie over (default: steps).")] = None,
-    center: Annotated[
-        str | None, opt.choice("--center", CENTER_NAMES, "The line in a band (default: mean).")
-    ] = None,
+    ] = None
+    window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None
     beside: Annotated[
         str | None,
         opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
-    ] = None,
-    log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False,
-    format: opt.Formats = None,
-    out: opt.PlotFolder = None,
-    width: Annotated[float, opt.number("--width", "In inches.", "INCHES", min=1.5, max=30)] = 7.0,
+    ] = None
+    log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False
+    formats: opt.Formats = None
+    width: Annotated[float, opt.option("--width", "INCHES", "In inches.", min=1.5, max=30)] = 7.0
     height: Annotated[
-        float | None, opt.number("--height", "In inches, with all words.", "INCHES", min=1, max=30)
-    ] = None,
-    title: Annotated[str | None, opt.option("--title", "TEXT", "In place of the study's.")] = None,
+        float | None, opt.option("--height", "INCHES", "In inches, with all words.", min=1, max=30)
+    ] = None
+    title: Annotated[str | None, opt.option("--title", "TEXT", "In place of the study's.")] = None
     style: Annotated[
         str, opt.option("--style", "NAME|FILE", "A style sheet of matplotlib, over Pneuma's.")
-    ] = "",
-    plain: Annotated[
-        bool, opt.flag("--plain", "Without headline and caption, as a paper has its own.")
-    ] = False,
+    ] = ""
+    plain: Annotated[bool, opt.flag("--plain", "Without headline and caption, as a paper has its own.")] = (
+        False
+    )
+
+    @property
+    def of_curves(self) -> bool:
+        return bool(self.quantity or self.band or self.window or self.beside or self.log)
+
+
+def plot(
+    picked: opt.RunFilter,
+    asked: Drawing,
+    names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
+    out: opt.PlotFolder = None,
 ) -> Result:
     """Draw a study: curves over its steps, or a summary of its outcomes.
 
     A study of several environments has a panel for each.
     """
-    given = {"band": band, "window": window, "beside": beside, "x": x, "center": center}
-    given = {key: value for key, value in given.items() if value}
-    if figure in FIGURE_KINDS[1:] and (quantity or given or log):
-        options = "--quantity, --band, --window, --x, --center, --beside and --log"
-        raise UserError(f"{options}: are of --figure curves")
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
-    formats, store = read_formats(format, out), picked.store
+    if asked.figure == "summary" and asked.of_curves:
+        raise UserError("--quantity, --band, --window, --beside and --log: are of --figure curves")
+    formats, store = read_formats(asked.formats, out), picked.store
     if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
-    from pneuma.figures.curves import curves_page, profile_page
+    from pneuma.figures.curves import curves_page
     from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    look = Look(width, height, title, style, plain)
-    asked_look = {
-        "width": [f"{width:g}"] * (width != Look.width),
-        "height": [f"{height:g}"] if height else [],
-    }
-    asked_look |= {"title": [] if title is None else [title], "style": [style] * bool(style)}
-    other = opt.RunFilter(results=results).open(beside) if beside else None
+    other = opt.RunFilter(results=picked.results).open(asked.beside) if asked.beside else None
 
     def page(name: str, picked: opt.RunFilter) -> tuple[Page, str]:
         data = picked.open(name)
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
-        fits = all(map(fits_panel, parts.values()))
-        of_curves = quantity or given or log or fits and not data.study.outcomes
-        kind = figure or FIGURE_KINDS[0 if of_curves else 1]
-        words = ["plot", name, *["--plain"] * plain, *["--log"] * log]
-        options: dict[str, Any] = {"figure": [kind], "format": formats, **asked_look}
-        if kind != "curves":
-            again = picked.again(data, *words, **options)
-            if kind == "summary":
-                return summary_page(shown), again
-            if len(parts) == 1:
-                raise UserError(f"--figure {kind}: is over several environments; {name} has one")
-            return profile_page(data, parts), again
-        quantities = _quantities(data, quantity or [])
-        options |= {"quantity": quantities, **{key: [value] for key, value in given.items()}}
-        how: dict[str, Any] = {**given, "beside": other, "log": log}
-        return curves_page(shown, quantities, **how), picked.again(data, *words, **options)
+        usual = asked.of_curves or (all(map(fits_panel, parts.values())) and not data.study.outcomes)
+        kind = asked.figure or FIGURE_KINDS[0 if usual else 1]
+        quantities = _quantities(data, asked.quantity or [])
+        chosen = replace(picked, steps=data.steps or picked.steps)  # whatever is trained meanwhile
+        drawn = replace(asked, figure=kind, quantity=quantities)
+        again = command("study", "plot", name, *opt.words_of(chosen), *opt.words_of(drawn))
+        if kind == "summary":
+            return summary_page(shown), again
+        return curves_page(shown, quantities, asked.band, asked.window, beside=other, log=asked.log), again
 
     def pages() -> Iterator[tuple[Page, str]]:
-        asked = [(name, picked) for name in names] if names else _run_here(picked)
+        every = [(name, picked) for name in names] if names else _run_here(picked)
         problems = []
-        for name, one in asked:
+        for name, one in every:
             try:
                 yield page(name, one)
             except UserError as error:
                 problems.append(error)
-                if names or len(problems) == len(asked):
+                if names or len(problems) == len(every):
                     raise problems[0] from None
         for problem in problems:
             say(f"Note: {problem}.", aside=True)
 
+    look = Look(asked.width, asked.height, asked.title, asked.style, asked.plain)
     files = draw_files(store, out, formats, pages(), look)
     return Result({"figures": files}, wrote(files))
 
@@ -216,7 +205,7 @@ def table(
         dict(zip(heads, [said, *(short(BASES[name][field]) for name in names or THESIS_TABLES)], strict=True))
         for said, field in THESIS_ROWS.items()
     ]
-    return Result({"rows": rows}, [Table(heads, [[*row.values()] for row in rows])], table=rows, form=format)
+    return rows_result("rows", rows)
 
 
 # --- export ---------------------------------------------------------------------------------------
@@ -224,14 +213,9 @@ def table(
 
 def export(
     name: opt.Study,
+    picked: opt.RunFilter,
     table: Annotated[str, opt.choice("--table", EXPORT_TABLES, "What to export.")],
     out: Annotated[Path, opt.option("--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
     band: Annotated[
         str | None, opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd).")
     ] = None,
@@ -245,7 +229,6 @@ def export(
     printed = str(out) == "-"
     if not printed:
         check_file(out, EXPORT_SUFFIXES)
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     data = picked.open(name)
     from pneuma.analysis.export import encode_table
 
@@ -274,12 +257,7 @@ def _read_curves(text: str) -> tuple[str, ...]:
 
 def publish(
     name: opt.Study,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
+    picked: opt.RunFilter,
     curves: Annotated[
         Any,
         opt.option(
@@ -291,7 +269,6 @@ def publish(
 
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     data = picked.open(name)
     from pneuma.analysis.export import publish_runs
 

@@ -20,12 +20,7 @@ FORK_SEEDS = 3
 
 def collapse(
     name: opt.Study,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
+    picked: opt.RunFilter,
     fork: Annotated[
         bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
     ] = False,
@@ -40,8 +35,7 @@ def collapse(
     of_fork = {"--fork-seeds": fork_seeds, "--workers": workers, "--trust": trust, "--quiet": quiet}
     if not fork and (given := [option for option, value in of_fork.items() if value]):
         raise UserError(f"{given[0]} requires --fork")
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
-    store, data = picked.store, picked.open(name)
+    data = picked.open(name)
     from pneuma.analysis.collapse import diagnoses, incidence
 
     found = diagnoses(data)
@@ -56,8 +50,10 @@ def collapse(
             raise UserError(
                 f"study {data.study.name}: none of its {runs} here collapsed: there is nothing to fork"
             )
-        plan = plan_cause_forks(store, data.study.name, parents, fork_seeds or range(FORK_SEEDS), trust=trust)
-        return train(plan, store, opt.place(workers), True, quiet)
+        plan = plan_cause_forks(
+            picked.store, data.study.name, parents, fork_seeds or range(FORK_SEEDS), trust=trust
+        )
+        return train(plan, picked.store, opt.Place(workers).config(), True, quiet)
     document = {**what_is_shown(data), "runs": found, "incidence": shares}
     return Result(document, [*_collapse_tables(collapsed, shares)])
 

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
+from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, say, tallied
 from pneuma.cli.study_seeds import seeds_result
@@ -24,8 +25,6 @@ from pneuma.study.store import Status, Store
 
 UNFINISHED_STATUSES = ("crashed", "killed", "damaged", "running", "partial")
 """Statuses that no cell should have after a study was run."""
-STOPPED = 130
-"""The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
 
 Unpublished = Annotated[
     bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
@@ -34,27 +33,20 @@ Unpublished = Annotated[
 
 def plan_(
     name: opt.Study,
-    seeds: opt.Seeds = None,
-    steps: opt.Steps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
-    preset: opt.Preset = None,
+    chosen: opt.TrainFilter,
     unpublished: Unpublished = False,
     detect: Annotated[
         float | None,
-        opt.number("--detect", "How many seeds find a difference of X, by the runs there are.", "X"),
+        opt.option("--detect", "X", "How many seeds find a difference of X, by the runs there are."),
     ] = None,
     outcome: Annotated[
         str | None, opt.option("--outcome", "NAME", "With --detect: of what (default: the study's).")
     ] = None,
     sd: Annotated[
-        float | None, opt.number("--sd", "With --detect: the SD between runs, where there are none.", "SD")
+        float | None, opt.option("--sd", "SD", "With --detect: the SD between runs, where there are none.")
     ] = None,
 ) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
-    chosen = opt.RunFilter(seeds, steps, condition, set_, world, results, preset)
     if detect is not None:
         return seeds_result(None if sd else chosen.open(name), detect, outcome, sd)
     if outcome or sd:
@@ -80,7 +72,7 @@ def plan_(
         rows.append((each, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     shown: list[str | Table] = [Table([""] * 3, rows), f"{tallied(states.values())}."]
     if todo:
-        known, at_once = [each for each in seconds.values() if each is not None], opt.place().workers
+        known, at_once = [each for each in seconds.values() if each is not None], opt.Place().config().workers
         expected = "unknown until a run of each kind has ended"
         if len(known) == len(seconds):
             expected = f"about {duration(max(sum(known) / at_once, *known))} with {at_once} at once"
@@ -91,22 +83,13 @@ def plan_(
 
 def run(
     name: opt.Study,
-    seeds: opt.Seeds = None,
-    steps: opt.Steps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
-    preset: opt.Preset = None,
-    workers: opt.Workers = None,
-    executor: opt.Executor = None,
-    address: opt.Address = None,
-    slurm: opt.Slurm = None,
+    chosen: opt.TrainFilter,
+    place: opt.Place,
     detach: Annotated[
         bool, opt.flag("--detach", "Leave once jobs of --executor slurm are submitted.")
     ] = False,
     checkpoint_seconds: Annotated[
-        float, opt.number("--checkpoint-seconds", "Between two checkpoints of a run.", "S", min=0.01)
+        float, opt.option("--checkpoint-seconds", "S", "Between two checkpoints of a run.", min=0.01)
     ] = 15.0,
     tensorboard: Annotated[
         Path | None, opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train.")
@@ -116,15 +99,14 @@ def run(
     quiet: opt.Quiet = False,
 ) -> Result:
     """Train the missing runs of a study, resuming those that were stopped."""
-    if preset == spec.CLAIMS and (changed := uncommitted()):
+    if chosen.preset == spec.CLAIMS and (changed := uncommitted()):
         raise UserError(
             f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of "
             "pneuma/ and studies/): commit first, so that each run tells the code that it was trained by"
         )
-    chosen = opt.RunFilter(seeds, steps, condition, set_, world, results, preset)
     planned = _plan(chosen, name, unpublished)
     how = replace(
-        opt.place(workers, executor, address, slurm, detach),
+        place.config(detach=detach),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},

@@ -8,7 +8,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, draw_files, frame_table, read_formats, wrote
+from pneuma.cli.output import Result, Table, command, draw_files, frame_table, read_formats, wrote
 from pneuma.cli.study_environments import (
     compare_in_environments,
     crosses_environments,
@@ -48,12 +48,7 @@ def _episodes_text(data: StudyData, outcomes: Iterable[str]) -> str:
 
 def summary(
     name: opt.Study,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
+    picked: opt.RunFilter,
     outcome: opt.Outcomes = None,
     all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
     format: opt.Format = opt.TABLE,
@@ -70,7 +65,7 @@ def summary(
     """
     if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
-    data = opt.RunFilter(seeds, steps, condition, set_, world, results).open(name)
+    data = picked.open(name)
     from pneuma.analysis.environments import by_environment
     from pneuma.analysis.intervals import LEAST_RUNS
     from pneuma.analysis.summaries import summary_table, with_cells
@@ -96,7 +91,7 @@ def summary(
         legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
         shown += ["", legend]
     notes = [data.ends, *_lacks_text(data, found, outcome or ()), _episodes_text(data, listed)]
-    return Result(document, shown, data.full_title, notes, table, found, format)
+    return Result(document, shown, data.full_title, notes, table, found)
 
 
 def _statistics(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
@@ -169,18 +164,13 @@ def _lacks_text(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -
 
 def compare(
     name: opt.Study,
+    picked: opt.RunFilter,
     a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
     b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
     with_: Annotated[
         str | None,
         opt.option("--with", "STUDY", "Compare the conditions of another study that both have, not A and B."),
     ] = None,
-    seeds: opt.Seeds = None,
-    steps: opt.StoredSteps = None,
-    condition: opt.Conditions = None,
-    set_: opt.Settings = None,
-    world: opt.World = None,
-    results: opt.Results = opt.HERE,
     outcome: opt.Outcomes = None,
     plot: Annotated[bool, opt.flag("--plot", "Draw the differences too, as PNG and SVG.")] = False,
     out: opt.PlotFolder = None,
@@ -194,7 +184,6 @@ def compare(
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
     formats = read_formats(None, out, "" if plot else "--plot")
-    picked = opt.RunFilter(seeds, steps, condition, set_, world, results)
     if a and b and crosses_environments(name, a):
         return compare_in_environments(picked.open(name), a, b, outcome or (), format)
     from pneuma.analysis.study_data import join_studies
@@ -222,7 +211,8 @@ def compare(
         narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
         basename = replace(data, narrowed=narrowed).basename("compare", *(heads if b else heads[1:]))
         words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
-        again = picked.again(data, *words, outcome=outcome or ())
+        words += [word for each in outcome or () for word in ("--outcome", each)]
+        again = command("study", *words, *opt.words_of(replace(picked, steps=data.steps or picked.steps)))
         files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
     legend = (
         "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
@@ -237,7 +227,6 @@ def compare(
         [data.ends, *map(_claim_text, claims), engines, episodes],
         people,
         table,
-        format,
     )
 
 

@@ -47,7 +47,7 @@ def verify(
         if name not in known.claims:
             raise unknown_name("claim", name, known.claims)
     if design:
-        return _design(known, claims or (), world, format)
+        return _design(known, claims or (), world)
 
     def asked(claim: Claim, where: str) -> bool:
         return (not claims or claim.name in claims or claim.like in claims) and world in (None, where)
@@ -62,7 +62,7 @@ def verify(
     document = {**head, "claims": [_document(one) for one in judged]}
     numbers = [_record(row) for one in judged for row in one.contrasts]
     table = verdict_table(verdicts_by_claim(judged))
-    return Result(document, people, table=table, numbers=numbers, form=format)
+    return Result(document, people, table=table, numbers=numbers)
 
 
 def _how_to_train(file: Path | None) -> str:
@@ -205,7 +205,7 @@ def _record(row: ClaimContrast) -> dict[str, Any]:
 # --- The design check --------------------------------------------------------------------------------
 
 
-def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: str) -> Result:
+def _design(known: ClaimList, claims: Sequence[str], world: str | None) -> Result:
     """Return how near the seeds of claims tell their effects, and which claims are not admitted."""
     import pandas as pd
 
@@ -238,4 +238,4 @@ def _design(known: ClaimList, claims: Sequence[str], world: str | None, form: st
     legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
     people: list[str | Table] = ["", frame_table(table), "", legend]
     document = {**head, "design": plans}
-    return Result(document, people, "", notes, table, plans, form)
+    return Result(document, people, "", notes, table, plans)

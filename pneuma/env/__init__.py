@@ -5,8 +5,6 @@ what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` 
 `gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
 """
 
-import gymnasium
-
 from pneuma.algorithms import GODOT, MAILMAN
 from pneuma.env.fields import ENVIRONMENTS
 
@@ -21,6 +19,8 @@ def register_environments() -> None:
 
     Worlds end their episodes themselves, by `episode_steps`: none has a limit of Gymnasium's beside it.
     """
+    import gymnasium  # which takes long, and registers them when it is imported
+
     for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
         gymnasium.register(
             name,

@@ -117,30 +117,25 @@ def test_a_copy_of_any_shipped_study_plans_the_same_runs(
     ("given", "words"),
     [
         ({}, ""),
-        ({"seeds": (0, 1, 2)}, "--seeds 3"),
+        ({"seeds": (0, 1, 2)}, "--seeds 0..2"),
         ({"seeds": (4,), "steps": 512}, "--seeds 4, --steps 512"),
-        ({"conditions": ("tanh", "relu, gamma=0.5")}, "--condition tanh --condition relu, gamma=0.5"),
-        ({"settings": {"gamma": 0.5, "magic": True}}, "--set=gamma=0.5 --set=magic=true"),
-        ({"settings": {"actor": [64, 64], "reward": "none"}}, "--set=actor=[64, 64] --set=reward=none"),
+        ({"condition": ["tanh", "relu, gamma=0.5"]}, "--condition tanh --condition relu, gamma=0.5"),
+        ({"set_": {"gamma": 0.5, "magic": True}}, "--set=gamma=0.5 --set=magic=true"),
+        ({"set_": {"actor": [64, 64], "reward": "none"}}, "--set=actor=[64, 64] --set=reward=none"),
     ],
 )
 def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], words: str) -> None:
-    selection = Selection(**{"settings": {}, **given})
-    told, app, read = opt.selecting_words(selection), opt.Commands(""), []
+    asked, app, read = opt.RunFilter(**given), opt.Commands("", ""), []
 
     @app.command()
-    def take(
-        seeds: opt.Seeds = None,
-        steps: opt.StoredSteps = None,
-        condition: opt.Conditions = None,
-        set_: opt.Settings = None,
-    ) -> Result:
-        read.append(opt.RunFilter(seeds, steps, condition, set_).selection)
+    def take(picked: opt.RunFilter) -> Result:
+        read.append(picked)
         return Result({})
 
-    assert " ".join(told) == words
+    told = [*map(str, opt.words_of(asked))]
+    assert " ".join(told) == f"{words} --results results".lstrip()
     app(told, standalone_mode=False)
-    assert read == [selection]
+    assert read[0].selection == asked.selection
 
 
 def test_a_comparison_shows_the_outcomes_of_the_claim_on_it_first() -> None:
