@@ -79,18 +79,15 @@ def judge(
     store: Store,
     stored: bool = True,
     asked: Wanted = lambda claim, world: True,
-    on_progress: Callable[[int, int], object] = lambda done, of: None,
 ) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds, or on those that are asked for.
 
     The correction is for the planned contrasts of the whole list, whichever are asked for: no data of the
-    others are needed. With `stored = False` only published tables are used. `on_progress` is called with the
-    number of verdicts so far, and of all.
+    others are needed. With `stored = False` only published tables are used.
     """
     planned: dict[tuple[str, str], list[ClaimContrast]] = {}
     for row in plan_contrasts(claims):
         planned.setdefault((row.claim.name, row.world), []).append(row)
-    wanted = sum(asked(claim, world) for claim in claims.claims.values() for world in claim.worlds)
     verdicts: list[Verdict] = []
     for runs in find_claim_runs(RunIndex(store, stored, shipped=False), claims, asked):
         rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
@@ -101,7 +98,6 @@ def judge(
         else:
             table = tuple(_judge_contrast(row, runs, arm) for row in rows)
             verdicts.append(replace(_combine(runs.claim, runs.world, table), commits=runs.commits))
-        on_progress(len(verdicts), wanted)
     return verdicts
 
 

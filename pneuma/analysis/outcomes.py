@@ -123,6 +123,11 @@ def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
     return np.array([outcome(run, name) for run in data.of_condition(condition)], float)
 
 
+def with_unit(name: str) -> str:
+    unit = "" if name == "diverged" else find_outcome(name).unit  # a run's status
+    return f"{name} ({unit})" if unit else name
+
+
 def find_outcome(name: str) -> Outcome:
     if name in OUTCOMES:
         return OUTCOMES[name]

@@ -5,13 +5,50 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 from scipy import special, stats
 
 from pneuma.analysis.intervals import LEVEL
+from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.study_data import StudyData
+from pneuma.errors import UserError
 
 POWER = 0.8
 MOST_SEEDS, MOST_OF_SHARES = 1_000_000, 2_000
 """Most seeds that are looked at; of shares fewer, as each number of them is summed over all outcomes."""
+
+
+def seeds_table(data: StudyData, outcome: str, difference: float) -> pd.DataFrame:
+    """Return as text how many seeds find a difference of each condition from the baseline, by its runs."""
+    values = {name: outcome_values(data, name, outcome) for name in data.conditions}
+    known = {name: each[np.isfinite(each)] for name, each in values.items()}
+    base = data.study.baseline if data.study.baseline in known else data.conditions[0]
+    rows = []
+    for name in data.conditions:
+        if name != base:
+            pair = known[base], known[name]
+            deviations = [f"{each.std(ddof=1):.3g}" if len(each) > 1 else "–" for each in pair]
+            runs = f"{len(pair[0])} and {len(pair[1])}"
+            rows.append((base, name, *deviations, runs, _seeds(pair, difference)))
+    if not rows:
+        raise UserError(f"study {data.study.name} has one condition: there is nothing to compare it with")
+    return pd.DataFrame(rows, columns=["", "against", "SD", "SD of it", "runs", "seeds"])
+
+
+def _seeds(pair: tuple[np.ndarray, np.ndarray], difference: float) -> str:
+    if min(map(len, pair)) < 2:
+        return "needs 2 runs of each"
+    if all(np.isin(each, (0, 1)).all() for each in pair):  # whether a run has something
+        share = float(pair[0].mean())
+        other = share + difference if share + difference <= 1 else share - difference
+        return seeds_text(seeds_for_shares(share, other))
+    if not any(np.ptp(each) for each in pair):
+        return "runs are all equal"
+    return seeds_text(seeds_for_means(difference, *(float(each.std(ddof=1)) for each in pair)))
+
+
+def seeds_text(seeds: int | None) -> str:
+    return "more than can be trained" if seeds is None else f"{seeds:,}"
 
 
 def seeds_for_means(difference: float, sd_a: float, sd_b: float, power: float = POWER) -> int | None:

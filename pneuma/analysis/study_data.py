@@ -116,6 +116,13 @@ class StudyData:
         return f" Stored too: {'; '.join([*text, *more])}." if self.others else ""
 
     @property
+    def about(self) -> dict[str, Any]:
+        """Which runs of the study a document is about."""
+        amount = {"steps": self.steps, "seeds": sorted({*self.runs["seed"].tolist()})}
+        settings = dict(self.study.settings)
+        return {"study": self.study.name, "world": self.world or None, **amount, "settings": settings}
+
+    @property
     def full_title(self) -> str:
         """The title with the world, unless levels or characters in it are others, and with changed fields."""
         own = any(

@@ -8,7 +8,8 @@ at its own end.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,13 @@ from pneuma.analysis.outcomes import (
     is_return,
     outcome_values,
     primary,
+    reason,
     refuse_unlike_returns,
+    with_unit,
 )
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import stream_seed
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 
 SUMMARISED = (
     PRIMARY,
@@ -120,6 +123,12 @@ def _generator(*words: str) -> np.random.Generator:
 # --- In words ---------------------------------------------------------------------------------------
 
 NO_CELL = "–"
+SHOWN = 3
+"""Outcomes of which means are shown unless others are asked for."""
+TOLD_BY = ("mean", "share", "median")
+"""Statistics that stand for an outcome in a thesis's table: the first of them that it has."""
+FEW_EPISODES = 10
+"""With fewer, the last point of a return is said to average few."""
 
 
 def with_cells(found: pd.DataFrame, form: str = "interval") -> pd.DataFrame:
@@ -151,6 +160,74 @@ def wide(
     """Return the cells of a summary as a table: rows by some of its columns, columns by others."""
     table = found.pivot(index=[*by], columns=[*of], values="cell")
     return table.reindex(index=rows, columns=columns).astype(object).fillna(NO_CELL)
+
+
+def statistics_cells(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
+    """Return a row for each outcome and condition, with all statistics."""
+    asked, rows = found[found["outcome"].isin(outcomes)], ["outcome", "condition"]
+    runs = asked.groupby(rows)["runs"].first()
+    pairs = [pair for pair in product(outcomes, data.conditions) if pair in runs]
+    table = wide(asked, pairs, [*asked["statistic"].unique()], rows, ["statistic"])
+    table.insert(0, "n", runs)
+    table = table.reset_index().rename_axis(columns=None)
+    return table.assign(outcome=table["outcome"].map(with_unit))
+
+
+def overview_cells(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each condition: means of the first outcomes, and shares of runs that failed."""
+    names = [*found["outcome"][found["statistic"] == "mean"].unique()][:SHOWN]
+    failed = [("collapsed", "share"), ("diverged", "share")]
+    return _condition_cells(data, found, [*((name, "mean") for name in names), *failed]).reset_index()
+
+
+def thesis_cells(
+    data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], by_factor: bool
+) -> pd.DataFrame:
+    """Return a row for each condition that has one of the outcomes, and a column for each, as a thesis has.
+
+    A value of fewer runs than the condition has says of how many. If asked for, the conditions of a crossed
+    study have a column for each factor.
+    """
+    stands = found[found["statistic"].isin(TOLD_BY)].groupby("outcome", sort=False)["statistic"].first()
+    pairs = [(name, stands.get(name, "")) for name in outcomes or stands.index[stands == "mean"][:SHOWN]]
+    runs = found["condition"].map({name: len(data.of_condition(name)) for name in data.conditions})
+    fewer = found["runs"].map(" (n = {})".format).where(found["runs"] < runs, "")
+    table = _condition_cells(data, found.assign(cell=found["cell"] + fewer), pairs)
+    table = table[(table.drop(columns="runs") != NO_CELL).any(axis=1)]
+    if by_factor and data.study.levels:
+        levels = pd.DataFrame([data.study.levels[name] for name in table.index])
+        table.index = pd.MultiIndex.from_frame(levels.rename(columns=lambda name: name.replace("_", " ")))
+    return table.reset_index()
+
+
+def _condition_cells(data: StudyData, found: pd.DataFrame, pairs: list[tuple[str, str]]) -> pd.DataFrame:
+    """Return a row for each condition with its number of runs, and a column for each outcome's statistic."""
+    table = wide(found, data.conditions, pairs)
+    heads = [name if statistic == "share" else with_unit(name) for name, statistic in pairs]
+    medians = [", median" * (statistic == "median") for _, statistic in pairs]
+    table.columns = [head + median for head, median in zip(heads, medians, strict=True)]
+    table.insert(0, "runs", [len(data.of_condition(condition)) for condition in data.conditions])
+    return table
+
+
+def lacks_text(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
+    """Say which conditions have no value of an outcome that was asked for, and why."""
+    known, text = {*zip(found["outcome"], found["condition"], strict=True)}, []
+    for outcome, condition in product(outcomes, data.conditions):
+        if (outcome, condition) not in known:
+            runs = data.of_condition(condition)
+            why = reason(runs[0], outcome) if runs else "no run has finished"
+            text.append(f"{outcome}, {condition}: {why}")
+    return text
+
+
+def episodes_text(data: StudyData, outcomes: Iterable[str]) -> str:
+    """Say how many runs' last returns average few episodes; empty if none do."""
+    counts = sorted(run.last_episodes for run in data.rows if 0 < run.last_episodes < FEW_EPISODES)
+    if not counts or "final-return" not in outcomes:
+        return ""
+    between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
+    return f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}."
 
 
 # --- Two conditions ---------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ def csv(
 def _imported(found: tuple[str, list[ImportedRun], list[str]], results: Path) -> Result:
     study, runs, notes = found
     for note in notes:
-        say(f"Note: {note}.", aside=True)
+        say(f"Note: {note}.")
     rows = [
         {"run_id": run.run_id, "condition": run.condition, "seed": run.seed, "steps": run.log.steps,
          "imported": run.new}

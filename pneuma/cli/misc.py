@@ -8,7 +8,6 @@ from typing import Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, say, write_file
-from pneuma.cli.study_notes import nothing_yet
 from pneuma.study.store import Store
 
 app = opt.Commands("", "")
@@ -27,10 +26,10 @@ def report(
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"), force)
     store, tell = Store(results), partial(say, aside=True, quiet=quiet)
-    if lacking := nothing_yet(store):
+    if lacking := store.nothing_yet:
         tell(f"Note: {lacking}.")
-    from pneuma.cli.report import gather_report
     from pneuma.figures.report import report_page
+    from pneuma.figures.report_data import gather_report
 
     found = gather_report(store, names or [], tell)
     page = report_page(**found)

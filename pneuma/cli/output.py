@@ -8,7 +8,6 @@ import os
 import shlex
 import shutil
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 WIDEST = 10_000
 """Characters per line if the output is no terminal, so that tables are not folded."""
-PROGRESS_SECONDS = 2.0
 
 
 # --- For people -----------------------------------------------------------------------------------
@@ -47,19 +45,6 @@ def say(text: str, aside: bool = False, quiet: bool = False) -> None:
         print_aside(text)
     elif not quiet:
         print(plain(text))
-
-
-def progress_of(what: str) -> Callable[[int, int], None]:
-    """Return a function that says on standard error how far a long computation is, every few seconds."""
-    printed = time.monotonic()
-
-    def report(done: int, of: int) -> None:
-        nonlocal printed
-        if time.monotonic() >= printed + PROGRESS_SECONDS and done < of:
-            printed = time.monotonic()
-            print_aside(f"{done} of {of} {what}")
-
-    return report
 
 
 def command(*words: object) -> str:
@@ -181,11 +166,11 @@ def frame_table(frame: pd.DataFrame) -> Table:
 def rows_result(many: str, rows: Sequence[Mapping[str, Any]]) -> Result:
     """Return rows with equal keys, which the document calls `many`."""
     shown = [[_shown(value) for value in row.values()] for row in rows]
-    return Result({many: rows}, [Table([*rows[0]], shown)], table=rows)
+    return Result({many: rows}, [Table([*rows[0]] if rows else (), shown)], table=rows)
 
 
 def _shown(value: object) -> str:
-    return f"{value:,.4g}" if isinstance(value, float) else str(value)
+    return "–" if value is None else f"{value:,.4g}" if isinstance(value, float) else str(value)
 
 
 def listed_result(kind: str, many: str, folder: Path) -> Result:

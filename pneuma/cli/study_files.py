@@ -20,7 +20,6 @@ from pneuma.cli.output import (
     write_file,
     wrote,
 )
-from pneuma.cli.study_notes import nothing_yet
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.figures import FIGURE_KINDS
 from pneuma.study.quantities import (
@@ -111,7 +110,7 @@ def plot(
     if asked.figure == "summary" and asked.of_curves:
         raise UserError("--quantity, --band, --window, --beside and --log: are of --figure curves")
     formats, store = read_formats(asked.formats, out), picked.store
-    if not names and (lacking := nothing_yet(store)):
+    if not names and (lacking := store.nothing_yet):
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
     from pneuma.figures.curves import curves_page

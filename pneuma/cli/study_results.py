@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, rows_of
-from pneuma.cli.study_notes import what_is_shown
 from pneuma.cli.study_run import train
 from pneuma.errors import UserError, counted
 from pneuma.study.fork import plan_cause_forks
@@ -54,7 +53,7 @@ def collapse(
             picked.store, data.study.name, parents, fork_seeds or range(FORK_SEEDS), trust=trust
         )
         return train(plan, picked.store, opt.Place(workers).config(), True, quiet)
-    document = {**what_is_shown(data), "runs": found, "incidence": shares}
+    document = {**data.about, "runs": found, "incidence": shares}
     return Result(document, [*_collapse_tables(collapsed, shares)])
 
 

@@ -10,18 +10,20 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, command, say, tallied
-from pneuma.cli.study_seeds import seeds_result
+from pneuma.cli.output import Result, Table, command, frame_table, say, tallied
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import Detached, ExecutorConfig
 from pneuma.study.progress import duration, expected_seconds, stored_paces
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
+
+if TYPE_CHECKING:
+    from pneuma.analysis.study_data import StudyData
 
 UNFINISHED_STATUSES = ("crashed", "killed", "damaged", "running", "partial")
 """Statuses that no cell should have after a study was run."""
@@ -48,7 +50,7 @@ def plan_(
 ) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
     if detect is not None:
-        return seeds_result(None if sd else chosen.open(name), detect, outcome, sd)
+        return _seeds_to_detect(None if sd else chosen.open(name), detect, outcome, sd)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     store, planned = chosen.store, _plan(chosen, name, unpublished)
@@ -79,6 +81,35 @@ def plan_(
         shown.append(f"Time to train: {expected}.")
     notes = [f"Note: {note}." for note in planned.notes]
     return Result({"study": planned.study.name, "runs": cells}, shown, notes=notes)
+
+
+def _seeds_to_detect(data: StudyData | None, detect: float, outcome: str | None, sd: float | None) -> Result:
+    """Return how many seeds a condition needs, by the runs there are or by a standard deviation."""
+    import pandas as pd
+
+    from pneuma.analysis.environments import by_environment
+    from pneuma.analysis.outcomes import primary, with_unit
+    from pneuma.analysis.power import POWER, seeds_for_means, seeds_table, seeds_text
+
+    for option, value in (("--detect", detect), ("--sd", sd)):
+        if value is not None and value <= 0:
+            raise UserError(f"{option} {value:g}: must be above 0")
+    if data is None:
+        assert sd is not None
+        table = pd.DataFrame([{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd))}])
+        name, title = outcome or "any outcome", f"Seeds to detect {detect:g} of {outcome or 'any outcome'}"
+    else:
+        name = outcome or primary(data)
+        tables = {env: seeds_table(part, name, detect) for env, part in by_environment(data).items()}
+        table = pd.concat(tables, names=["environment"]).reset_index(level=0)
+        table = table if len(tables) > 1 else table.drop(columns="environment")
+        title = f"{data.full_title}: seeds to detect {detect:g} of {with_unit(name)}"
+    legend = (
+        f"Seeds of each condition with which the 95 % interval of the difference leaves out 0 in {POWER:.0%}",
+        "of studies, if it is that large.",
+    )
+    document = {"outcome": name, "detect": detect, "seeds": table}
+    return Result(document, ["", frame_table(table), "", *legend], title, (), table, table)
 
 
 def run(

@@ -2,48 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, draw_files, frame_table, read_formats, wrote
-from pneuma.cli.study_environments import (
-    compare_in_environments,
-    crosses_environments,
-    summary_of_environments,
-)
-from pneuma.cli.study_notes import what_is_shown, with_unit
-from pneuma.errors import UserError, counted
+from pneuma.errors import UserError
+from pneuma.study.spec import load_study
 from pneuma.presets import WORLDS
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from pneuma.analysis.claims import Claim
     from pneuma.analysis.study_data import StudyData
 
-COLUMNS = 3
-"""Outcomes that `summary` prints by default."""
 PRINTED = ("markdown", "latex")
 """Forms of a table for pages and papers."""
-TOLD_BY = ("mean", "share", "median")
-"""Statistics that stand for an outcome in such a table: the first of them that it has."""
-FEW_EPISODES = 10
-"""With fewer, the last point of a return is said to average few."""
-
-
-def _episodes_text(data: StudyData, outcomes: Iterable[str]) -> str:
-    """Say how many runs' last returns average few episodes; empty if none do."""
-    counts = sorted(run.last_episodes for run in data.rows if 0 < run.last_episodes < FEW_EPISODES)
-    if not counts or "final-return" not in outcomes:
-        return ""
-    between = f"{counts[0]:.0f} to {counts[-1]:.0f}" if counts[0] < counts[-1] else f"{counts[0]:.0f}"
-    return f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}."
-
-
-# --- summary --------------------------------------------------------------------------------------
+SCALE = (
+    "Scores are 0 and 1 at the numbers of [scores] in the study's file, or else at the random player's mean",
+    "and the best condition's. Intervals over all are of the stratified bootstrap (Agarwal et al. 2021).",
+)
 
 
 def summary(
@@ -65,98 +43,39 @@ def summary(
     """
     if cells and format not in PRINTED:
         raise UserError(f"--cells: goes with --format {' or '.join(PRINTED)}")
-    data = picked.open(name)
-    from pneuma.analysis.environments import by_environment
+    data, asked = picked.open(name), outcome or ()
+    from pneuma.analysis import environments, summaries
     from pneuma.analysis.intervals import LEAST_RUNS
-    from pneuma.analysis.summaries import summary_table, with_cells
+    from pneuma.analysis.outcomes import with_unit
 
-    parts = by_environment(data)
-    if len(parts) > 1 and data.study.factors and not all_ and len(outcome or ()) <= 1:
-        return summary_of_environments(data, parts, outcome or (), format)
-    found = summary_table(data, outcome or ())
-    document = {**what_is_shown(data), "summary": found}
-    every = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"]
-    listed = every if all_ else outcome or ()
+    parts = environments.by_environment(data)
+    if len(parts) > 1 and data.study.factors and not all_ and len(asked) <= 1:
+        sought = asked[0] if asked else environments.OUTCOME
+        form = "sd" if format in PRINTED else "interval"
+        table, found, over = environments.environment_cells(parts, sought, form)
+        legend = (f"{with_unit(sought)} in each environment, then scores over all.", *SCALE)
+        document = {**data.about, "summary": found, "scores": over}
+        return Result(
+            document, ["", frame_table(table), "", *legend], data.full_title, [data.ends], table, found
+        )
+    found = summaries.summary_table(data, asked)
+    listed = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"] if all_ else asked
     if format in PRINTED:
-        table = _thesis_table(data, with_cells(found, cells or "sd"), listed, by_factor=format == "latex")
+        cell_table = summaries.with_cells(found, cells or "sd")
+        table = summaries.thesis_cells(data, cell_table, listed, by_factor=format == "latex")
     elif listed:
-        table = _statistics(data, with_cells(found), listed)
+        table = summaries.statistics_cells(data, summaries.with_cells(found), listed)
     else:
-        table = _overview(data, with_cells(found))
+        table = summaries.overview_cells(data, summaries.with_cells(found))
     shown: list[str | Table] = ["", frame_table(table)]
     if not listed:
-        lacking = " –: no run has it." * bool((table == "–").any(axis=None))
+        lacking = " –: no run has it." * bool((table == summaries.NO_CELL).any(axis=None))
         few = any(len(data.of_condition(name)) < LEAST_RUNS for name in data.conditions)
         lacking += f" Means of fewer than {LEAST_RUNS} runs have none." * few
-        legend = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
-        shown += ["", legend]
-    notes = [data.ends, *_lacks_text(data, found, outcome or ()), _episodes_text(data, listed)]
-    return Result(document, shown, data.full_title, notes, table, found)
-
-
-def _statistics(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> pd.DataFrame:
-    """Return a row for each outcome and condition, with all statistics."""
-    from pneuma.analysis.summaries import wide
-
-    asked, rows = found[found["outcome"].isin(outcomes)], ["outcome", "condition"]
-    runs = asked.groupby(rows)["runs"].first()
-    pairs = [pair for pair in product(outcomes, data.conditions) if pair in runs]
-    table = wide(asked, pairs, [*asked["statistic"].unique()], rows, ["statistic"])
-    table.insert(0, "n", runs)
-    table = table.reset_index().rename_axis(columns=None)
-    return table.assign(outcome=table["outcome"].map(with_unit))
-
-
-def _overview(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each condition: means of the first outcomes, and shares of runs that failed."""
-    from pneuma.analysis.summaries import wide
-
-    shares = ("collapsed", "diverged")
-    names = [*found["outcome"][found["statistic"] == "mean"].unique()][:COLUMNS]
-    pairs = [*((name, "mean") for name in names), *((name, "share") for name in shares)]
-    table = wide(found, data.conditions, pairs).set_axis([*map(with_unit, names), *shares], axis=1)
-    table.insert(0, "runs", [len(data.of_condition(condition)) for condition in data.conditions])
-    return table.reset_index()
-
-
-def _thesis_table(
-    data: StudyData, found: pd.DataFrame, outcomes: Sequence[str], by_factor: bool
-) -> pd.DataFrame:
-    """Return a row for each condition with a value and a column for each outcome, as in '0.68 ± 0.11'.
-
-    A value of fewer runs than the condition has says of how many. If asked for, the conditions of a crossed
-    study have a column for each factor.
-    """
-    import pandas as pd
-
-    from pneuma.analysis.summaries import NO_CELL, wide
-
-    told_by = found[found["statistic"].isin(TOLD_BY)].groupby("outcome", sort=False)["statistic"].first()
-    pairs = [(name, told_by.get(name, "")) for name in outcomes or told_by.index[told_by == "mean"][:COLUMNS]]
-    runs = {name: len(data.of_condition(name)) for name in data.conditions}
-    fewer = found["runs"].map(" (n = {})".format).where(found["runs"] < found["condition"].map(runs), "")
-    heads = [with_unit(name) + ", median" * (statistic == "median") for name, statistic in pairs]
-    table = wide(found.assign(cell=found["cell"] + fewer), data.conditions, pairs).set_axis(heads, axis=1)
-    table = table[(table != NO_CELL).any(axis=1)]
-    table.insert(0, "runs", table.index.map(runs))
-    if by_factor and (levels := data.study.levels):
-        factors = pd.DataFrame([levels[name] for name in table.index])
-        factors.columns = factors.columns.str.replace("_", " ")
-        return pd.concat([factors, table.reset_index(drop=True)], axis=1)
-    return table.reset_index()
-
-
-def _lacks_text(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
-    """Say which conditions have no value of an outcome that was asked for, and why."""
-    from pneuma.analysis.outcomes import reason
-
-    known, text = {*zip(found["outcome"], found["condition"], strict=True)}, []
-    for outcome, condition in product(outcomes, data.conditions):
-        if (outcome, condition) not in known:
-            runs = data.of_condition(condition)
-            why = reason(runs[0], outcome) if runs else "no run has finished"
-            text.append(f"{outcome}, {condition}: {why}")
-    return text
+        text = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
+        shown += ["", text]
+    notes = [data.ends, *summaries.lacks_text(data, found, asked), summaries.episodes_text(data, listed)]
+    return Result({**data.about, "summary": found}, shown, data.full_title, notes, table, found)
 
 
 # --- compare --------------------------------------------------------------------------------------
@@ -184,10 +103,11 @@ def compare(
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
     formats = read_formats(None, out, "" if plot else "--plot")
-    if a and b and crosses_environments(name, a):
-        return compare_in_environments(picked.open(name), a, b, outcome or (), format)
+    if a and b and _crosses_environments(name, a):
+        return _compare_in_environments(picked.open(name), a, b, outcome or ())
+    from pneuma.analysis.outcomes import with_unit
     from pneuma.analysis.study_data import join_studies
-    from pneuma.analysis.summaries import compare_pairs, comparison_cells
+    from pneuma.analysis.summaries import compare_pairs, comparison_cells, episodes_text
 
     claims: list[Claim] = []
     if a and b:
@@ -219,9 +139,9 @@ def compare(
         "probability that a run of the first is better than one of the second, from ten runs on.",
         "no value: runs left out.",
     )
-    engines, episodes = _engines_text(data, [*pairs.values()]), _episodes_text(data, [*table["outcome"]])
+    engines, episodes = _engines_text(data, [*pairs.values()]), episodes_text(data, [*table["outcome"]])
     return Result(
-        {**what_is_shown(data), "comparisons": table, "figures": files},
+        {**data.about, "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
         [data.ends, *map(_claim_text, claims), engines, episodes],
@@ -230,11 +150,46 @@ def compare(
     )
 
 
+def _crosses_environments(name: str, condition: str) -> bool:
+    """Return whether a name is not of a study's condition, but of some in each of its environments."""
+    try:
+        study = load_study(name)
+    except UserError:
+        return False  # a study without a file, or none
+    levels = (fields for values in study.factors.values() for fields in values.values())
+    return condition not in study.conditions and any("env" in fields for fields in levels)
+
+
+def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Result:
+    """Return a comparison of two conditions in each environment, and of their scores over all."""
+    import pandas as pd
+
+    from pneuma.analysis.environments import OUTCOME, by_environment, improvements, score_cells
+    from pneuma.analysis.outcomes import with_unit
+    from pneuma.analysis.summaries import compare_conditions, comparison_cells
+
+    parts, outcomes = by_environment(data), outcomes or [OUTCOME]
+    tables = [
+        compare_conditions(part.of_conditions([a, b]), a, b, outcomes).assign(condition=env)
+        for env, part in parts.items()
+    ]
+    table, over = pd.concat(tables, ignore_index=True), improvements(parts, a, b, outcomes[0])
+    people = comparison_cells(table.assign(outcome=table["outcome"].map(with_unit)), [a, b])
+    people = people.rename(columns={"": "environment"})
+    table = table.rename(columns={"condition": "environment"})
+    scores = score_cells(over)[["statistic", "cell"]]
+    scores.columns = ["scores over all", f"{a} against {b}"]
+    shown: list[str | Table] = ["", frame_table(people), "", frame_table(scores), "", *SCALE]
+    document = {**data.about, "comparisons": table, "scores": over}
+    return Result(document, shown, f"{data.full_title}: {a} against {b}", [data.ends], people, table)
+
+
 def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
     from pneuma.analysis.claims import MINUS, load_claims
 
-    world = data.world or next((name for name, one in WORLDS.items() if one.env in _environments(data)), "")
+    environments = {fields.get("env") for fields in data.fields.values()}
+    world = data.world or next((name for name, one in WORLDS.items() if one.env in environments), "")
     return [
         claim
         for claim in load_claims().claims.values()
@@ -245,10 +200,6 @@ def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     ]
 
 
-def _environments(data: StudyData) -> set[object]:
-    return {fields.get("env") for fields in data.fields.values()}
-
-
 def _claim_text(claim: Claim) -> str:
     return f"The claim {claim.name} compares these conditions: its outcomes stand first (study verify)."
 
@@ -256,9 +207,7 @@ def _claim_text(claim: Claim) -> str:
 def _engines_text(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:
     """Say where what is compared was trained by different engines; claims refuse that."""
     for pair in pairs:
-        if not all(data.of_condition(name) for name in pair):
-            continue
         engines = [", ".join(sorted(data.engines(name))) or "not known" for name in pair]
-        if engines[0] != engines[1]:
+        if all(map(data.of_condition, pair)) and engines[0] != engines[1]:
             return f"Note: trained by different engines ({' and '.join(engines)})."
     return ""

@@ -78,7 +78,7 @@ def report_page(
     unjudged: str = "",
     title: str = "",
 ) -> bytes:
-    """Return the page's bytes, of what `cli/report.py` gathers.
+    """Return the page's bytes, of what `gather_report` gathers.
 
     Studies have `study`, `title`, `section`, `about`, and `parts`, one for each world. `note` is on the list
     of claims, and `unjudged` says why none could be judged. Without a title the page is about the thesis.

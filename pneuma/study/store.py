@@ -310,6 +310,13 @@ class Store:
     def listing_path(self, study: str) -> Path:
         return self.root / "studies" / f"{study}.json"
 
+    @property
+    def nothing_yet(self) -> str:
+        """What is said if no run is stored or published here; empty otherwise."""
+        if self.runs() or self.published(shipped=False):
+            return ""
+        return f"no study was run or published in {self.root} yet: run `pneuma study run activation` first"
+
     def listings(self) -> list[str]:
         names = names_in(self.root / "studies")
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]

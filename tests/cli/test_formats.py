@@ -85,7 +85,7 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
     told = call(*asked, "better").out
     assert told.startswith(
-        "better (section 6)\n  “a quote”\n  high against low:\n    text            holds           kills"
+        "better (section 6)\n  “a quote”\n  high against low\n    text            holds           kills"
     )
     assert "high against low, 8 and 8 runs: kills 74" in told
 
