@@ -24,10 +24,9 @@ def delete_study(
 
     Runs that another study has, which was run here too, stay. Published tables are not touched.
     """
-    from pneuma.analysis.runs import RunIndex, choose_runs, find_study, studies_here
+    from pneuma.analysis.runs import studies_here
 
-    index = RunIndex(picked.store)
-    data = choose_runs(index, find_study(index, name, picked.selection, picked.world), picked.selection)
+    index, data = picked.index, picked.choose(name)
     here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study
     others = {
         run_id: other.study.name
@@ -59,7 +58,7 @@ def _delete(store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] 
         raise UserError("--yes is needed where nobody can be asked")
     for name, status in statuses.items():
         seed = f", seed {status.identity.seed}" if status.identity else ""
-        say(f"  {name}  {status.name}, {status.step:,} steps{seed}", aside=True)
+        say(f"  {name}  {status.name}, {status.step:,} steps{seed}")
     if not yes and not _agreed(f"Remove {counted(len(names), 'run')}? [y/N] "):
         return Result({"removed": []}, ["Nothing was removed."])
     for name in names:

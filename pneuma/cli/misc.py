@@ -25,7 +25,7 @@ def report(
 ) -> Result:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"), force)
-    store, tell = Store(results), partial(say, aside=True, quiet=quiet)
+    store, tell = Store(results), partial(say, quiet=quiet)
     if lacking := store.nothing_yet:
         tell(f"Note: {lacking}.")
     from pneuma.figures.report import report_page

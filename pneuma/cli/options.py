@@ -27,6 +27,7 @@ from pneuma.study.store import Store
 from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
 
 if TYPE_CHECKING:
+    from pneuma.analysis.runs import RunIndex
     from pneuma.analysis.study_data import StudyData
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -206,15 +207,25 @@ class RunFilter:
     def store(self) -> Store:
         return Store(self.results)
 
-    def open(self, name: str) -> StudyData:
-        """Open the finished runs of a study, and say what is shown and what else is stored."""
-        from pneuma import api  # pydantic: not for `--help`
+    @functools.cached_property
+    def index(self) -> RunIndex:
+        """Every run, stored or published."""
+        from pneuma.analysis.runs import RunIndex
 
-        picked, aside = self.selection, functools.partial(say, aside=True)
-        return api.open_data(
-            name, self.results, steps=picked.steps, seeds=picked.seeds, conditions=picked.conditions,
-            settings=picked.settings, world=self.world, say=aside,
-        )  # fmt: skip
+        return RunIndex(self.store)
+
+    def open(self, name: str, world: str | None = None) -> StudyData:
+        """Open the finished runs of a study, and say what is shown and what else is stored."""
+        from pneuma.analysis.runs import open_study
+
+        return open_study(self.index, name, self.selection, world or self.world, say)
+
+    def choose(self, name: str) -> StudyData:
+        """Return the runs of a study, finished or not."""
+        from pneuma.analysis.runs import choose_runs, find_study
+
+        found = find_study(self.index, name, self.selection, self.world)
+        return choose_runs(self.index, found, self.selection)
 
 
 @dataclass(frozen=True)

@@ -36,15 +36,13 @@ WIDEST = 10_000
 # --- For people -----------------------------------------------------------------------------------
 
 
-def say(text: str, aside: bool = False, quiet: bool = False) -> None:
-    """Print a line for the user; with `aside` on standard error, so that standard output is one document.
+def say(text: str, quiet: bool = False) -> None:
+    """Print a line on standard error, so that standard output is the result's alone.
 
     A closed standard error does not stop a command.
     """
-    if aside and not quiet:
+    if not quiet:
         print_aside(text)
-    elif not quiet:
-        print(plain(text))
 
 
 def command(*words: object) -> str:
@@ -116,15 +114,15 @@ def print_result(result: Result, form: str) -> None:
         return
     people = form == "table"
     for line in filter(None, [result.title] * people):
-        say(line)
+        print(plain(line))
     for note in filter(None, result.notes):
-        say(note, aside=not people)
+        print(plain(note)) if people else say(note)
     if people:
         for each in result.shown:
             if isinstance(each, Table):
                 _print_table(each)
             else:
-                say(each)
+                print(plain(each))
     elif form == "json":
         from pydantic_core import to_jsonable_python
 
@@ -224,24 +222,18 @@ def write_file(out: Path, data: bytes) -> None:
 # --- Figures --------------------------------------------------------------------------------------
 
 
-def read_formats(asked: Sequence[str] | None, out: Path | None, lacking: str = "") -> tuple[str, ...]:
-    """Return the formats of figures; that of a file which `--out` names.
-
-    `lacking` is the option without which nothing is drawn, if it was not given.
-    """
-    if lacking and (asked or out):
-        raise UserError(f"{'--format' if asked else '--out'}: goes with {lacking}")
-    if names_figure(out):
-        assert out is not None
-        if asked:
-            raise UserError(f"--format: --out {out} has its format by its name")
-        return (out.suffix[1:],)
-    return tuple(asked or ("png", "svg"))
+def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
+    """Return the formats of figures; that of a file which `--out` names."""
+    if out is None or not names_figure(out):
+        return tuple(asked or ("png", "svg"))
+    if asked:
+        raise UserError(f"--format: --out {out} has its format by its name")
+    return (out.suffix[1:],)
 
 
-def names_figure(out: Path | None) -> bool:
+def names_figure(out: Path) -> bool:
     """Return whether `--out` is the file of a figure, and not the folder of all."""
-    return out is not None and out.suffix[1:] in FIGURE_FORMATS and not out.is_dir()
+    return out.suffix[1:] in FIGURE_FORMATS and not out.is_dir()
 
 
 def draw_files(
@@ -251,30 +243,31 @@ def draw_files(
     pages: Iterable[tuple[Page, str]],
     look: Look | None = None,
 ) -> list[Path]:
-    """Write figures into a file or folder given by the user, or into `figures` of the results; return them.
-
-    Each page comes with the command that draws it. In a results folder, which may be untrusted, no link is
-    followed. If drawing fails, nothing is written.
-    """
+    """Write figures as `keep_files` does; each page comes with the command that draws it."""
     from pneuma.figures.grid import USUAL_LOOK, save_page
 
-    def draw(folder: Path) -> list[Path]:
-        drawn = [save_page(page, folder, formats, again, look or USUAL_LOOK) for page, again in pages]
-        if out and names_figure(out) and len(drawn) > 1:
-            raise UserError(f"--out {out}: is one file, and these are {len(drawn)} figures; name a folder")
-        return [path for each in drawn for path in each]
+    def draw(folder: Path) -> Iterator[Path]:
+        for page, again in pages:
+            yield from save_page(page, folder, formats, again, look or USUAL_LOOK)
 
     return keep_files(store, out, draw)
 
 
 def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[Path]]) -> list[Path]:
-    """Write the files that a function draws into a folder, as `draw_files` does; return them."""
-    target, write = (store.root / "figures", store.write) if out is None else (out, write_file)
-    with TemporaryDirectory() as folder:
-        drawn = draw(Path(folder))
-        files = {path.name: path.read_bytes() for path in drawn}
-    paths = [target if names_figure(out) else target / name for name in files]
-    for path, content in zip(paths, files.values(), strict=True):
+    """Write the figures that a function draws into a folder; return their files.
+
+    They go into a file or folder given by the user, or into `figures` of the results, which may be untrusted:
+    there no link is followed. If drawing fails, nothing is written.
+    """
+    with TemporaryDirectory() as temporary:
+        drawn = {path.name: path.read_bytes() for path in [*draw(Path(temporary))]}
+    folder, write = (store.root / "figures", store.write) if out is None else (out, write_file)
+    paths = [folder / name for name in drawn]
+    if out and names_figure(out):
+        paths = [out] * bool(drawn)
+        if len(drawn) > 1:
+            raise UserError(f"--out {out}: is one file, and these are {len(drawn)} figures; name a folder")
+    for path, content in zip(paths, drawn.values(), strict=True):
         write(path, content)
     return paths
 

@@ -145,7 +145,7 @@ def plot(
     again = command("search", "plot", name, *opt.words_of(asked), *formats_asked)
     files = keep_files(asked.store, out, lambda folder: draw_search(found, folder, formats, again))
     if not files:
-        say("Note: nothing is drawn before a trial is complete.", aside=True)
+        say("Note: nothing is drawn before a trial is complete.")
     return Result({"figures": files}, wrote(files))
 
 
@@ -172,7 +172,7 @@ def run(
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
 
-    store, tell = asked.store, partial(say, aside=True, quiet=quiet)
+    store, tell = asked.store, partial(say, quiet=quiet)
     search = load_search(name, asked.world, asked.settings)
     if preset not in (presets := search.spec.presets):
         raise unknown_name(f"preset of search {search.name}", preset, presets)
@@ -202,11 +202,11 @@ def run(
                 so_far = f"best {_value(found.begun[best])}, trial {best}"
             tell(f"{len(told)}/{task.budget.trials} trials; {so_far}")
     except Unfinished as error:
-        say(f"Stopped: {error}", aside=True)
+        say(f"Stopped: {error}")
         code = 1
     except KeyboardInterrupt as left:
         stopped = str(left) if isinstance(left, Detached) else "Stopped."
-        say(f"{stopped} The same command goes on where the search was stopped.", aside=True)
+        say(f"{stopped} The same command goes on where the search was stopped.")
         code = 130
     words = [name, *opt.words_of(asked)]
     shown = [
@@ -234,7 +234,7 @@ def train(
 
     todo, notes = execute.prepare(planned, store, retry_failed, until)
     for note in (*planned.notes, *notes):
-        say(f"Note: {note}.", aside=True, quiet=quiet or note in noted)
+        say(f"Note: {note}.", quiet=quiet or note in noted)
         noted.add(note)
     with ProgressDisplay(todo, store, quiet, until) as display:
         results = execute.execute(planned, todo, store, replace(how, until=until), display.update)
@@ -288,7 +288,7 @@ def promote(
         return Result({"study": out, **document}, notes=[f"wrote {out}", train_with])
     planned, path = promoted.plan(store), promoted.path(store)
     for line in (f"wrote {path}", promoted.budgets):
-        say(line, aside=True, quiet=quiet)
+        say(line, quiet=quiet)
     how = opt.Place(workers).config()
     trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
     ids = {
@@ -296,7 +296,7 @@ def promote(
     }
     document |= {"study": path, "seeds": seeds, "steps": promoted.steps, "run_ids": ids}
     if trained.code:
-        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}", aside=True)
+        say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}")
         return Result(document, notes=trained.notes, code=trained.code)
     from pneuma.figures.search import winners_page
 

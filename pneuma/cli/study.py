@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import delete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, listed_result, say, tallied, write_file
+from pneuma.cli.output import Result, Table, listed_result, rows_of, say, tallied, write_file
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, shipped, spec
@@ -17,7 +17,6 @@ from pneuma.study.store import FINISHED, Store
 from pneuma.values import shown_value
 
 if TYPE_CHECKING:
-    from pneuma.analysis.runs import RunIndex
     from pneuma.analysis.study_data import StudyData
 
 app = opt.Commands("study", "Compare conditions over many seeds.")
@@ -139,46 +138,38 @@ def status(
     format: opt.Format = opt.TABLE,
 ) -> Result:
     """Say how far the runs of a study are."""
-    from pneuma.analysis.runs import RunIndex, choose_runs, find_study
-
-    index = RunIndex(picked.store)
     if name is None:
-        return _every_status(index, picked.world, format)
-    jobs = _queued(picked.store)
-    data = choose_runs(index, find_study(index, name, picked.selection, picked.world), picked.selection)
-    say(data.text(index.store.root), aside=True)
-    for problem in index.problems:
-        say(f"Note: {problem}.", aside=True)
-    runs: list[dict[str, Any]] = []
+        return _every_status(picked)
+    jobs, data = _queued(picked.store), picked.choose(name)
+    say(data.text(picked.store.root))
+    for problem in picked.index.problems:
+        say(f"Note: {problem}.")
+    frame = data.runs.assign(step=data.runs["end"], published=data.runs["where"] != "")
+    runs = rows_of(frame[["run_id", "condition", "seed", "status", "step", "published"]])
     table = []
-    for run in data.runs.assign(step=data.runs["end"], published=data.runs["where"] != "").to_dict("records"):
-        keys = ("run_id", "condition", "seed", "status", "step", "published")
-        runs.append({key: run[key] for key in keys})
+    for run in runs:
         label = f"{run['status']} as published" if run["published"] else run["status"]
         label += f" at step {run['step']:,}" if run["step"] and run["status"] not in FINISHED else ""
         if job := jobs.get(run["run_id"]):
             label += f" job {job['job']} {job['state'].lower()}"
         table.append((f"  {run['condition']}", f"seed {run['seed']}", run["run_id"], label))
-    queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
     text: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
     text += [f"Stored too: {other}" for other in data.others]
-    document = {"study": data.study.name, "runs": runs, "jobs": queued}
-    return Result(document, text, table=runs)
+    queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
+    return Result({"study": data.study.name, "runs": runs, "jobs": queued}, text, table=runs)
 
 
-def _every_status(index: RunIndex, world: str | None, format: str) -> Result:
+def _every_status(picked: opt.RunFilter) -> Result:
     from pneuma.analysis.runs import studies_here
 
     studies, table = [], []
-    for data in studies_here(index, world):
-        about = {
-            "study": data.study.own_path or data.study.name,
-            "world": data.study.world if data.study.path else "",
-        }
+    for data in studies_here(picked.index, picked.world):
+        world = data.study.world if data.study.path else ""
+        about = {"study": data.study.own_path or data.study.name, "world": world}
         runs = data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
         studies.append({**about, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
         table.append({**about, "runs": tallied(runs["status"])})
-    nothing = f"No study was run in {index.store.root} yet."
+    nothing = f"No study was run in {picked.store.root} yet."
     shown = Table([""] * 3, [[*row.values()] for row in table]) if table else nothing
     return Result({"studies": studies}, [shown], table=table)
 
@@ -190,5 +181,5 @@ def _queued(store: Store) -> dict[str, dict[str, Any]]:
     try:
         return {run_id: {"job": job.id, "state": job.state} for run_id, job in queued(store).items()}
     except UserError as error:
-        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}", aside=True)
+        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}")
         return {}

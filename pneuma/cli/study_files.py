@@ -120,14 +120,15 @@ def plot(
 
     other = opt.RunFilter(results=picked.results).open(asked.beside) if asked.beside else None
 
-    def page(name: str, picked: opt.RunFilter) -> tuple[Page, str]:
-        data = picked.open(name)
+    def page(name: str, world: str | None) -> tuple[Page, str]:
+        data = picked.open(name, world)
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
         usual = asked.of_curves or (all(map(fits_panel, parts.values())) and not data.study.outcomes)
         kind = asked.figure or FIGURE_KINDS[0 if usual else 1]
         quantities = _quantities(data, asked.quantity or [])
-        chosen = replace(picked, steps=data.steps or picked.steps)  # whatever is trained meanwhile
+        steps = data.steps or picked.steps  # whatever is trained meanwhile
+        chosen = replace(picked, steps=steps, world=world or picked.world)
         drawn = replace(asked, figure=kind, quantity=quantities)
         again = command("study", "plot", name, *opt.words_of(chosen), *opt.words_of(drawn))
         if kind == "summary":
@@ -135,33 +136,33 @@ def plot(
         return curves_page(shown, quantities, asked.band, asked.window, beside=other, log=asked.log), again
 
     def pages() -> Iterator[tuple[Page, str]]:
-        every = [(name, picked) for name in names] if names else _run_here(picked)
+        every = [(name, picked.world) for name in names] if names else _run_here(picked)
         problems = []
-        for name, one in every:
+        for name, world in every:
             try:
-                yield page(name, one)
+                yield page(name, world)
             except UserError as error:
                 problems.append(error)
                 if names or len(problems) == len(every):
                     raise problems[0] from None
         for problem in problems:
-            say(f"Note: {problem}.", aside=True)
+            say(f"Note: {problem}.")
 
     look = Look(asked.width, asked.height, asked.title, asked.style, asked.plain)
     files = draw_files(store, out, formats, pages(), look)
     return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.RunFilter) -> list[tuple[str, opt.RunFilter]]:
+def _run_here(picked: opt.RunFilter) -> list[tuple[str, str | None]]:
     """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
-    from pneuma.analysis.runs import RunIndex, studies_here
+    from pneuma.analysis.runs import studies_here
 
-    here = [*studies_here(RunIndex(picked.store), picked.world)]
+    here = [*studies_here(picked.index, picked.world)]
     whole = [data for data in here if {*data.finished["condition"]} == {*data.fields}]
     if not whole:
         names = ", ".join(dict.fromkeys(data.study.name for data in here)) or "one"
         raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")
-    return [(data.study.file, replace(picked, world=data.world or None)) for data in whole]
+    return [(data.study.file, data.world or None) for data in whole]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:

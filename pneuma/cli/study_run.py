@@ -153,15 +153,15 @@ def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: b
     _check_logs(folder for name, folder in how.logs.items() if name in unfinished)
     results, text, code = [], [], STOPPED
     try:
-        aside = partial(say, aside=True, quiet=quiet)
+        aside = partial(say, quiet=quiet)
         results = api.train_plan(planned, store, how, retry_failed=retry_failed, quiet=quiet, say=aside)
         code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
         text = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
     except Detached as left:  # as --detach asks, or by Ctrl-C
-        say(str(left), aside=True)
+        say(str(left))
         code = 0 if left.asked else STOPPED
     except KeyboardInterrupt:
-        say("Stopped. The same command goes on where every run was stopped.", aside=True)
+        say("Stopped. The same command goes on where every run was stopped.")
     results = results or execute.cell_results(planned, store, unfinished)
     rows = [{**_cell(each.cell), "status": each.status.name, "trained": each.trained} for each in results]
     return Result({"study": planned.study.name, "runs": rows}, notes=text, code=code)
@@ -196,7 +196,7 @@ def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; with `unpublished`, skip published runs."""
     from pneuma import api
 
-    planned = api.plan_study(name, chosen.selection, chosen.world, partial(say, aside=True))
+    planned = api.plan_study(name, chosen.selection, chosen.world, say)
     if not unpublished:
         return planned
     from pneuma.analysis.runs import RunIndex
@@ -204,7 +204,7 @@ def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     index = RunIndex(chosen.store, stored=False)
     published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)
     for problem in index.problems:
-        say(f"Note: {problem}; its runs are trained.", aside=True)
+        say(f"Note: {problem}; its runs are trained.")
     return replace(planned, published=published)
 
 

@@ -102,7 +102,9 @@ def compare(
     """
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
-    formats = read_formats(None, out, "" if plot else "--plot")
+    if out and not plot:
+        raise UserError("--out: goes with --plot")
+    formats = read_formats(None, out)
     if a and b and _crosses_environments(name, a):
         return _compare_in_environments(picked.open(name), a, b, outcome or ())
     from pneuma.analysis.outcomes import with_unit
