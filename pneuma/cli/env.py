@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result
 from pneuma.errors import UserError, counted, unknown_name
+
+if TYPE_CHECKING:
+    from pneuma.engines.policy import Policy
+    from pneuma.env.worlds import Worlds
 
 app = opt.Commands("env", "Look at and play environments.")
 
@@ -25,6 +28,7 @@ ABOUT = {
 """A description of each environment; those with vector rewards share that of their counterparts."""
 
 CAMERAS = ("map", "follow")
+PLAYERS = ("random", "hunter")
 
 Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, opt.option("--seed", "N", "Seed of the world.", min=0)]
@@ -72,31 +76,66 @@ def render(
     A video shows the first --seconds of an episode, which ends two seconds after the last monster's
     death. A run's policy plays in the environment that it was trained in, --set on top.
     """
-    from pneuma.env.render import FOLLOW_FACTOR, GIF_FACTOR, Renderer
-    from pneuma.env.watch import (
-        FRAMES_PER_STEP,
-        GIF_FRAMES_PER_STEP,
-        VIDEOS,
-        episode_frames,
-        frame_rate,
-        write_video,
-    )
+    import numpy as np
 
-    check_file(out, VIDEOS)
-    moving = out.suffix.lower() != ".png"
+    from pneuma.engines.policy import drawing
+    from pneuma.env import watch
+    from pneuma.env.fields import make_env_config
+    from pneuma.env.players import Hunter, RandomPlayer
+    from pneuma.env.render import FOLLOW_FACTOR, GIF_FACTOR, Renderer
+    from pneuma.env.worlds import Worlds
+
+    check_file(out, watch.VIDEOS)
+    moving, gif = out.suffix.lower() != ".png", out.suffix.lower() == ".gif"
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
-    chosen = dict(set_ or ())
     _check_drawable(name)
-    settings, make_act = _player(player, name, seed, results, trust)
-    worlds = _worlds(name, {**settings, **chosen}, seed)
-    gif = out.suffix.lower() == ".gif"  # which grows fast: half as many frames, half as wide
-    per_step, zoom = (GIF_FRAMES_PER_STEP, GIF_FACTOR) if gif else (FRAMES_PER_STEP, FOLLOW_FACTOR)
+    policy, own = (None, {}) if player in PLAYERS else _load_player(player, name, results, trust)
+    worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name.replace("/mo-", "/")))
+    worlds.seed([seed])
+    worlds.reset()
+    draws = np.random.default_rng(seed)
+    scripted = Hunter(worlds).act if player == "hunter" else RandomPlayer(draws).act
+    act = drawing(policy, worlds, draws) if policy else scripted
+    # a GIF grows fast: half as many frames, half as wide
+    per_step = watch.GIF_FRAMES_PER_STEP if gif else watch.FRAMES_PER_STEP
+    zoom, rate = GIF_FACTOR if gif else FOLLOW_FACTOR, watch.frame_rate(per_step)
     renderer = Renderer(worlds, camera or ("follow" if moving else "map"), zoom=zoom)
-    acts = make_act(worlds)
-    most = 1 + round(seconds * frame_rate(per_step)) if moving else 1  # the first shows the start
-    write_video(out, islice(episode_frames(worlds, acts, renderer, per_step), most), frame_rate(per_step))
+    most = 1 + round(seconds * rate) if moving else 1  # the first shows the start
+    watch.write_video(out, islice(watch.episode_frames(worlds, act, renderer, per_step), most), rate)
     return Result({"file": out}, [f"wrote {out}" + (f": {_story(worlds)}" if moving else "")])
+
+
+def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
+    """Return a stored run's policy, and its settings.
+
+    A reward is left out if it is code, because pictures do not show it.
+    """
+    from pneuma.api import load_policy
+    from pneuma.env.fields import REWARDS
+
+    try:
+        policy, env, settings = load_policy(player, results, trust=trust)
+    except UserError as error:
+        raise UserError(f"--player {player}: {error}") from None
+    if env != name.replace("/mo-", "/"):
+        raise UserError(f"--player {player}: was trained in {env}, not in {name}")
+    paid = settings.get("reward") or ()
+    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
+    return policy, settings
+
+
+def _story(worlds: Worlds) -> str:
+    from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
+
+    count, ending = worlds.monsters.shape[1], worlds.ending(0)
+    killed = count - worlds.worlds["monsters_left"][0]
+    played = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
+    if ending != "running":
+        return f"{played}, {ending.replace('-', ' ')}"
+    if killed < count:
+        return f"{played}; the episode goes on: --seconds shows more"
+    return f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
 
 
 @app.command()
@@ -146,58 +185,3 @@ def _check_drawable(name: str) -> None:
         raise unknown_name("environment", name, REGISTERED)
     if name == MAILMAN:
         raise UserError(f"{name} has no picture: it is three states and two actions")
-
-
-def _worlds(name: str, settings: Mapping[str, Any], seed: int) -> Any:
-    from pneuma.env.fields import make_env_config
-    from pneuma.env.worlds import Worlds
-
-    _check_drawable(name)
-    worlds = Worlds(1, make_env_config(settings, name.replace("/mo-", "/")))
-    worlds.seed([seed])
-    worlds.reset()
-    return worlds
-
-
-def _story(worlds: Any) -> str:
-    from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
-
-    count = worlds.monsters.shape[1]
-    killed = count - worlds.worlds["monsters_left"][0]
-    played = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
-    if worlds.ending(0) == "running" and killed == count:
-        return (
-            f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
-        )
-    if worlds.ending(0) == "running":
-        return f"{played}; the episode goes on: --seconds shows more"
-    return f"{played}, {worlds.ending(0).replace('-', ' ')}"
-
-
-def _player(
-    player: str, name: str, seed: int, results: Path, trust: bool
-) -> tuple[dict[str, Any], Callable[[Any], Callable[[Any], Any]]]:
-    """Return a player's own settings, and the function that chooses its actions.
-
-    A stored run's reward is left out if it is code, because pictures do not show it.
-    """
-    import numpy as np
-
-    from pneuma.api import load_policy
-    from pneuma.engines.policy import drawing
-    from pneuma.env.fields import REWARDS
-    from pneuma.env.players import Hunter, RandomPlayer
-
-    if player == "random":
-        return {}, lambda worlds: RandomPlayer(np.random.default_rng(seed)).act
-    if player == "hunter":
-        return {}, lambda worlds: Hunter(worlds).act
-    try:
-        policy, env, settings = load_policy(player, results, trust=trust)
-    except UserError as error:
-        raise UserError(f"--player {player}: {error}") from None
-    if env != name.replace("/mo-", "/"):
-        raise UserError(f"--player {player}: was trained in {env}, not in {name}")
-    paid = settings.get("reward") or ()
-    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
-    return settings, lambda worlds: drawing(policy, worlds, np.random.default_rng(seed))

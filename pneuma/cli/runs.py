@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import delete
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, write_file
+from pneuma.cli.output import Result, Table, check_file, rows_of, write_file
 from pneuma.cli.study_run import train
 from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, action_names
@@ -34,15 +34,12 @@ def list_(results: opt.Results = opt.HERE) -> Result:
     index = RunIndex(Store(results))
     labels, here = _labels(index), index.frame[index.frame["where"] == ""]
     here = here.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
-    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in here.to_dict("records")]
+    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(here)]
     rows = []
     for run in runs:
-        studies = (
-            ", ".join(f"{study['study']}/{study['condition']}" for study in run["studies"]) or "of no study"
-        )
-        rows.append(
-            (run["run_id"], run["status"], f"{run['step']:>12,} steps", f"seed {run['seed']}", studies)
-        )
+        studies = ", ".join(f"{each['study']}/{each['condition']}" for each in run["studies"])
+        amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
+        rows.append((run["run_id"], run["status"], *amount, studies or "of no study"))
     nothing = f"No run is stored in {results} yet."
     return Result({"runs": runs}, [Table([""] * 5, rows) if rows else nothing])
 
