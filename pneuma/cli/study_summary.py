@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, draw_files, frame_table, read_formats, wrote
 from pneuma.errors import UserError
-from pneuma.study.spec import load_study
 from pneuma.presets import WORLDS
+from pneuma.study.spec import load_study
 
 if TYPE_CHECKING:
     from pneuma.analysis.claims import Claim
