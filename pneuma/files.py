@@ -20,7 +20,7 @@ from typing import Any
 from pneuma.errors import UserError
 
 SCHEMA = 1
-_CHECKSUM = "sha256"
+_CHECKSUM, _END = "sha256", b"\n}\n"
 
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
@@ -149,11 +149,15 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
-    document = read_json(path)
-    if document is None or document.get("schema") != SCHEMA:
+    try:
+        data = read_whole(path)
+        head, found, tail = data.rpartition(f',\n  "{_CHECKSUM}": "'.encode())
+        if not found or tail != f'{checksum(head + _END)}"'.encode() + _END:
+            return None
+        document = parse_json(head + _END)
+    except (OSError, ValueError):
         return None
-    expected = document.pop(_CHECKSUM, None)
-    return document if expected == checksum(to_json(document)) else None
+    return document if document.get("schema") == SCHEMA else None
 
 
 def checksum(data: bytes) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import io
 import os
 import shlex
 import shutil
@@ -28,9 +27,6 @@ if TYPE_CHECKING:
 
     from pneuma.figures.grid import Page
     from pneuma.figures.style import Look
-
-WIDEST = 10_000
-"""Characters per line if the output is no terminal, so that tables are not folded."""
 
 
 # --- For people -----------------------------------------------------------------------------------
@@ -141,20 +137,30 @@ def print_result(result: Result, form: str) -> None:
 
 
 def _print_table(table: Table) -> None:
-    """Print a table of text, which may be untrusted, folded to the terminal's width."""
+    """Print a table of text, which may be untrusted; one that is wider than the terminal is folded."""
+    from rich.cells import cell_len
+
+    rows = [[plain(str(cell)) for cell in row] for row in table.rows]
+    lines = [[*map(plain, table.heads)], *rows] if any(table.heads) else rows
+    widths = [max(map(cell_len, column)) for column in zip(*lines, strict=True)]
+    if sys.stdout.isatty() and sum(widths) + 2 * len(widths) > shutil.get_terminal_size().columns:
+        return _print_folded(lines, bool(any(table.heads)))
+    for line in lines:
+        padded = (cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
+        print("  ".join(padded).rstrip())
+
+
+def _print_folded(lines: Sequence[Sequence[str]], has_heads: bool) -> None:
     from rich import table as rich
     from rich.console import Console
     from rich.text import Text
 
-    laid_out = rich.Table(box=None, pad_edge=False, header_style="", show_header=any(table.heads))
-    for head in table.heads:
-        laid_out.add_column(plain(head), overflow="fold")
-    for row in table.rows:
-        laid_out.add_row(*(Text(plain(str(cell))) for cell in row))
-    drawn = io.StringIO()
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
-    Console(file=drawn, width=width, color_system=None, highlight=False).print(laid_out)
-    print("\n".join(line.rstrip() for line in drawn.getvalue().splitlines()))
+    laid_out = rich.Table(box=None, pad_edge=False, header_style="", show_header=has_heads)
+    for head in lines[0]:
+        laid_out.add_column(Text(head), overflow="fold")
+    for row in lines[has_heads:]:
+        laid_out.add_row(*map(Text, row))
+    Console(color_system=None, highlight=False).print(laid_out)
 
 
 def frame_table(frame: pd.DataFrame) -> Table:
