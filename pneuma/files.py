@@ -44,10 +44,11 @@ def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
         OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
     """
     try:
-        with open(path, "rb", opener=_open_ordinary) as file:
+        with open(path, "rb", opener=open_ordinary) as file:
             size = os.fstat(file.fileno()).st_size
             if size > most:
-                raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB, the most that is read")
+                much = f"is larger than {most / 2**20:.0f} MB, the most that is read"
+                raise OSError(errno.EFBIG, much, str(path))
             return file.read(size)  # not `most`: memory is taken for what is asked
     except MemoryError:
         raise OSError(errno.ENOMEM, "does not fit into memory") from None
@@ -164,9 +165,10 @@ def checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _open_ordinary(path: str, flags: int) -> int:
+def open_ordinary(path: str, flags: int) -> int:
+    """Open an ordinary file, as an `opener`; what is none, as a pipe, would be waited for."""
     descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise OSError(errno.EINVAL, "is no ordinary file")
+        raise OSError(errno.EINVAL, "is no ordinary file", path)
     return descriptor

@@ -17,7 +17,7 @@ from optuna.storages.journal import BaseJournalBackend, JournalFileSymlinkLock
 from optuna.storages.journal._file import get_lock_file
 
 from pneuma.errors import UserError
-from pneuma.files import parse_json, read_whole
+from pneuma.files import open_ordinary, parse_json, read_whole
 
 LARGEST_LOG = 2**28
 """Most bytes of a log that is read."""
@@ -83,7 +83,7 @@ class Journal(BaseJournalBackend):
             return
         more = [f'{line[:-1]},"more":true}}\n' for line in lines[:-1]]
         entry = "".join([*more, lines[-1] + "\n"]).encode()
-        with self.path.open("ab") as file:
+        with open(self.path, "ab", opener=open_ordinary) as file:
             file.write(entry)
             file.flush()
             os.fsync(file.fileno())
