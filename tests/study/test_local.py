@@ -138,3 +138,14 @@ def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told(nohup: bool
         assert signal.getsignal(signal.SIGHUP) == handler
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize(("patience", "counted"), [(60.0, 1), (-1.0, 2)])
+def test_a_shutdown_waits_only_so_long_for_a_step(
+    patience: float, counted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An evaluation of a slow environment once took two minutes."""
+    monkeypatch.setattr(local, "PATIENCE", patience)
+    with Interrupts() as interrupts:
+        signal.raise_signal(signal.SIGTERM)
+        assert interrupts.count == counted

@@ -12,6 +12,7 @@ checkpoint. The other executors use the same `Supervisor` on the nodes of a clus
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import selectors
 import signal
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -39,6 +41,8 @@ LOOK_SECONDS = 0.5
 """Seconds between two looks at signals, and at runs that other processes hold. A signal does not interrupt
 the wait for events where the kernel gives it to a thread of a mathematical library."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PATIENCE = 5.0
+"""Seconds after a SIGTERM in which runs may go on to a checkpoint."""
 NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
 """Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
 _NUMERIC = (
@@ -78,6 +82,9 @@ def run_groups(
 class Interrupts:
     """Collects signals within a `with` block instead of letting them end it; in the main thread alone.
 
+    A SIGTERM, as of a shutdown, counts as a second one `PATIENCE` seconds later: what trains goes on from its
+    last checkpoint.
+
     Args:
         most: how many of them are counted.
 
@@ -90,10 +97,11 @@ class Interrupts:
         self.seen: list[int] = []
         self._signals, self._most = signals, most
         self._before: dict[int, Any] = {}
+        self._ended_by = math.inf
 
     @property
     def count(self) -> int:
-        return min(len(self.seen), self._most)
+        return min(len(self.seen) + (time.monotonic() > self._ended_by), self._most)
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
@@ -108,6 +116,8 @@ class Interrupts:
     def _note(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGHUP or not self.seen:
             self.seen.append(number)
+        if number == signal.SIGTERM:
+            self._ended_by = min(self._ended_by, time.monotonic() + PATIENCE)
 
 
 def say_stopping() -> None:
