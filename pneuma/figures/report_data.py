@@ -22,6 +22,7 @@ from pneuma.presets import WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
 from pneuma.study.rows import Row
+from pneuma.study.shipped import list_studies
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
@@ -37,10 +38,10 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
 
     If none of them is one of the thesis's, the page has their titles and judges no claims.
     """
-    index, shipped, asked = RunIndex(store), {*spec.list_studies()}, [*names]
+    index, shipped, asked = RunIndex(store), {*list_studies()}, [*names]
     if not names:
         here = [*dict.fromkeys(one.study.own_path or one.study.name for one in studies_here(index))]
-        usual = [*spec.list_studies()] if not here or {*here} & shipped else []
+        usual = [*list_studies()] if not here or {*here} & shipped else []
         asked = [*dict.fromkeys([*usual, *here, *index.listings()])]
     of_thesis = bool({*asked} & shipped)
     claims: Verdicts = {}
