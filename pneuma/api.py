@@ -135,13 +135,16 @@ def train_plan(
     on_progress: execute.OnProgress | None = None,
     say: Say = _silent,
 ) -> list[execute.CellResult]:
-    """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
-    todo, notes = execute.prepare(planned, store, retry_failed)
+    """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress.
+
+    Runs pause where `how.until` says.
+    """
+    todo, notes = execute.prepare(planned, store, retry_failed, how.until or None)
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.")
     if todo:
         say(f"Training {counted(len(todo), 'run')}; compiling for the first time takes up to a minute.")
-    with ProgressDisplay(todo, store, quiet or on_progress is not None) as display:
+    with ProgressDisplay(todo, store, quiet or on_progress is not None, how.until) as display:
         return execute.execute(planned, todo, store, how, on_progress or display.update)
 
 

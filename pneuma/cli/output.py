@@ -140,7 +140,7 @@ def _print_table(table: Table) -> None:
     """Print a table of text, which may be untrusted; one that is wider than the terminal is folded."""
     from rich.cells import cell_len
 
-    rows = [[plain(str(cell)) for cell in row] for row in table.rows]
+    rows = [[plain(_shown(cell)) for cell in row] for row in table.rows]
     lines = [[*map(plain, table.heads)], *rows] if any(table.heads) else rows
     widths = [max(map(cell_len, column)) for column in zip(*lines, strict=True)]
     if sys.stdout.isatty() and sum(widths) + 2 * len(widths) > shutil.get_terminal_size().columns:
@@ -148,6 +148,11 @@ def _print_table(table: Table) -> None:
     for line in lines:
         padded = (cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
         print("  ".join(padded).rstrip())
+
+
+def _shown(cell: object) -> str:
+    unknown = cell is None or cell != cell
+    return "–" if unknown else f"{cell:,.4g}" if isinstance(cell, float) else str(cell)
 
 
 def _print_folded(lines: Sequence[Sequence[str]], has_heads: bool) -> None:
@@ -169,12 +174,8 @@ def frame_table(frame: pd.DataFrame) -> Table:
 
 def rows_result(many: str, rows: Sequence[Mapping[str, Any]]) -> Result:
     """Return rows with equal keys, which the document calls `many`."""
-    shown = [[_shown(value) for value in row.values()] for row in rows]
-    return Result({many: rows}, [Table([*rows[0]] if rows else (), shown)], table=rows)
-
-
-def _shown(value: object) -> str:
-    return "–" if value is None else f"{value:,.4g}" if isinstance(value, float) else str(value)
+    table = Table([*rows[0]] if rows else (), [[*row.values()] for row in rows])
+    return Result({many: rows}, [table], table=rows)
 
 
 def listed_result(kind: str, many: str, folder: Path) -> Result:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,9 +27,8 @@ from pneuma.cli.output import (
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
-from pneuma.study import execute, plan, shipped, spec
-from pneuma.study.executors.base import Detached, ExecutorConfig
-from pneuma.study.progress import ProgressDisplay
+from pneuma.study import shipped, spec
+from pneuma.study.executors.base import Detached
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
     from pneuma.search.record import Record
+    from pneuma.study.plan import Plan
 
 app = opt.Commands("search", "Find hyperparameters over several seeds, and confirm them on fresh ones.")
 
@@ -168,9 +168,10 @@ def run(
     quiet: opt.Quiet = False,
 ) -> Result:
     """Search for hyperparameters, going on where it was stopped; several processes share the work."""
+    from pneuma import api
     from pneuma.search.record import STATES, Task
     from pneuma.search.spec import load_search
-    from pneuma.search.trials import Unfinished, run_search
+    from pneuma.search.trials import Unfinished, refuse_unfinished, run_search
 
     store, tell = asked.store, partial(say, quiet=quiet)
     search = load_search(name, asked.world, asked.settings)
@@ -179,18 +180,18 @@ def run(
     amount = {"trials": trials, "seeds": seeds, "steps": steps}
     given = {key: value for key, value in amount.items() if value is not None}
     task = Task(search, presets[preset].model_copy(update=given))
-    train_trials = partial(
-        train,
-        store=store,
-        how=place.config(),
-        retry_failed=retry_failed,
-        quiet=quiet,
-        noted=set(),
-    )
+    how, once = place.config(), cache(tell)  # which says the same of later generations no more
+
+    def train(planned: Plan, until: Mapping[str, int]) -> None:
+        results = api.train_plan(
+            planned, store, replace(how, until=until), retry_failed=retry_failed, quiet=quiet, say=once
+        )
+        refuse_unfinished(results, until)
+
     document: dict[str, Any] = {"search": task.search.name, "trials": [], "best": None}
     told, code = set[int](), 0
     try:
-        for found in run_search(task, store, train_trials, tell):
+        for found in run_search(task, store, train, tell):
             for trial in found.trials:
                 if trial.number not in told:
                     note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
@@ -208,43 +209,9 @@ def run(
         stopped = str(left) if isinstance(left, Detached) else "Stopped."
         say(f"{stopped} The same command goes on where the search was stopped.")
         code = 130
-    words = [name, *opt.words_of(asked)]
-    shown = [
-        f"See its trials with: {command('search', 'status', *words)}",
-        f"Draw it with: {command('search', 'plot', *words)}",
-    ]
+    words, then = [name, *opt.words_of(asked)], {"See its trials": "status", "Draw it": "plot"}
+    shown = [f"{what} with: {command('search', verb, *words)}" for what, verb in then.items()]
     return Result(document, [] if code or quiet else shown, code=code)
-
-
-def train(
-    planned: plan.Plan,
-    until: Mapping[str, int],
-    *,
-    store: Store,
-    how: ExecutorConfig,
-    retry_failed: bool,
-    quiet: bool,
-    noted: set[str],
-) -> None:
-    """Train the missing runs of trials up to their steps, and print notes that are not in `noted` yet.
-
-    Raises `Unfinished` when a run did not finish.
-    """
-    from pneuma.search.trials import Unfinished
-
-    todo, notes = execute.prepare(planned, store, retry_failed, until)
-    for note in (*planned.notes, *notes):
-        say(f"Note: {note}.", quiet=quiet or note in noted)
-        noted.add(note)
-    with ProgressDisplay(todo, store, quiet, until) as display:
-        results = execute.execute(planned, todo, store, replace(how, until=until), display.update)
-    for each in results:
-        cell, status = each.cell, each.status
-        if cell.run_id in until and not (status.finished or 0 < until[cell.run_id] <= status.step):
-            what = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
-            why = f": {each.reason}" if each.reason else ""
-            again = "; --retry-failed tries again" if status.failed else ""
-            raise Unfinished(f"{what}{why}{again}")
 
 
 def _value(trial: FrozenTrial) -> str:
@@ -289,11 +256,10 @@ def promote(
     planned, path = promoted.plan(store), promoted.path(store)
     for line in (f"wrote {path}", promoted.budgets):
         say(line, quiet=quiet)
-    how = opt.Place(workers).config()
-    trained = train_study(planned, store, how, retry_failed=True, quiet=quiet)
-    ids = {
-        arm: [cell.run_id for cell in planned.cells if cell.condition == arm] for arm in planned.conditions
-    }
+    trained = train_study(planned, store, opt.Place(workers).config(), retry_failed=True, quiet=quiet)
+    ids: dict[str, list[str]] = {}
+    for cell in planned.cells:
+        ids.setdefault(cell.condition, []).append(cell.run_id)
     document |= {"study": path, "seeds": seeds, "steps": promoted.steps, "run_ids": ids}
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}")
@@ -311,11 +277,7 @@ def promote(
 
 
 def _gained(frame: pd.DataFrame) -> Iterator[str | Table]:
-    """Yield gains with four digits; what is unknown is a dash."""
-    shown = frame.drop(columns=["diverged", "base_diverged"])
-    yield frame_table(
-        shown.map(lambda cell: f"{cell:.4f}" if isinstance(cell, float) else cell).replace("nan", "–")
-    )
+    yield frame_table(frame.drop(columns=["diverged", "base_diverged"]))
     yield "low, high: the 95 % interval of the difference of means."
     yield "luck: by how much the search's seeds had flattered the winner; unknown (–) with other steps."
     for who in ("", "base_"):

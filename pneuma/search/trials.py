@@ -28,7 +28,7 @@ from pneuma.search.record import STATES, Record, Task, open_record
 from pneuma.search.samplers import BY_SEED, PRUNERS, make_sampler
 from pneuma.search.spec import check_budget
 from pneuma.search.values import Outcomes, objective_value, over_seeds
-from pneuma.study.execute import check_environments
+from pneuma.study.execute import CellResult, check_environments
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Cell, Plan, rounding_notes
 from pneuma.study.spec import Study
@@ -40,6 +40,17 @@ Train = Callable[[Plan, Mapping[str, int]], None]
 
 class Unfinished(Exception):
     """A run did not finish, so that its trial has no value and the search cannot go on."""
+
+
+def refuse_unfinished(results: Sequence[CellResult], until: Mapping[str, int]) -> None:
+    """Raise `Unfinished` if a run is not where `until` says."""
+    for each in results:
+        cell, status = each.cell, each.status
+        if cell.run_id in until and not (status.finished or 0 < until[cell.run_id] <= status.step):
+            what = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
+            why = f": {each.reason}" if each.reason else ""
+            again = "; --retry-failed tries again" if status.failed else ""
+            raise Unfinished(f"{what}{why}{again}")
 
 
 def run_search(task: Task, store: Store, train: Train, say: Callable[[str], None]) -> Iterator[Record]:

@@ -13,6 +13,7 @@ from pneuma.analysis import runs
 from pneuma.api import promote
 from pneuma.engines import loop
 from pneuma.search.trials import Unfinished
+from pneuma.study.execute import CellResult
 from pneuma.study.plan import Plan
 from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import Row
@@ -98,11 +99,12 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
     path, results = searched[0], tmp_path / "results"
     shutil.copytree(searched[1] / "runs", results / "runs")
 
-    def train(planned: Plan, until: object, **_: object) -> None:
+    def train(planned: Plan, *_: object, **how: object) -> list[CellResult]:
         if "trial-002" in planned.conditions:
             raise stop
+        return []
 
-    monkeypatch.setattr("pneuma.cli.search.train", train)
+    monkeypatch.setattr("pneuma.api.train_plan", train)
     done = call("search", "run", path, "--results", results, "--json")
     assert done.code == (1 if isinstance(stop, Unfinished) else 130)
     assert [trial["number"] for trial in done.document["trials"]] == [0, 1]
