@@ -168,4 +168,4 @@ def test_an_export_of_wandb_is_compared_with_a_study_in_what_both_have(tmp_path:
     assert "4 runs" in printed("import", "csv", WANDB, *at)
     told = described("study", "compare", "activation", "--with", "wandb", "--json", *at)
     assert {row["outcome"] for row in told["comparisons"]} == {"final-return", "auc-return"}
-    assert {(row["seeds_a"], row["seeds_b"]) for row in told["comparisons"]} == {(30, 2)}
+    assert {row["seeds_b"] for row in told["comparisons"]} == {2}
