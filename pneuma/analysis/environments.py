@@ -1,30 +1,36 @@
-"""Studies of several environments: their runs in each, and scores over all.
+"""Studies of several environments: their runs in each, and scores over all (Agarwal et al. 2021).
 
 StudyData → `by_environment` → StudyData of each environment, with conditions of the same names
-    → scores on a common scale → `over_environments`, `improvements`
+    → scores on a common scale → `over_environments`, `improvements`, `profiles`
+
+A run's score is its outcome on the scale of its environment, on which 0 and 1 are two reference scores.
+Statistics are rliable's; they take the scores of one condition, or of many resamples of them. Intervals are
+of the stratified bootstrap: runs are drawn anew within each environment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.intervals import no_interval, shown_with_interval
+from pneuma.analysis.intervals import LEVEL, interquartile_mean, shown_with_interval
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.scores import AGGREGATES, Scores, bootstrap, improvement, normalized
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import NO_CELL, summary_table, wide, with_cells
 from pneuma.errors import UserError
 
 OUTCOME = "evaluated-return"
 """Of which scores are made, unless another is asked for."""
-FEWEST = 3
-"""Fewer runs in an environment are too few to draw anew."""
+FEWEST, RESAMPLES = 3, 10_000
+"""Fewer runs in an environment are too few to draw anew; and how often they are drawn."""
+POINTS = 200
+"""Of a performance profile, for whose band a tenth as many are drawn."""
 Parts = Mapping[str, StudyData]
+Scores = Sequence[np.ndarray]
+"""(…, runs) for each environment."""
 Statistic = Callable[..., np.ndarray]
 
 
@@ -34,48 +40,20 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     Conditions are called by all that they are crossed with but the environment, so that those of unlike
     environments have the same names.
     """
-    of = {name: str(fields.get("env")) for name, fields in data.fields.items()}
-    names = {name: _apart_from_env(data, name) for name in data.fields}
-    parts = {}
-    for env in dict.fromkeys(of.values()):
-        inside = [name for name in data.fields if of[name] == env]
-        parts[env] = _renamed(data.of_conditions(inside), {name: names[name] for name in inside})
-    return parts
+    of_env: dict[str, dict[str, str]] = {}
+    for name, fields in data.fields.items():
+        of_env.setdefault(str(fields.get("env")), {})[name] = _apart_from_env(data, name)
+    return {env: data.renamed(names) for env, names in of_env.items()}
 
 
 def _apart_from_env(data: StudyData, condition: str) -> str:
-    setting = {
-        key for key, values in data.study.factors.items() if any("env" in each for each in values.values())
-    }
-    levels = data.study.levels.get(condition, {})
-    parts = [
-        f"{factor}={level}" if f"{factor}={level}" in condition else level
-        for factor, level in levels.items()
-        if factor not in setting
-    ]
+    """Return the values of a condition in all factors but those that set the environment."""
+    parts = []
+    for factor, level in data.study.levels.get(condition, {}).items():
+        if not any("env" in fields for fields in data.study.factors.get(factor, {}).values()):
+            named = f"{factor}={level}"  # where values have no names
+            parts.append(named if named in condition else level)
     return ", ".join(parts) or condition
-
-
-def _renamed(data: StudyData, names: Mapping[str, str]) -> StudyData:
-    rows = [replace(row, condition=names[row.condition]) for row in data.rows]
-    runs = data.runs.assign(row=pd.Series(rows, dtype=object, index=data.runs.index))
-    study = data.study.model_copy(
-        update={
-            "conditions": {
-                names[name]: fields for name, fields in data.study.conditions.items() if name in names
-            },
-            "labels": {names[name]: label for name, label in data.study.labels.items() if name in names},
-            "baseline": names.get(data.study.baseline, next(iter(names.values()))),
-            "levels": {},
-        }
-    )
-    return replace(
-        data,
-        study=study,
-        fields={names[name]: fields for name, fields in data.fields.items()},
-        runs=runs.assign(condition=[names[name] for name in runs["condition"]]),
-        configurations={names[name]: run for name, run in data.configurations.items()},
-    )
 
 
 def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, float]]:
@@ -113,21 +91,21 @@ def _values(data: StudyData, condition: str, outcome: str) -> np.ndarray:
 def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
     """Return the scores of each condition that has runs in every environment: (runs,) by environment."""
     scales = references(parts, outcome)
-    names = dict.fromkeys(name for data in parts.values() for name in data.conditions)
-    found = {
-        name: [normalized(_values(data, name, outcome), *scales[env]) for env, data in parts.items()]
-        for name in names
-        if all(name in data.conditions for data in parts.values())
-    }
-    return {name: each for name, each in found.items() if all(len(runs) for runs in each)}
+    found = {}
+    for name in dict.fromkeys(name for data in parts.values() for name in data.conditions):
+        if all(data.of_condition(name) for data in parts.values()):
+            values = {env: _values(data, name, outcome) for env, data in parts.items()}
+            found[name] = [(own - scales[env][0]) / np.diff(scales[env]) for env, own in values.items()]
+    return {name: each for name, each in found.items() if all(map(len, each))}
 
 
 def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return condition, statistic, value, low, high: one row for each of `AGGREGATES`."""
-    rows = []
-    for condition, each in scores(parts, outcome).items():
-        for name, aggregate in AGGREGATES.items():
-            rows.append((condition, name, float(aggregate(each)), *_ends(aggregate, each)))
+    rows = [
+        (condition, name, float(aggregate(each)), *bootstrap(aggregate, each))
+        for condition, each in scores(parts, outcome).items()
+        for name, aggregate in AGGREGATES.items()
+    ]
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
@@ -160,25 +138,75 @@ def score_cells(numbers: pd.DataFrame) -> pd.DataFrame:
     return numbers.assign(cell=[shown_with_interval(*row) for row in rows])
 
 
+def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
+    """Return the share of runs with a score above each x: condition, x, centre, low, high, runs."""
+    found = scores(parts, outcome)
+    if not found:
+        raise UserError(f"no condition has runs in every environment: {', '.join(parts)}")
+    every = [0.0, 1.0, *(score for each in found.values() for runs in each for score in runs)]
+    thresholds = np.linspace(min(every), max(every), POINTS)
+    above, frames = partial(profile, thresholds=thresholds), []
+    for condition, each in found.items():
+        low, high = bootstrap(above, each, resamples=RESAMPLES // 10)
+        frame = {"x": thresholds, "centre": above(each), "low": low, "high": high}
+        runs = ", ".join(str(len(runs)) for runs in each)
+        frames.append(pd.DataFrame({"condition": condition, **frame, "runs": runs}))
+    return pd.concat(frames, ignore_index=True)
+
+
 def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return how likely a run of `a` is above one of `b` over all environments, and differences of scores."""
     found = scores(parts, outcome)
     for name in (a, b):
         if name not in found:
             raise UserError(f"{name}: no runs in every environment; there are {', '.join(found) or 'none'}")
-    arms = found[a], found[b]
-    rows = [("P(better)", float(improvement(*arms)), *_ends(improvement, *arms))]
-    for name, aggregate in AGGREGATES.items():
-        less = partial(_difference, aggregate)
-        rows.append((f"{name}, difference", float(less(*arms)), *_ends(less, *arms)))
+    told: dict[str, Statistic] = {"P(better)": improvement}
+    told |= {f"{name}, difference": partial(_difference, of) for name, of in AGGREGATES.items()}
+    rows = [
+        (name, float(statistic(found[a], found[b])), *bootstrap(statistic, found[a], found[b]))
+        for name, statistic in told.items()
+    ]
     return pd.DataFrame(rows, columns=["statistic", "value", "low", "high"])
+
+
+# --- Statistics --------------------------------------------------------------------------------------
+
+AGGREGATES: Mapping[str, Statistic] = {
+    "mean": lambda scores: np.mean([each.mean(axis=-1) for each in scores], axis=0),
+    "median": lambda scores: np.median([each.mean(axis=-1) for each in scores], axis=0),
+    "IQM": lambda scores: interquartile_mean(np.concatenate(scores, axis=-1)),
+    "optimality gap": lambda scores: 1 - np.minimum(np.concatenate(scores, axis=-1), 1).mean(axis=-1),
+}
+"""Mean and median over environments of means over runs; the mean of the middle half of all runs; and by how
+much all miss a score of 1, in the mean, where what lies above 1 does not count."""
+
+
+def profile(scores: Scores, thresholds: np.ndarray) -> np.ndarray:
+    """Return the share of all runs with scores above each threshold: (…, thresholds)."""
+    runs = np.concatenate(scores, axis=-1)
+    return (runs[..., None, :] > thresholds[:, None]).mean(axis=-1)
+
+
+def improvement(a: Scores, b: Scores) -> np.ndarray:
+    """Return the probability that a run of `a` is above one of `b` in the same environment, a tie a half.
+
+    The mean over environments, which stand in the same order in both.
+    """
+    pairs = [(first[..., :, None], second[..., None, :]) for first, second in zip(a, b, strict=True)]
+    return np.mean([((a > b) + 0.5 * (a == b)).mean(axis=(-2, -1)) for a, b in pairs], axis=0)
 
 
 def _difference(aggregate: Statistic, a: Scores, b: Scores) -> np.ndarray:
     return aggregate(a) - aggregate(b)
 
 
-def _ends(statistic: Statistic, *groups: Scores) -> tuple[float, float]:
-    few = min(len(runs) for group in groups for runs in group) < FEWEST
-    ends = no_interval() if few else bootstrap(statistic, *groups)
-    return ends.low, ends.high
+def bootstrap(statistic: Statistic, *groups: Scores, resamples: int = RESAMPLES) -> np.ndarray:
+    """Return the ends of a statistic's 95 % interval, (2, …); NaN if an environment has too few runs."""
+    if min(len(runs) for group in groups for runs in group) < FEWEST:
+        return np.array([statistic(*groups)] * 2) * np.nan
+    generator = np.random.default_rng(0)
+    drawn = [
+        [runs[generator.integers(len(runs), size=(resamples, len(runs)))] for runs in group]
+        for group in groups
+    ]
+    return np.quantile(statistic(*drawn), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)

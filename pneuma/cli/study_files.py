@@ -7,7 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES
+from pneuma.analysis import (
+    BAND_NAMES,
+    CENTER_NAMES,
+    EDGED_BANDS,
+    EXPORT_SUFFIXES,
+    EXPORT_TABLES,
+    X_AXES,
+)
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     Result,
@@ -55,7 +62,7 @@ class Drawing:
         opt.choice(
             "--figure",
             FIGURE_KINDS,
-            "Curves over steps (default for seven conditions or less), or a summary.",
+            "Curves (default for seven conditions or less), a summary, or profiles over environments.",
         ),
     ] = None
     quantity: Annotated[
@@ -74,6 +81,10 @@ class Drawing:
         ),
     ] = None
     window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None
+    x: Annotated[str | None, opt.choice("--x", X_AXES, "What curves lie over (default: steps).")] = None
+    center: Annotated[
+        str | None, opt.choice("--center", CENTER_NAMES, "The line in a band (default: mean).")
+    ] = None
     beside: Annotated[
         str | None,
         opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
@@ -93,8 +104,10 @@ class Drawing:
     )
 
     @property
-    def of_curves(self) -> bool:
-        return bool(self.quantity or self.band or self.window or self.beside or self.log)
+    def of_curves(self) -> dict[str, Any]:
+        """Those of the options that are of curves alone, but for quantities."""
+        names = ("band", "window", "x", "center", "beside", "log")
+        return {name: value for name in names if (value := getattr(self, name))}
 
 
 def plot(
@@ -107,25 +120,28 @@ def plot(
 
     A study of several environments has a panel for each.
     """
-    if asked.figure == "summary" and asked.of_curves:
-        raise UserError("--quantity, --band, --window, --beside and --log: are of --figure curves")
+    if asked.figure in FIGURE_KINDS[1:] and (asked.quantity or asked.of_curves):
+        options = "--quantity, --band, --window, --x, --center, --beside and --log"
+        raise UserError(f"{options}: are of --figure curves")
     formats, store = read_formats(asked.formats, out), picked.store
     if not names and (lacking := store.nothing_yet):
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
-    from pneuma.figures.curves import curves_page
+    from pneuma.figures.curves import curves_page, profile_page
     from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    other = opt.RunFilter(results=picked.results).open(asked.beside) if asked.beside else None
+    how = dict(asked.of_curves)
+    if asked.beside:
+        how["beside"] = opt.RunFilter(results=picked.results).open(asked.beside)
 
     def page(name: str, world: str | None) -> tuple[Page, str]:
         data = picked.open(name, world)
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
-        usual = asked.of_curves or (all(map(fits_panel, parts.values())) and not data.study.outcomes)
-        kind = asked.figure or FIGURE_KINDS[0 if usual else 1]
+        fits = all(map(fits_panel, parts.values())) and not data.study.outcomes
+        kind = asked.figure or FIGURE_KINDS[0 if asked.quantity or how or fits else 1]
         quantities = _quantities(data, asked.quantity or [])
         steps = data.steps or picked.steps  # whatever is trained meanwhile
         chosen = replace(picked, steps=steps, world=world or picked.world)
@@ -133,7 +149,11 @@ def plot(
         again = command("study", "plot", name, *opt.words_of(chosen), *opt.words_of(drawn))
         if kind == "summary":
             return summary_page(shown), again
-        return curves_page(shown, quantities, asked.band, asked.window, beside=other, log=asked.log), again
+        if kind == "curves":
+            return curves_page(shown, quantities, **how), again
+        if len(parts) == 1:
+            raise UserError(f"--figure {kind}: is over several environments; {name} has one")
+        return profile_page(data, parts), again
 
     def pages() -> Iterator[tuple[Page, str]]:
         every = [(name, picked.world) for name in names] if names else _run_here(picked)
