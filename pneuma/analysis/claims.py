@@ -123,7 +123,7 @@ class Pilot(Table):
 
 
 class Claim(Table):
-    """A sentence of the thesis as a test; docs/claims.md explains its keys.
+    """A sentence of the thesis, or a statement of one's own, as a test; docs/claims.md explains its keys.
 
     Each condition of a is compared with each of b, or the first with the first and so on if they are paired;
     for a range, all of a together with all of b. `_fix_runs` gives it the seeds and steps of each condition,
@@ -132,10 +132,10 @@ class Claim(Table):
 
     name: str
     like: str = ""
-    quote: Words
+    quote: Text = ""
     short: Text = ""
     context: Text = ""
-    section: Words
+    section: Text = ""
     study: Words
     a: Annotated[Conditions, Field(min_length=1)]
     b: Conditions = ()
@@ -152,7 +152,7 @@ class Claim(Table):
     above: Threshold = None
     below: Threshold = None
     need: Need = "one"
-    kind: Kind
+    kind: Kind = "mean"
     direction: Direction
     margin: ByOutcome = None
     spread: ByOutcome = None

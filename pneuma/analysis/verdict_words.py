@@ -106,17 +106,20 @@ def first_claim(name: str, judged: Mapping[str, Verdict]) -> Claim:
     return next((claim for claim in of_row if claim.name == name), of_row[0])
 
 
-def worlds_of(claims: Mapping[str, Mapping[str, Verdict]]) -> list[str]:
-    judged = {world for worlds in claims.values() for world in worlds}
-    return [world for world in WORLDS if world in judged]
+def worlds_of(claims: Mapping[str, Mapping[str, Verdict]]) -> dict[str, str]:
+    """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
+    judged = {world: one.claim for worlds in claims.values() for world, one in worlds.items()}
+    if len(judged) == 1 and not any(claim.quote for claim in judged.values()):
+        return dict.fromkeys(judged, "verdict")
+    return {world: WORLD_NAMES[world] for world in WORLDS if world in judged}
 
 
 def count_words(claims: Mapping[str, Mapping[str, Verdict]]) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
     rows = []
-    for world in worlds_of(claims):
+    for world, called in worlds_of(claims).items():
         counts = Counter(word(worlds[world]) for worlds in claims.values() if world in worlds)
-        rows.append([WORLD_NAMES[world], *(counts[each] for each in WORDS)])
+        rows.append([called, *(counts[each] for each in WORDS)])
     return pd.DataFrame(rows, columns=["", *WORDS])
 
 
@@ -128,7 +131,7 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
     columns, rows, quoted = worlds_of(claims), [], set()
     for name, judged in claims.items():
         claim = first_claim(name, judged)
-        quote = f"“{sentence(claim) if whole else short_sentence(claim)}”"
+        quote = f"“{sentence(claim) if whole else short_sentence(claim)}”" if claim.quote else name
         shown = claim.context if quote in quoted and claim.context else quote
         quoted.add(quote)
         rows.append(
@@ -138,7 +141,7 @@ def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = Fal
                 *(cell(judged.get(world)) for world in columns),
             ]
         )
-    heads = ["Section", "The thesis's sentence", *(WORLD_NAMES[world] for world in columns)]
+    heads = ["Section", "The thesis's sentence" if quoted - {*claims} else "Claim", *columns.values()]
     return pd.DataFrame(rows, columns=heads)
 
 

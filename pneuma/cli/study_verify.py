@@ -82,16 +82,18 @@ def _show_claims(
     """Yield the rows of the table of verdicts one below the other, and what must be known to read them."""
     from pneuma.analysis.claim_history import changed_since
     from pneuma.analysis.claims import RULES
-    from pneuma.analysis.verdict_words import WORLD_NAMES, count_words, verdict_table
+    from pneuma.analysis.verdict_words import count_words, verdict_table, worlds_of
 
     if lacking:
         yield from (lacking, "")
+    names = worlds_of(claims)
     heads = verdict_table(claims, whole=True).iloc[:, :2].to_numpy()
     for (name, judged), (section, sentence) in zip(claims.items(), heads, strict=True):
-        yield f"{name} (section {section})"
-        yield from (line for part in sentence.split("\n") for line in _indented(part, 2))
+        yield f"{name} (section {section})" if section else name
+        parts = [part for part in sentence.split("\n") if part != name]
+        yield from (line for part in parts for line in _indented(part, 2))
         for world, one in judged.items():
-            yield from _verdict(WORLD_NAMES[world], one)
+            yield from _verdict(names[world], one)
             yield from _details(one) if in_detail else ()
         yield ""
     yield frame_table(count_words(claims))
@@ -99,7 +101,7 @@ def _show_claims(
     yield "In brackets: where the difference lies. All of a world's hold together, with"
     yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    every = [(one, WORLD_NAMES[world]) for judged in claims.values() for world, one in judged.items()]
+    every = [(one, names[world]) for judged in claims.values() for world, one in judged.items()]
     if seen := ", ".join(f"{one.claim.row} ({world})" for one, world in every if one.claim.seen):
         yield from _indented(f"By runs known before, so described and not tested: {seen}.", 0)
     for one, world in every:

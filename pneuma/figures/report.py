@@ -100,7 +100,7 @@ def report_page(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
         version=__version__, words=verdict_words,
-        worlds={world: verdict_words.WORLD_NAMES[world] for world in verdict_words.worlds_of(claims)},
+        worlds=verdict_words.worlds_of(claims),
         counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
