@@ -18,7 +18,7 @@ import numpy as np
 from scipy import special
 
 from pneuma.analysis.claims import Arms, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
+from pneuma.analysis.contrasts import Contrast, compare_arms
 
 UNKNOWN_SHARE = 0.5
 """The share of runs with an event if no pilot tells it: where shares vary most."""
@@ -140,11 +140,7 @@ def _expected(row: ClaimContrast, spread: float) -> Contrast:
     """Return the contrast of arms that spread as the pilot's, and do not differ."""
     sample, level = _share if row.claim.counts else _normal, 1 - row.alpha
     arms = {name: sample(count, spread) for name, count in zip((*row.a, *row.b), row.planned, strict=True)}
-    if row.claim.kind == "range":
-        a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
-        return compare_ranges([*arms.values()], a, b or 0.0, level)
-    against = arms[row.b[0]] if row.b else row.value
-    return compare(row.claim.kind, arms[row.a[0]], against, level)
+    return compare_arms(row.claim.kind, arms, row.a, row.b, row.value, level)
 
 
 def _normal(runs: int, spread: float) -> np.ndarray:

@@ -8,7 +8,7 @@ docs/evidence.md explains the intervals and what they assume.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import permutations
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from pneuma.analysis import intervals
-from pneuma.analysis.intervals import Interval, finite, is_constant, no_interval
+from pneuma.analysis.intervals import Interval, finite, no_interval
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,16 @@ class Contrast:
     reason: str = ""
 
 
+def compare_arms(
+    kind: str, arms: Mapping[str, np.ndarray], a: Sequence[str], b: Sequence[str], value: float, level: float
+) -> Contrast:
+    """Compare arms by their names: a with b, or with a value if there is no b; of ranges all together."""
+    if kind == "range":
+        first, second = ([[*arms].index(name) for name in names] for names in (a, b))
+        return compare_ranges([*arms.values()], first, second or value, level)
+    return compare(kind, arms[a[0]], arms[b[0]] if b else value, level)
+
+
 def compare(kind: str, a: ArrayLike, b: ArrayLike | float, level: float = intervals.LEVEL) -> Contrast:
     """Compare arm a with arm b or with a constant.
 
@@ -57,21 +67,19 @@ def compare(kind: str, a: ArrayLike, b: ArrayLike | float, level: float = interv
     """
     first = finite(a)
     second = float(b) if isinstance(b, int | float) else finite(b)
-    arms = [first] if isinstance(second, float) else [first, second]
+    ends = interval_maker(kind, first, second)
     seeds = first.size, second.size if isinstance(second, np.ndarray) else 0
-    if not all(arm.size for arm in arms):
+    if not (first.size and np.size(second)):
         return Contrast(seeds=seeds, reason="an arm has no runs")
-    make = interval_maker(kind, first, second)
-    means = tuple(map(partial(_mean_of, kind), arms))
-    means = (means[0], second) if isinstance(second, float) else means
-    return _contrast(means[0] - means[1], make, level, seeds, (means[0], means[1]), _lacking(kind, arms))
+    means = _mean_of(kind, first), second if isinstance(second, float) else _mean_of(kind, second)
+    return _contrast(means[0] - means[1], ends, level, seeds, means)
 
 
 def interval_maker(kind: str, a: np.ndarray, b: np.ndarray | float) -> Callable[[float], Interval]:
     """Return what makes the interval of a less b at a level."""
     if isinstance(b, float):
         if kind == "mean":
-            return partial(intervals.mean_interval, a - b)
+            return lambda level: intervals.mean_interval(a, level).less(b)
         return lambda level: intervals.incidence_interval(_count(a), a.size, level).less(b)
     if kind == "incidence":
         return partial(intervals.incidence_difference_interval, _count(a), a.size, _count(b), b.size)
@@ -80,19 +88,6 @@ def interval_maker(kind: str, a: np.ndarray, b: np.ndarray | float) -> Callable[
 
 def _mean_of(kind: str, arm: np.ndarray) -> float:
     return float((intervals.distances(arm) if kind == "spread" else arm).mean())
-
-
-def _lacking(kind: str, arms: Sequence[np.ndarray]) -> str:
-    """Return why arms have no interval; empty if they have one."""
-    if kind == "incidence":
-        return ""
-    if min(arm.size for arm in arms) < 2:
-        return "each arm needs at least 2 runs"
-    if any(map(is_constant, arms)):
-        return "in an arm all runs are equal, so nothing shows how they differ"
-    if kind == "spread" and any(is_constant(intervals.distances(arm)) for arm in arms):
-        return "in an arm all runs are equally far from their median, so nothing shows how spreads differ"
-    return ""
 
 
 # --- Ranges ----------------------------------------------------------------------------------------
@@ -117,7 +112,7 @@ def compare_ranges(
     constant = isinstance(b, int | float)
     of_b: Sequence[int] = [] if isinstance(b, int | float) else b
     seeds = values[a[0]].size, values[of_b[0]].size if of_b else 0
-    if reason := _lacking("mean", values):
+    if reason := intervals.why_none(*values):
         return Contrast(seeds=seeds, reason=reason)
     means = np.array([arm.mean() for arm in values])
     errors = np.array([arm.var(ddof=1) / arm.size for arm in values])
@@ -146,14 +141,13 @@ def _range_ends(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray, leve
 
 def _contrast(
     effect: float,
-    interval: Callable[[float], Interval],
+    ends: Callable[[float], Interval],
     level: float,
     seeds: tuple[int, int],
     means: tuple[float, float],
-    reason: str = "",
 ) -> Contrast:
-    ends = (no_interval(), no_interval()) if reason else (interval(intervals.LEVEL), interval(level))
-    return Contrast(effect, *ends, seeds, means, reason)
+    interval = ends(intervals.LEVEL)
+    return Contrast(effect, interval, ends(level), seeds, means, interval.reason)
 
 
 def _count(runs: np.ndarray) -> int:

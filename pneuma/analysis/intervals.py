@@ -105,11 +105,12 @@ def distances(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Interval:
-    """The ends of an interval, NaN if there are none, and the method that made it, or "none"."""
+    """The ends of an interval, and the method that made it; NaN and "none" if there is none, and why."""
 
     low: float
     high: float
     method: str
+    reason: str = ""
 
     @property
     def exists(self) -> bool:
@@ -119,8 +120,15 @@ class Interval:
         return replace(self, low=self.low - value, high=self.high - value)
 
 
-def no_interval() -> Interval:
-    return Interval(float("nan"), float("nan"), "none")
+def no_interval(reason: str = "") -> Interval:
+    return Interval(float("nan"), float("nan"), "none", reason)
+
+
+def why_none(*arms: np.ndarray) -> str:
+    """Return why arms do not show how runs differ; empty if they do."""
+    if min(arm.size for arm in arms) < 2:
+        return "each arm needs at least 2 runs"
+    return "in an arm all runs are equal, so nothing shows how they differ" * any(map(is_constant, arms))
 
 
 def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
@@ -132,8 +140,8 @@ def around(centre: float, error: float, freedom: float, level: float, method: st
 def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
     runs = finite(values)
-    if runs.size < 2 or is_constant(runs):
-        return no_interval()
+    if reason := why_none(runs):
+        return no_interval(reason)
     error = runs.std(ddof=1) / np.sqrt(runs.size)
     return around(runs.mean(), error, runs.size - 1, level, "t")
 
@@ -146,8 +154,8 @@ def within(interval: Interval, low: float, high: float) -> Interval:
 def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Welch's t interval of the difference of means, a - b (Welch 1947)."""
     first, second = finite(a), finite(b)
-    if min(first.size, second.size) < 2 or is_constant(first) or is_constant(second):
-        return no_interval()
+    if reason := why_none(first, second):
+        return no_interval(reason)
     parts = [arm.var(ddof=1) / arm.size for arm in (first, second)]
     below = sum(part**2 / (arm.size - 1) for part, arm in zip(parts, (first, second), strict=True))
     freedom = sum(parts) ** 2 / below
@@ -156,9 +164,12 @@ def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Int
 
 def spread_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
     """Return Student's interval of the difference of mean distances from the median, a - b."""
+    if reason := why_none(finite(a), finite(b)):
+        return no_interval(reason)
     first, second = distances(finite(a)), distances(finite(b))
-    if min(first.size, second.size) < 2 or is_constant(first) or is_constant(second):
-        return no_interval()
+    if is_constant(first) or is_constant(second):
+        far = "in an arm all runs are equally far from their median"
+        return no_interval(f"{far}, so nothing shows how spreads differ")
     freedom = first.size + second.size - 2
     squares = sum(arm.var() * arm.size for arm in (first, second))
     error = np.sqrt(squares / freedom * (1 / first.size + 1 / second.size))
@@ -187,7 +198,7 @@ def deviation_interval(values: ArrayLike) -> Interval:
 def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
     """Return Clopper and Pearson's interval of a share, which never covers less than its level."""
     if runs < 1:
-        return no_interval()
+        return no_interval("an arm has no runs")
     tail = (1 - level) / 2
     low = special.betaincinv(count, runs - count + 1, tail) if count else 0.0
     high = special.betaincinv(count + 1, runs - count, 1 - tail) if count < runs else 1.0
@@ -203,7 +214,7 @@ def incidence_difference_interval(
     two differ at 95 %, which happens by chance in an eighth of all pairs of arms.
     """
     if min(runs_a, runs_b) < 1:
-        return no_interval()
+        return no_interval("an arm has no runs")
     a, b = incidence_interval(count_a, runs_a, level), incidence_interval(count_b, runs_b, level)
     share_a, share_b = count_a / runs_a, count_b / runs_b
     centre = share_a - share_b

@@ -20,7 +20,7 @@ import numpy as np
 from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_claim_runs
 from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
 from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
+from pneuma.analysis.contrasts import Contrast, compare_arms
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.runs import RunIndex
@@ -136,7 +136,8 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str
         sizes = [arms[name].values.size for name in (*row.a, *row.b) if name in arms] + [0, 0]
         contrast = Contrast(seeds=(sizes[0], sizes[1]), reason=reason)
     else:
-        contrast = _compare(row, arms)
+        values = {name: own.values for name, own in arms.items()}
+        contrast = compare_arms(row.claim.kind, values, row.a, row.b, row.value, 1 - row.alpha)
     found = {name: tuple(run.run_id for run in runs.found(name)) for name in names}
     margin = row.margin if row.b or not row.value else None  # a threshold itself is the least that counts
     none_learned = _none_learned(row, arms)
@@ -149,15 +150,6 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str
         verdict=verdict,
         none_learned=none_learned and not reason,
     )
-
-
-def _compare(row: ClaimContrast, arms: Mapping[str, Arm]) -> Contrast:
-    level = 1 - row.alpha
-    if row.claim.kind == "range":
-        a, b = ([[*arms].index(name) for name in names] for names in (row.a, row.b))
-        return compare_ranges([own.values for own in arms.values()], a, b or row.value, level)
-    against = arms[row.b[0]].values if row.b else row.value
-    return compare(row.claim.kind, arms[row.a[0]].values, against, level)
 
 
 def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:

@@ -48,25 +48,10 @@ def test_equal_runs_have_no_deviation_at_all() -> None:
 # --- Intervals ------------------------------------------------------------------------------------
 
 RUNS = np.random.default_rng(1).gamma(2, size=12)
-OTHERS = np.random.default_rng(2).normal(3, 2, size=7)
 
 
 def ends(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
-
-
-def test_t_intervals_are_those_of_scipy() -> None:
-    one = stats.ttest_1samp(RUNS, 0).confidence_interval(0.9)
-    assert ends(intervals.mean_interval(RUNS, 0.9)) == pytest.approx((one.low, one.high), rel=1e-12)
-    two = stats.ttest_ind(RUNS, OTHERS, equal_var=False).confidence_interval(0.95)
-    assert ends(intervals.difference_interval(RUNS, OTHERS)) == pytest.approx((two.low, two.high), rel=1e-12)
-
-
-@pytest.mark.parametrize(("count", "runs"), [(0, 4), (1, 4), (4, 4), (3, 10), (17, 50)])
-def test_intervals_of_shares_are_those_of_scipy(count: int, runs: int) -> None:
-    exact = stats.binomtest(count, runs).proportion_ci(0.95, "exact")
-    own = intervals.incidence_interval(count, runs)
-    assert ends(own) == pytest.approx((exact.low, exact.high), abs=1e-9)
 
 
 def test_a_difference_of_shares_is_wider_than_newcombes_and_as_seldom_wrong_as_it_may_be() -> None:
