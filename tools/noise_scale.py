@@ -9,15 +9,13 @@ without those that have few updates. `make figures` draws them.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
-from scipy.stats import spearmanr
 
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.runs import RunIndex, open_study
@@ -37,40 +35,25 @@ COLOURS = {1e-4: style.COLOURS[0], 3e-4: style.COLOURS[1], 1e-3: style.COLOURS[2
 FEW_UPDATES = 50
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A condition: its settings, and the outcome of each of its runs."""
-
-    slots: int
-    horizon: int
-    rate: float
-    killed: np.ndarray
-
-    @property
-    def ratio(self) -> float:
-        return self.rate / (self.slots * self.horizon)
-
-    @property
-    def updates(self) -> int:
-        return STEPS // (self.slots * self.horizon)
-
-
-def noise_cells(data: StudyData) -> list[Cell]:
-    """Return the conditions that have runs, by falling ratio."""
-    found = []
+def noise_cells(data: StudyData) -> pd.DataFrame:
+    """Return settings and outcomes of each condition that has runs, by falling ratio."""
+    rows: list[dict[str, Any]] = []
     for name in data.conditions:
         if runs := data.of_condition(name):
             slots, horizon, rate = (runs[0].fields[key] for key in ("slots", "horizon", "learning_rate"))
-            found.append(Cell(slots, horizon, rate, outcome_values(data, name, OUTCOME)))
-    return sorted(found, key=lambda cell: -cell.ratio)
+            samples, killed = slots * horizon, outcome_values(data, name, OUTCOME)
+            settings = {"ratio": rate / samples, "slots": slots, "horizon": horizon, "rate": rate}
+            found = {"updates": STEPS // samples, "runs": len(runs), "mean": killed.mean(), "killed": killed}
+            rows.append({**settings, **found})
+    return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
 
 
-def correlations(cells: list[Cell]) -> list[str]:
+def correlations(cells: pd.DataFrame) -> list[str]:
     """Return in words how kills go with the ratio."""
     found = []
     for words, least in (("", 0), (f" with {FEW_UPDATES} updates or more", FEW_UPDATES)):
-        of = [(cell.ratio, cell.killed.mean()) for cell in cells if cell.updates >= least]
-        correlation = f"{spearmanr(of).statistic:.2f}".replace("-", "−")
+        of = cells[cells["updates"] >= least]
+        correlation = f"{of['ratio'].corr(of['mean'], method='spearman'):.2f}".replace("-", "−")
         found.append(f"Spearman's correlation over {len(of)} conditions{words}: {correlation}.")
     return found
 
@@ -93,8 +76,8 @@ def noise_page(data: StudyData) -> Page:
         _ratios, grid.shares,
     )  # fmt: skip
     words = find_outcome(OUTCOME).words
-    few = [cell for cell in cells if cell.updates < FEW_UPDATES]
-    crossed = f"Crossed out: {few[0].updates} updates in all." if few else ""
+    few = cells["updates"][cells["updates"] < FEW_UPDATES]
+    crossed = f"Crossed out: {few.iloc[0]} updates in all." if len(few) else ""
     caption = [f"{words[:1].upper()}{words[1:]}.", *correlations(cells), crossed]
     headline = headline_of(data, "at the end of training")
     return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, samples_of(data), marks, caption)
@@ -105,24 +88,21 @@ def _ratios(axis: Axis) -> None:
     axis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:.0e}".replace("e-0", "e-")))
 
 
-def _draw(axes: Axes, cells: list[Cell]) -> None:
-    for cell in cells:
-        colour = COLOURS[cell.rate]
-        axes.plot([cell.ratio] * len(cell.killed), cell.killed, ".", color=colour, alpha=0.4, markersize=3)
+def _draw(axes: Axes, cells: pd.DataFrame) -> None:
+    for cell in cells.to_dict("records"):
+        colour, at, mean = COLOURS[cell["rate"]], cell["ratio"], cell["mean"]
+        axes.plot([at] * cell["runs"], cell["killed"], ".", color=colour, alpha=0.4, markersize=3)
         axes.plot(
-            cell.ratio, cell.killed.mean(), MARKERS[cell.slots], color=colour, markeredgecolor=style.INK,
-            markeredgewidth=0.6, markersize=5, zorder=2.5,
+            at, mean, MARKERS[cell["slots"]], color=colour, markeredgecolor=style.INK, markeredgewidth=0.6,
+            markersize=5, zorder=2.5,
         )  # fmt: skip
-        if cell.updates < FEW_UPDATES:
-            axes.plot(cell.ratio, cell.killed.mean(), "x", color="white", markersize=4, zorder=2.6)
+        if cell["updates"] < FEW_UPDATES:
+            axes.plot(at, mean, "x", color="white", markersize=4, zorder=2.6)
     axes.set_ylim(0, 1 + grid.BELOW_ZERO)
 
 
 if __name__ == "__main__":
     results = sys.argv[1] if sys.argv[1:] else "results"
     cells = noise_cells(open_noise_scale(RunIndex(Store(results))))
-    print("ratio     slots  horizon  rate    updates  runs  killed")
-    for cell in cells:
-        settings = f"{cell.ratio:.1e}  {cell.slots:5}  {cell.horizon:7}  {cell.rate:.0e}  {cell.updates:7}"
-        print(f"{settings}  {len(cell.killed):4}  {cell.killed.mean():.2f}")
+    print(cells.drop(columns="killed").to_string(index=False, float_format="{:.2g}".format))
     print("\n".join(correlations(cells)))

@@ -1,7 +1,7 @@
 """Estimates over runs, and their intervals.
 
-The unit is the seed. Estimates take finite values of at least one run. Values that are not finite are
-refused; callers must drop, count and report them.
+The unit is the seed. Estimates and intervals take finite values of at least one run: callers drop, count and
+report all others.
 
 Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
 docs/evidence.md has the coverage of each.
@@ -50,12 +50,12 @@ def finite(values: ArrayLike) -> np.ndarray:
 
 def mean(values: ArrayLike) -> np.ndarray:
     """Return the mean over the last axis, (…, runs) to (…)."""
-    return np.asarray(finite(values).mean(axis=-1))
+    return np.asarray(np.asarray(values, float).mean(axis=-1))
 
 
 def median(values: ArrayLike) -> np.ndarray:
     """Return the median over the last axis, (…, runs) to (…)."""
-    return np.asarray(np.median(finite(values), axis=-1))
+    return np.asarray(np.median(np.asarray(values, float), axis=-1))
 
 
 def interquartile_mean(values: ArrayLike) -> np.ndarray:
@@ -64,9 +64,9 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
     A quarter of the runs, rounded down, is left out at each end, as in rliable (Agarwal et al. 2021) and
     SciPy's `trim_mean`. With three runs or fewer it is the mean.
     """
-    runs = finite(values)
+    runs = np.sort(values, axis=-1)
     cut = int(TRIMMED * runs.shape[-1])
-    return mean(np.sort(runs, axis=-1)[..., cut : runs.shape[-1] - cut])
+    return mean(runs[..., cut : runs.shape[-1] - cut])
 
 
 def deviation(values: ArrayLike) -> float:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.analysis.environments import by_environment, profiles
+from pneuma.api import open_data
 from pneuma.config import as_fields
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Selection, make_plan
@@ -89,6 +91,18 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
     panels = [part.startswith('id="axes_') for part in (study.parent / "two.svg").read_text().split("<g ")]
     assert sum(panels) == 2
     assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
+
+
+def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
+    """Of scores around 1 and 3/4 (ppo), and 1/2 and 1/4 (a2c), eight runs each."""
+    data = by_environment(open_data(study))
+    found = profiles(data).set_index("condition")
+    above = {name: of.set_index("x")["centre"] for name, of in found.groupby("condition")}
+    for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
+        assert above[name][above[name].index >= at].iloc[0] == share
+    assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
+    told = refused("study", "plot", "activation", "--figure", "profile", "--seeds", "100")
+    assert "--figure profile: is over several environments; activation has one" in told
 
 
 def test_a_scale_of_nothing_is_refused(study: Path) -> None:

@@ -34,6 +34,7 @@ def plan() -> Plan:
             "plot activation --window trailing-100 --condition tanh --seeds 1",
             "fig-6-5-text-gamma=0.5-tanh-seeds-0-trailing-100.png",
         ),
+        ("plot activation --x wall-clock --center iqm", "fig-6-5-text-gamma=0.5-iqm-over-wall-clock.png"),
         ("plot activation --steps 1024", "fig-6-5-text-gamma=0.5-steps-1024.png"),
         ("compare activation tanh relu --plot", "fig-6-5-text-gamma=0.5-compare-tanh-relu.png"),
     ],
