@@ -12,6 +12,8 @@ from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Amount, Study, load_study
 
+from .claim_files import write_files
+
 CLAIMS = """\
 [defaults]
 seeds = 2
@@ -48,23 +50,8 @@ seeds = 9
 """
 
 
-CLAIMED = """title = "Mine"
-base = "table-6-2"
-[conditions.low]
-epochs = 5
-[conditions.middle]
-epochs = 6
-[conditions.high]
-epochs = 7
-[presets.quick]
-seeds = 3
-steps = 1024
-"""
-
-
 def _study(folder: Path, claims: str = CLAIMS, world: str = "text") -> Study:
-    (folder / "claims.toml").write_text(claims)
-    (folder / "mine.toml").write_text(CLAIMED)
+    write_files(folder, claims)
     return load_study(str(folder / "mine.toml"), world)
 
 
@@ -79,8 +66,8 @@ def _amount(*seeds: int) -> Amount:
 def test_a_condition_has_the_seeds_of_all_claims_on_it(tmp_path: Path) -> None:
     assert _preset(_study(tmp_path)) == {
         "low": _amount(0, 1, 7),
-        "middle": _amount(0, 1),
         "high": _amount(0, 1, 2, 3),
+        "middle": _amount(0, 1),
     }
 
 

@@ -110,7 +110,7 @@ DRAWS: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
 }
 
 
-@pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
+@pytest.mark.parametrize("runs", [2, 5, 30])
 @pytest.mark.parametrize("draw", DRAWS)
 def test_arms_alike_are_seldom_found_different(draw: str, runs: int) -> None:
     generator = np.random.default_rng(runs)

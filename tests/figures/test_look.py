@@ -1,29 +1,67 @@
-"""What a user asks of a figure's look: its size, title, style sheet, and no caption."""
+"""What a user asks of figures: size, title, style sheet, own axes, another centre or horizontal axis."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.api import plot
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
 from pneuma.figures.style import Look
 
-from .hand_made import HandMade, legend
+from .hand_made import HandMade, legend, words
+
+
+def test_own_axes_are_drawn_in_matplotlibs_present_settings(study: HandMade) -> None:
+    with mpl.rc_context({"lines.linewidth": 5.0, "axes.prop_cycle": "cycler('color', ['112233', '445566'])"}):
+        axes = Figure().subplots()
+        assert plot(study.data, "share_killed", axes, center="median") is axes
+        lines = {line.get_label(): line for line in axes.get_lines() if line.get_linewidth() == 5}
+        colours = [mpl.colors.to_hex(lines[name].get_color()) for name in ("tanh (2)", "relu (2)")]
+    assert colours == ["#112233", "#445566"]
+    assert np.asarray(lines["tanh (2)"].get_ydata()).tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert axes.get_legend() is not None and axes.get_xlabel() == "Environment steps"
+    with pytest.raises(UserError, match="unknown curve"):
+        plot(study.data, "kl", axes)
+
+
+def test_a_figure_says_its_centre_and_what_it_lies_over(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path)
+    for seed in range(5):
+        study.add("tanh", seed)
+    (path,) = study.draw(tmp_path, center="iqm", x="wall-clock")
+    assert path.stem == "mine-iqm-over-wall-clock"
+    assert legend(drawn[0])[:2] == [
+        "interquartile mean of (n) runs",
+        "95 % interval of the interquartile mean",
+    ]
+    assert "Over time, a run goes on at an even pace." in words(drawn[0])
+
+
+def test_a_log_axis_of_zeros_is_none_and_a_condition_of_zeros_is_named(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """Nothing could be drawn of it, not even its name, beside a caption on logarithms."""
+    zeros = HandMade(tmp_path / "zeros")
+    for seed in (0, 1):
+        zeros.add("none", seed, evaluations=(0.0,) * 4)
+        study.add("none", seed, evaluations=(0.0,) * 4)
+    zeros.draw(tmp_path, quantities="share_killed", log=True)
+    assert drawn[0].axes[0].get_yscale() == "linear" and "none (2)" in words(drawn[0])
+    assert "logarithm" not in words(drawn[0])
+    study.draw(tmp_path, quantities="share_killed", log=True)
+    assert drawn[1].axes[0].get_yscale() == "log" and "2 of none" in words(drawn[1])
+
+
+# --- Its look ----------------------------------------------------------------------------------------
 
 PNG = ("png",)
-
-
-@pytest.fixture
-def study(tmp_path: Path) -> HandMade:
-    made = HandMade(tmp_path)
-    for condition in ("one", "two"):
-        for seed in range(5):
-            made.add(condition, seed)
-    return made
 
 
 def texts(figure: Figure) -> list[str]:
