@@ -110,7 +110,7 @@ def observation_space(
     its_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))
     if config.terrain_stops == "players":  # monsters follow out over the sea
         x, y = _scaled(settings, "x", edges[0], edges[2]), _scaled(settings, "y", edges[1], edges[3])
-    row: dict[str, list[Any]] = {
+    row: list[Any] = {
         "thesis": [distance, way, way, its_hp],
         "pygame": [distance, way, way, its_hp, its_xp],
         "godot": [x, y, its_hp, way, way],
