@@ -110,11 +110,12 @@ def observation_space(
     its_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))
     if config.terrain_stops == "players":  # monsters follow out over the sea
         x, y = _scaled(settings, "x", edges[0], edges[2]), _scaled(settings, "y", edges[1], edges[3])
-    row: list[Any] = {
+    rows: dict[str, list[Any]] = {
         "thesis": [distance, way, way, its_hp],
         "pygame": [distance, way, way, its_hp, its_xp],
         "godot": [x, y, its_hp, way, way],
-    }[config.observation]
+    }
+    row = rows[config.observation]
     ray: list[Any] = [(0.0, diagonal * settings["ray_scale"])] + [flag] * (2 + int(settings["sights"]))
     limits = np.array(own + row * int(settings["perceived"]) + ray * int(settings["rays"]))
     low, high = np.minimum(limits[:, 0], 0.0), np.maximum(limits[:, 1], 0.0)  # idle slots see zeros
