@@ -31,7 +31,7 @@ CAMERAS = ("map", "follow")
 PLAYERS = ("random", "hunter")
 
 Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
-Seed = Annotated[int, opt.option("--seed", "N", "Seed of the world.", min=0)]
+Seed = Annotated[int, opt.option("N", "Seed of the world.", min=0)]
 
 
 @app.command("list")
@@ -55,18 +55,11 @@ def list_() -> Result:
 @app.command()
 def render(
     name: Environment,
-    out: Annotated[Path, opt.option("--out", "FILE", "A .png, or a .gif or .mp4 of an episode.")],
-    player: Annotated[
-        str, opt.option("--player", "random|hunter|RUN_ID", "Who plays the episode.")
-    ] = "random",
-    camera: Annotated[
-        str | None,
-        opt.choice("--camera", CAMERAS, "The whole map (as a picture), or a player (as a video)."),
-    ] = None,
+    out: Annotated[Path, opt.option("FILE", "A .png, or a .gif or .mp4 of an episode.")],
+    player: Annotated[str, opt.option("random|hunter|RUN_ID", "Who plays the episode.")] = "random",
+    camera: Annotated[str | None, opt.choice(CAMERAS, "The whole map, or a player.")] = None,
     seed: Seed = 0,
-    seconds: Annotated[
-        float, opt.option("--seconds", "N", "Most seconds of an episode in a video.", min=1.0)
-    ] = 20.0,
+    seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a video.", min=1.0)] = 20.0,
     set_: opt.Settings = None,
     trust: opt.Trust = False,
     results: opt.Results = opt.HERE,
@@ -141,7 +134,7 @@ def _story(worlds: Worlds) -> str:
 @app.command()
 def play(
     name: Environment = "pneuma/Pneuma-v0",
-    camera: Annotated[str, opt.choice("--camera", CAMERAS, "What to see.")] = "follow",
+    camera: Annotated[str, opt.choice(CAMERAS, "What to see.")] = "follow",
     seed: Seed = 0,
     set_: opt.Settings = None,
 ) -> Result:

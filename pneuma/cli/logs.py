@@ -18,12 +18,8 @@ app = opt.Commands("import", "Make a study of old logs.")
 
 @app.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
-    folders: Annotated[
-        list[Path], opt.argument("DIR", "Hold NAME_1/, NAME_2/, … with event files, or are one.")
-    ],
-    name: Annotated[
-        str | None, opt.option("--name", "NAME", "The study's name (default: the folder's).")
-    ] = None,
+    folders: Annotated[list[Path], opt.argument("DIR", "Hold NAME_1/, … with event files, or are one.")],
+    name: Annotated[str | None, opt.option("NAME", "The study's name (default: the folder's).")] = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
@@ -35,22 +31,14 @@ def tensorboard(
 @app.command(short_help="Import CSV files: wandb's exports, Stable-Baselines3's, or any other.")
 def csv(
     files: Annotated[
-        list[Path],
-        opt.argument("FILE", "wandb's export, monitor.csv, progress.csv, or any NAME_SEED.csv."),
+        list[Path], opt.argument("FILE", "Of wandb, a monitor.csv, progress.csv, or NAME_SEED.csv.")
     ],
-    step: Annotated[
-        str, opt.option("--step", "COLUMN", "The column of agent steps, where a file does not tell.")
-    ] = "",
+    step: Annotated[str, opt.option("COLUMN", "The column of agent steps, where a file does not tell.")] = "",
     returns: Annotated[
-        str, opt.option("--return", "COLUMN", "That of returns; of wandb's RUN - COLUMN.")
+        str, opt.option("COLUMN", "That of returns, or of RUN - COLUMN.", name="--return")
     ] = "",
-    averaged_over: Annotated[
-        Any,
-        opt.count("--averaged-over", "Episodes that a return is the mean of, where a file does not tell."),
-    ] = None,
-    name: Annotated[
-        str | None, opt.option("--name", "NAME", "The study's name (default: the file's or folder's).")
-    ] = None,
+    averaged_over: Annotated[Any, opt.count("Episodes that a return averages, if a file is silent.")] = None,
+    name: Annotated[str | None, opt.option("NAME", "The study's name (default: the file's).")] = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""

@@ -15,10 +15,8 @@ app = opt.Commands("", "")
 
 @app.command(short_help="Write all evidence as one HTML page.")
 def report(
-    out: Annotated[Path, opt.option("--out", "FILE", "The page to write, ending in .html.")],
-    names: Annotated[
-        opt.Several, opt.argument("NAME", "Studies; left out: all that are shipped or were run.")
-    ] = None,
+    out: Annotated[Path, opt.option("FILE", "The page to write, ending in .html.")],
+    names: Annotated[opt.Several, opt.argument("NAME", "Studies (default: all shipped or run).")] = None,
     force: opt.Force = False,
     results: opt.Results = opt.HERE,
     quiet: opt.Quiet = False,

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 
 def option(
-    name: str, metavar: str, help_text: str, read: Callable[[str], Any] | None = None, **limits: Any
+    metavar: str, help_text: str, read: Callable[[str], Any] | None = None, name: str = "", **more: Any
 ) -> Any:
-    """Return an option; `read` converts its text, and limits are those of a number."""
-    return typer.Option(name, metavar=metavar, help=help_text, parser=read, **limits)
+    """Return an option, called as its parameter unless it has a name; `read` converts its text."""
+    return typer.Option(*filter(None, [name]), metavar=metavar, help=help_text, parser=read, **more)
 
 
 def argument(metavar: str, help_text: str) -> Any:
@@ -48,22 +48,19 @@ def flag(name: str, help_text: str) -> Any:
     return typer.Option(name, help=help_text)
 
 
-def choice(name: str, allowed: Iterable[str], help_text: str, metavar: str = "") -> Any:
+def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str = "") -> Any:
     """Return an option with a fixed set of values."""
     names = tuple(allowed)
 
     def read(text: str) -> str:
         if text not in names:
-            raise UserError(f"{name} {text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
+            raise typer.BadParameter(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
         return text
 
-    return typer.Option(
-        name, metavar=metavar or "|".join(names), help=help_text, parser=read,
-        autocompletion=lambda: [*names],
-    )  # fmt: skip
+    return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: [*names])
 
 
-def count(name: str, help_text: str) -> Any:
+def count(help_text: str) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
     def read(text: str) -> int:
@@ -72,13 +69,13 @@ def count(name: str, help_text: str) -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number < 2**53 and number.is_integer()):
-            raise UserError(f"{name} {text}: must be a whole number of at least 1")
+            raise typer.BadParameter(f"{text}: must be a whole number of at least 1")
         return int(number)
 
-    return option(name, "N", help_text, read)
+    return option("N", help_text, read)
 
 
-def seeds(name: str, help_text: str, first: int = 0) -> Any:
+def seeds(help_text: str, first: int = 0) -> Any:
     """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
 
     def read(text: str) -> tuple[int, ...]:
@@ -88,9 +85,9 @@ def seeds(name: str, help_text: str, first: int = 0) -> Any:
                 return read_seeds(parts)
             return tuple(first + seed for seed in read_seeds(parts[0]))
         except (ValueError, IndexError):
-            raise UserError(f"{name} {text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
+            raise typer.BadParameter(f"{text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
 
-    return option(name, "N|LIST", help_text, read)
+    return option("N|LIST", help_text, read)
 
 
 def _span(text: str) -> range:
@@ -101,18 +98,15 @@ def _span(text: str) -> range:
     return seeds
 
 
-def _key_and_value(name: str, example: str) -> Callable[[str], tuple[str, str]]:
-    def read(text: str) -> tuple[str, str]:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not (key and equals):
-            raise UserError(f"{name} {text}: must be KEY=VALUE, as in {name} {example}")
-        return key, value
-
-    return read
+def _read_pair(text: str, example: str = "partition=short") -> tuple[str, str]:
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not (key and equals):
+        raise typer.BadParameter(f"{text}: must be KEY=VALUE, as in {example}")
+    return key, value
 
 
 def _read_setting(text: str) -> tuple[str, Any]:
-    key, value = _key_and_value("--set", "learning_rate=1e-3")(text)
+    key, value = _read_pair(text, "learning_rate=1e-3")
     return key, read_value(value)
 
 
@@ -126,62 +120,36 @@ SeveralRead = list[Any] | None
 Study = Annotated[str, argument("NAME", "A study's name, or the path of a study file (….toml).")]
 RunId = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.")]
 HERE = Path("results")
-Results = Annotated[
-    Path, typer.Option("--results", metavar="DIR", envvar="PNEUMA_RESULTS", help="Where runs are kept.")
-]
-Format = Annotated[str, choice("--format", OUTPUT_FORMATS, "How to print it; --json is short for json.")]
+Results = Annotated[Path, option("DIR", "Where runs are kept.", envvar="PNEUMA_RESULTS")]
+Format = Annotated[str, choice(OUTPUT_FORMATS, "How to print it; --json is short for json.")]
 TABLE = OUTPUT_FORMATS[0]
 """The default of `Format`."""
 JSON = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
 Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
 Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
-Trust = Annotated[
-    bool, flag("--trust", "Use files, code and arguments of its environment that the run names.")
-]
+Trust = Annotated[bool, flag("--trust", "Use what the run names: files, code, arguments of its environment.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
-Seeds = Annotated[
-    Any, seeds("--seeds", "A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")
-]
-Steps = Annotated[Any, count("--steps", "Steps of each run, rounded up to whole updates.")]
-StoredSteps = Annotated[Any, count("--steps", "Runs of so many steps (default: those last trained here).")]
-Conditions = Annotated[Several, option("--condition", "NAME", "Only this condition (may be repeated).")]
-Settings = Annotated[
-    SeveralRead,
-    option("--set", "KEY=VALUE", "Set a field of the run, or of the world (may be repeated).", _read_setting),
-]
+Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")]
+Steps = Annotated[Any, count("Steps of each run, rounded up to whole updates.")]
+StoredSteps = Annotated[Any, count("Runs of so many steps (default: those last trained here).")]
+Conditions = Annotated[Several, option("NAME", "Only this condition (may be repeated).")]
+_CHANGE = "Set a field of the run, or of the world (may be repeated)."
+Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
-World = Annotated[
-    str | None,
-    choice("--world", WORLDS, "Whose rules: the arena (default), the thesis's text, or its published code."),
-]
-Preset = Annotated[
-    str | None,
-    option("--preset", "|".join((*PRESETS, CLAIMS)), "How much to run (default: quick, or the first)."),
-]
-Formats = Annotated[
-    SeveralRead, choice("--format", FIGURE_FORMATS, "Of figures (may be repeated; default: png and svg).")
-]
-PlotFolder = Annotated[Path | None, option("--out", "DIR", "Where to write (default: RESULTS/figures).")]
-Outcomes = Annotated[
-    Several, option("--outcome", "NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")
-]
-Workers = Annotated[Any, count("--workers", "Runs trained at once (default: one a core).")]
-Executor = Annotated[
-    str | None,
-    choice("--executor", EXECUTORS, "Where runs are trained, as docs/scaling.md says (default: local)."),
-]
-Address = Annotated[
-    str | None, option("--address", "HOST:PORT", "The cluster of --executor ray (default: its own).")
-]
-Slurm = Annotated[
-    SeveralRead,
-    option(
-        "--slurm",
-        "KEY=VALUE",
-        "What jobs of --executor slurm ask for: partition, time, mem, …",
-        _key_and_value("--slurm", "partition=short"),
-    ),
-]
+_WHOSE = "Whose rules: the arena (default), the thesis's text, or its published code."
+World = Annotated[str | None, choice(WORLDS, _WHOSE)]
+_PRESETS = "|".join((*PRESETS, CLAIMS))
+Preset = Annotated[str | None, option(_PRESETS, "How much to run (default: quick, or the first).")]
+_OF_FIGURES = "Of figures (may be repeated; default: png and svg)."
+Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _OF_FIGURES, name="--format")]
+PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESULTS/figures).", name="--out")]
+Outcomes = Annotated[Several, option("NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")]
+Workers = Annotated[Any, count("Runs trained at once (default: one a core).")]
+_WHERE = "Where runs are trained, as docs/scaling.md says (default: local)."
+Executor = Annotated[str | None, choice(EXECUTORS, _WHERE)]
+Address = Annotated[str | None, option("HOST:PORT", "The cluster of --executor ray (default: its own).")]
+_JOBS = "What jobs of --executor slurm ask for: partition, time, mem, …"
+Slurm = Annotated[SeveralRead, option("KEY=VALUE", _JOBS, _read_pair)]
 
 
 # --- What they say together ------------------------------------------------------------------------
@@ -261,7 +229,8 @@ def words_of(asked: Any) -> list[object]:
     """Return the options in a dataclass that are not at their defaults, as words of a command."""
     words: list[object] = []
     for item in _options_of(type(asked)):
-        value, name = getattr(asked, item.name), item.annotation.__metadata__[0].default
+        value, (declared,) = getattr(asked, item.name), item.annotation.__metadata__
+        name = "--" + item.name.replace("_", "-") if declared.default is ... else declared.default
         if value in (None, item.default) and item.name != "results":
             continue
         if name == "--set":

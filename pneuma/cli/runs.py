@@ -110,11 +110,9 @@ def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
 @app.command(short_help="Go on from a checkpoint with something changed.")
 def fork(
     name: opt.RunId,
-    at: Annotated[Any, opt.count("--at", "Go on from the checkpoint nearest before this step.")],
+    at: Annotated[Any, opt.count("Go on from the checkpoint nearest before this step.")],
     set_: opt.Settings = None,
-    reset: Annotated[
-        str, opt.option("--reset", "|".join(FORK_RESETS), "What to begin anew at the fork.")
-    ] = "",
+    reset: Annotated[str, opt.option("|".join(FORK_RESETS), "What to begin anew at the fork.")] = "",
     seeds: opt.Seeds = "3",
     workers: opt.Workers = None,
     trust: opt.Trust = False,
@@ -137,7 +135,7 @@ def fork(
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
     name: opt.RunId,
-    out: Annotated[Path, opt.option("--out", "FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    out: Annotated[Path, opt.option("FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
     trust: opt.Trust = False,
     force: opt.Force = False,
     results: opt.Results = opt.HERE,

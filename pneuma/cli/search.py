@@ -134,16 +134,16 @@ def plot(
     name: SearchName,
     asked: Asked,
     out: opt.PlotFolder = None,
-    format: opt.Formats = None,
+    formats: opt.Formats = None,
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
-    formats = read_formats(format, out)
+    chosen = read_formats(formats, out)
     from pneuma.figures.search import draw_search
 
     found = asked.read(name)
-    formats_asked = (word for each in formats for word in ("--format", each))
+    formats_asked = (word for each in chosen for word in ("--format", each))
     again = command("search", "plot", name, *opt.words_of(asked), *formats_asked)
-    files = keep_files(asked.store, out, lambda folder: draw_search(found, folder, formats, again))
+    files = keep_files(asked.store, out, lambda folder: draw_search(found, folder, chosen, again))
     if not files:
         say("Note: nothing is drawn before a trial is complete.")
     return Result({"figures": files}, wrote(files))
@@ -157,12 +157,9 @@ def run(
     name: SearchName,
     asked: Asked,
     place: opt.Place,
-    preset: Annotated[str, opt.option("--preset", "|".join(spec.PRESETS), "How much to search.")] = "quick",
-    trials: Annotated[Any, opt.count("--trials", "How many trials, those stored among them.")] = None,
-    seeds: Annotated[
-        Any,
-        opt.seeds("--seeds", "Seeds of each trial: a count (seeds 1000, 1001, …) or a list.", FIRST_SEED),
-    ] = None,
+    preset: Annotated[str, opt.option("|".join(spec.PRESETS), "How much to search.")] = "quick",
+    trials: Annotated[Any, opt.count("How many trials, those stored among them.")] = None,
+    seeds: Annotated[Any, opt.seeds("Of each trial: a count (from 1000 on) or a list.", FIRST_SEED)] = None,
     steps: opt.Steps = None,
     retry_failed: opt.RetryFailed = False,
     quiet: opt.Quiet = False,
@@ -223,16 +220,12 @@ def _value(trial: FrozenTrial) -> str:
 
 @app.command(short_help="Train winners of searches on fresh seeds.")
 def promote(
-    names: Annotated[
-        list[str], opt.argument("NAME", "Searches, or their files; several must be tuned alike.")
-    ],
+    names: Annotated[list[str], opt.argument("NAME", "Searches, or their files, all tuned alike.")],
     asked: Asked,
     seeds: opt.Seeds = "10",
     steps: opt.Steps = None,
-    trial: Annotated[int | None, opt.option("--trial", "N", "Which trial (default: the best).")] = None,
-    out: Annotated[
-        Path | None, opt.option("--out", "FILE", "Write the study to a .toml file; train nothing.")
-    ] = None,
+    trial: Annotated[int | None, opt.option("N", "Which trial (default: the best).")] = None,
+    out: Annotated[Path | None, opt.option("FILE", "Write the study to a .toml file; train nothing.")] = None,
     workers: opt.Workers = None,
     quiet: opt.Quiet = False,
 ) -> Result:

@@ -43,9 +43,7 @@ def list_() -> Result:
 @app.command(short_help="Write a study file to edit.")
 def new(
     name: Annotated[str, opt.argument("NAME", "The new study's name.")],
-    source: Annotated[
-        str, opt.option("--from", "STUDY", "The shipped study to copy, without its words on the thesis.")
-    ] = "activation",
+    source: Annotated[str, opt.option("STUDY", "The shipped study to copy.", name="--from")] = "activation",
 ) -> Result:
     """Write NAME.toml into this folder: a copy of a shipped study, to be edited."""
     if not re.fullmatch(r"[\w-]+", name):

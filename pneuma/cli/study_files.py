@@ -60,48 +60,32 @@ class Drawing:
     figure: Annotated[
         str | None,
         opt.choice(
-            "--figure",
             FIGURE_KINDS,
-            "Curves (default for seven conditions or less), a summary, or profiles over environments.",
+            "Curves (usual for up to seven conditions), a summary, or profiles over environments.",
         ),
     ] = None
     quantity: Annotated[
         opt.SeveralRead,
         opt.choice(
-            "--quantity",
             (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
-            "A curve, such as entropy; actions, or all (may be repeated; default: share_killed and return).",
+            "A curve, as entropy; actions, or all (may be repeated; default: share_killed and return).",
             "NAME",
         ),
     ] = None
     band: Annotated[
-        str | None,
-        opt.choice(
-            "--band", BAND_NAMES, "What the band shows (default: sd, with the mean's interval in it)."
-        ),
+        str | None, opt.choice(BAND_NAMES, "What the band shows (default: sd, the mean's interval in it).")
     ] = None
-    window: Annotated[str | None, opt.choice("--window", WINDOWS, "Which episodes a point averages.")] = None
-    x: Annotated[str | None, opt.choice("--x", X_AXES, "What curves lie over (default: steps).")] = None
-    center: Annotated[
-        str | None, opt.choice("--center", CENTER_NAMES, "The line in a band (default: mean).")
-    ] = None
-    beside: Annotated[
-        str | None,
-        opt.option("--beside", "NAME", "Another study, or imported logs, whose runs are drawn too."),
-    ] = None
+    window: Annotated[str | None, opt.choice(WINDOWS, "Which episodes a point averages.")] = None
+    x: Annotated[str | None, opt.choice(X_AXES, "What curves lie over (default: steps).")] = None
+    center: Annotated[str | None, opt.choice(CENTER_NAMES, "The line in a band (default: mean).")] = None
+    beside: Annotated[str | None, opt.option("NAME", "Another study, or logs, to be drawn too.")] = None
     log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False
     formats: opt.Formats = None
-    width: Annotated[float, opt.option("--width", "INCHES", "In inches.", min=1.5, max=30)] = 7.0
-    height: Annotated[
-        float | None, opt.option("--height", "INCHES", "In inches, with all words.", min=1, max=30)
-    ] = None
-    title: Annotated[str | None, opt.option("--title", "TEXT", "In place of the study's.")] = None
-    style: Annotated[
-        str, opt.option("--style", "NAME|FILE", "A style sheet of matplotlib, over Pneuma's.")
-    ] = ""
-    plain: Annotated[bool, opt.flag("--plain", "Without headline and caption, as a paper has its own.")] = (
-        False
-    )
+    width: Annotated[float, opt.option("INCHES", "In inches.", min=1.5, max=30)] = 7.0
+    height: Annotated[float | None, opt.option("INCHES", "In inches, with all words.", min=1, max=30)] = None
+    title: Annotated[str | None, opt.option("TEXT", "In place of the study's.")] = None
+    style: Annotated[str, opt.option("NAME|FILE", "A style sheet of matplotlib, over Pneuma's.")] = ""
+    plain: Annotated[bool, opt.flag("--plain", "Without headline and caption, for papers.")] = False
 
     @property
     def of_curves(self) -> dict[str, Any]:
@@ -234,14 +218,10 @@ def table(
 def export(
     name: opt.Study,
     picked: opt.RunFilter,
-    table: Annotated[str, opt.choice("--table", EXPORT_TABLES, "What to export.")],
-    out: Annotated[Path, opt.option("--out", "FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
-    band: Annotated[
-        str | None, opt.choice("--band", EDGED_BANDS, "Of curves: what low and high are (default: sd).")
-    ] = None,
-    window: Annotated[
-        str | None, opt.choice("--window", WINDOWS, "Of curves: which episodes a point averages.")
-    ] = None,
+    table: Annotated[str, opt.choice(EXPORT_TABLES, "What to export.")],
+    out: Annotated[Path, opt.option("FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
+    band: Annotated[str | None, opt.choice(EDGED_BANDS, "Of curves: low and high (default: sd).")] = None,
+    window: Annotated[str | None, opt.choice(WINDOWS, "Of curves: which episodes a point averages.")] = None,
 ) -> Result:
     """Write a study's records as one tidy table."""
     if (band or window) and table != "curves":
@@ -278,12 +258,7 @@ def _read_curves(text: str) -> tuple[str, ...]:
 def publish(
     name: opt.Study,
     picked: opt.RunFilter,
-    curves: Annotated[
-        Any,
-        opt.option(
-            "--curves", "NAME,…|none", "Keep curves of these quantities, not of the usual.", _read_curves
-        ),
-    ] = None,
+    curves: Annotated[Any, opt.option("NAME,…|none", "Of which to keep curves.", _read_curves)] = None,
 ) -> Result:
     """Write a study's runs as rows of one small table, from which they are read where they are not stored.
 

@@ -20,12 +20,8 @@ FORK_SEEDS = 3
 def collapse(
     name: opt.Study,
     picked: opt.RunFilter,
-    fork: Annotated[
-        bool, opt.flag("--fork", "Go on from before each collapse, changing one thing at a time.")
-    ] = False,
-    fork_seeds: Annotated[
-        Any, opt.seeds("--fork-seeds", "With --fork: seeds of the forks of each run (default: 3).")
-    ] = None,
+    fork: Annotated[bool, opt.flag("--fork", "Go on from before each collapse, one thing changed.")] = False,
+    fork_seeds: Annotated[Any, opt.seeds("With --fork: seeds of each run's forks (default: 3).")] = None,
     workers: opt.Workers = None,
     trust: opt.Trust = False,
     quiet: opt.Quiet = False,

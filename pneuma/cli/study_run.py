@@ -37,16 +37,9 @@ def plan_(
     name: opt.Study,
     chosen: opt.TrainFilter,
     unpublished: Unpublished = False,
-    detect: Annotated[
-        float | None,
-        opt.option("--detect", "X", "How many seeds find a difference of X, by the runs there are."),
-    ] = None,
-    outcome: Annotated[
-        str | None, opt.option("--outcome", "NAME", "With --detect: of what (default: the study's).")
-    ] = None,
-    sd: Annotated[
-        float | None, opt.option("--sd", "SD", "With --detect: the SD between runs, where there are none.")
-    ] = None,
+    detect: Annotated[float | None, opt.option("X", "How many seeds find a difference of X.")] = None,
+    outcome: Annotated[str | None, opt.option("NAME", "With --detect: of what (default: as usual).")] = None,
+    sd: Annotated[float | None, opt.option("SD", "With --detect: the SD, where there are no runs.")] = None,
 ) -> Result:
     """Say which runs are stored and which would be trained, and estimate how long that takes."""
     if detect is not None:
@@ -116,15 +109,9 @@ def run(
     name: opt.Study,
     chosen: opt.TrainFilter,
     place: opt.Place,
-    detach: Annotated[
-        bool, opt.flag("--detach", "Leave once jobs of --executor slurm are submitted.")
-    ] = False,
-    checkpoint_seconds: Annotated[
-        float, opt.option("--checkpoint-seconds", "S", "Between two checkpoints of a run.", min=0.01)
-    ] = 15.0,
-    tensorboard: Annotated[
-        Path | None, opt.option("--tensorboard", "DIR", "Log to TensorBoard while runs train.")
-    ] = None,
+    detach: Annotated[bool, opt.flag("--detach", "Leave once Slurm's jobs are submitted.")] = False,
+    checkpoint_seconds: Annotated[float, opt.option("S", "Between a run's checkpoints.", min=0.01)] = 15.0,
+    tensorboard: Annotated[Path | None, opt.option("DIR", "Log to TensorBoard while runs train.")] = None,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
     quiet: opt.Quiet = False,

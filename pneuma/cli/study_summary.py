@@ -31,10 +31,7 @@ def summary(
     all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
     format: opt.Format = opt.TABLE,
     cells: Annotated[
-        str | None,
-        opt.choice(
-            "--cells", ("sd", "interval"), "With --format markdown or latex: mean ± SD, or [low, high]."
-        ),
+        str | None, opt.choice(("sd", "interval"), "Markdown, latex: ± SD, or [low, high].")
     ] = None,
 ) -> Result:
     """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
@@ -87,8 +84,7 @@ def compare(
     a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
     b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
     with_: Annotated[
-        str | None,
-        opt.option("--with", "STUDY", "Compare the conditions of another study that both have, not A and B."),
+        str | None, opt.option("STUDY", "Compare each with another study's.", name="--with")
     ] = None,
     outcome: opt.Outcomes = None,
     plot: Annotated[bool, opt.flag("--plot", "Draw the differences too, as PNG and SVG.")] = False,

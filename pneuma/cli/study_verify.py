@@ -26,11 +26,9 @@ NAME_WIDTH = 16
 
 def verify(
     claims: Annotated[opt.Several, opt.argument("CLAIM", "Claims; left out: all.")] = None,
-    world: Annotated[str | None, opt.choice("--world", WORLDS, "Only this world.")] = None,
-    file: Annotated[Path | None, opt.option("--claims", "FILE", "Other claims than the thesis's.")] = None,
-    design: Annotated[
-        bool, opt.flag("--design", "Say which differences the planned runs can show, and read none.")
-    ] = False,
+    world: Annotated[str | None, opt.choice(WORLDS, "Only this world.")] = None,
+    file: Annotated[Path | None, opt.option("FILE", "Others than the thesis's.", name="--claims")] = None,
+    design: Annotated[bool, opt.flag("--design", "Say which differences planned runs show.")] = False,
     results: opt.Results = opt.HERE,
     format: opt.Format = opt.TABLE,
 ) -> Result:
