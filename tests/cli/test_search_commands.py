@@ -183,17 +183,6 @@ def test_an_outcome_that_the_environment_cannot_have_is_refused_before_training(
     assert not (tmp_path / "results").exists()
 
 
-def test_a_search_which_must_wait_for_its_runs_has_no_detach() -> None:
-    assert "--detach" in printed("study", "run", "--help")
-    assert "--detach" not in printed("search", "run", "--help")
-    assert "--detach" in refused("search", "run", "ppo", "--detach")
-
-
-def test_a_search_is_shown_by_its_file() -> None:
-    told = printed("search", "show", "ppo")
-    assert told.endswith((studies_folder() / "search" / "ppo.toml").read_text())
-
-
 def test_steps_that_are_rounded_up_are_told_as_in_a_study(
     searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

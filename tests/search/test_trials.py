@@ -16,7 +16,7 @@ from pneuma.search import values
 from pneuma.search.record import Task
 from pneuma.search.trials import rounds
 from pneuma.search.values import Outcomes, over_seeds
-from pneuma.study.plan import Cell, Plan
+from pneuma.study.plan import Cell
 from pneuma.study.store import Status, Store
 
 from .conftest import Formula, MakeTask, Told, height, record, solve, told_of
@@ -44,16 +44,6 @@ def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> 
     assert told[0].params == {"learning_rate": 3e-4, "activation": "relu"}
     assert told[1].params == {"learning_rate": 3e-4, "activation": "tanh"}
     assert told[1].values[0] == pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) + 0.005)
-
-
-def test_a_trial_is_one_run_for_each_seed(make_task: MakeTask) -> None:
-    plans: list[Plan] = []
-    told = solve(make_task(4), plans)
-    cells = {cell.run_id: cell for cell in plans[-1].cells}
-    for trial in told:
-        runs = [cells[name].run for name in trial.run_ids]
-        assert [(run.seed, run.steps) for run in runs] == [(1000, 2048), (1001, 2048)]
-        assert {run.learning_rate for run in runs} == {trial.params["learning_rate"]}
 
 
 def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask) -> None:
@@ -150,18 +140,6 @@ def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
     trained = {name for until in asked for name in until}
     for trial in pruned:
         assert sum(name in trained for name in trial.run_ids) == len(trial.reports)
-
-
-def test_a_search_says_which_trials_it_trains_and_stops(make_task: MakeTask) -> None:
-    said: list[str] = []
-    told = solve(make_task(21, '[pruner]\nname = "median"\nn_startup_trials = 1'), said=said)
-    heads = [line for line in said if " of 21" in line]
-    assert heads == [f"trials {first} to {first + 3} of 21" for first in range(0, 20, 4)] + [
-        "trials 20 to 20 of 21"
-    ]
-    stopped = [f"trial {trial.number}" for trial in told if trial.state == "pruned"]
-    lines = [line.removesuffix(" stopped early").split(", ") for line in said if line not in heads]
-    assert stopped and sorted(name for names in lines for name in names) == sorted(stopped)
 
 
 def run_of(task: Task, trial: Told) -> Run:
