@@ -16,7 +16,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.algorithms import MAILMAN
@@ -28,7 +29,7 @@ from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.identity import describe_user_code
 from pneuma.study.progress import ProgressDisplay
-from pneuma.study.provenance import available_cores
+from pneuma.study.provenance import available_cores, project
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run, trusted_settings
 from pneuma.values import read_seeds
@@ -140,6 +141,8 @@ def train_plan(
     Runs pause where `how.until` says.
     """
     todo, notes = execute.prepare(planned, store, retry_failed, how.until or None)
+    if own := planned.study.own_path:
+        how = replace(how, project=project(Path(own)))
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.")
     if todo:

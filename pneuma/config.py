@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 from annotated_types import Interval, Len
 
@@ -47,10 +47,8 @@ ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
 
-LEARNERS = ("shared", "independent")
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
-CLIPPINGS = ("joint", "separate")
-SCHEDULES = ("constant", "linear")
+Schedule = Literal["constant", "linear"]
 ANNEALED = ("learning_rate", "clip_range")
 """Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 FORK_RESETS = ("optimizer", "xp", "critic")
@@ -165,7 +163,7 @@ class Run(EnvConfig):
     """Budget in agent steps, summed over slots."""
     slots: Annotated[int, Interval(ge=1, le=1024)] = 1
     """Worlds that collect a rollout in parallel."""
-    learners: Annotated[str, OneOf(LEARNERS)] = LEARNERS[0]
+    learners: Literal["shared", "independent"] = "shared"
     """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
 
     actor: Layers = (128,)
@@ -177,10 +175,10 @@ class Run(EnvConfig):
     gamma: Share = 0.99
     gae_lambda: Share = 0.95
     learning_rate: Annotated[float, Interval(gt=0, le=100)] = 3e-4
-    learning_rate_schedule: Annotated[str, OneOf(SCHEDULES)] = SCHEDULES[0]
+    learning_rate_schedule: Schedule = "constant"
     """With "linear" it falls from its value to 0 over the budget, as Stable-Baselines3 counts progress."""
     clip_range: Annotated[float, Interval(gt=0, le=100)] = 0.1
-    clip_range_schedule: Annotated[str, OneOf(SCHEDULES)] = SCHEDULES[0]
+    clip_range_schedule: Schedule = "constant"
     horizon: Annotated[int, Interval(ge=2, le=10**6)] = 256
     """Steps per slot in a rollout, Stable-Baselines3's n_steps; for value-based learners, in one report."""
     minibatch: Annotated[int, Interval(ge=2, le=10**6)] = 64
@@ -189,7 +187,7 @@ class Run(EnvConfig):
     entropy_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.01
     gradient_limit: Annotated[float | None, Reads(_read_limit, 'a number above 0, or "none"')] = 0.5
     """Greatest L2 norm of the gradient; None for no limit (thesis section 6.2)."""
-    clip: Annotated[str, OneOf(CLIPPINGS)] = "joint"
+    clip: Literal["joint", "separate"] = "joint"
     """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
     value_baseline: bool = True
     """Whether the critic's values are subtracted from returns to make advantages (thesis section 4.2)."""
@@ -279,7 +277,7 @@ def make_run(given: Mapping[str, object]) -> Run:
     values = values if is_gymnasium_id(env) else resolve_world(values)
     named = Run(**{key: values[key] for key in ("env", "algorithm", "optimizer") if key in values})
     known = _read_by(named.env, named.algorithm, named.optimizer)
-    if values.get("learners") == LEARNERS[1] and "learners" not in known:
+    if values.get("learners") == "independent" and "learners" not in known:
         _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
     defaults = {**ALGORITHM_DEFAULTS.get(named.algorithm, {}), **OPTIMIZER_DEFAULTS}
     defaults = {key: value for key, value in defaults.items() if key in known}

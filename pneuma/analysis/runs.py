@@ -27,7 +27,7 @@ from pneuma.config import Run, as_fields, round_up
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import read_whole
 from pneuma.presets import TEXT, WORLDS
-from pneuma.study.identity import config_id
+from pneuma.study.identity import config_id, own_files
 from pneuma.study.plan import Selection, configure
 from pneuma.study.published import Published
 from pneuma.study.row_builder import UNKNOWN, stored_row
@@ -35,7 +35,7 @@ from pneuma.study.rows import Row
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study, run_command
 from pneuma.study.store import FINISHED, Identity, Store, checked_listing
-from pneuma.values import as_tuple, setting_words
+from pneuma.values import setting_words
 
 ALL = Selection()
 Say = Callable[[str], object]
@@ -167,7 +167,8 @@ def find_study(index: RunIndex, name: str, picked: Selection = ALL, world: str |
     of_file = name in list_studies() or name.endswith(".toml")
     if not of_file and (listing := index.listing(name)) is not None:
         return _find_listed(index, listing, picked)
-    return find_runs(index, load_study(name, world, () if of_file else index.listings()), picked)
+    others = () if of_file else index.listings()
+    return find_runs(index, load_study(name, world, others, index.store.studies), picked)
 
 
 def find_runs(index: RunIndex, study: Study, picked: Selection = ALL) -> StudyData:
@@ -334,12 +335,12 @@ def open_study(
 def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyData]:
     """Yield the studies that were run in the results folder, in each of their worlds, with their runs there.
 
-    Their names are in the folder; those whose file is elsewhere are left out.
+    Their names are in the folder.
     """
     found: list[StudyData] = []
     for name in index.store.last_studies():
         with suppress(UserError, OSError):
-            study = load_study(name)
+            study = load_study(name, kept=index.store.studies)
             worlds = [each for each in study.worlds if world in (None, each)]
             found += [find_runs(index, study.in_world(each)) for each in worlds]
     for name in index.store.listings() if world is None else ():
@@ -369,6 +370,9 @@ def _nothing(index: RunIndex, data: StudyData) -> str:
     others = [*_elsewhere(index, data.study), *_changed(index, data)]
     stored = f" Stored are: {'; '.join(others)}." if others else ""
     train = f"run `{run_command(data.study)}` first, or give --results"
+    lacking = {name for fields in data.fields.values() for name in own_files(fields, missing=True)}
+    if lacking:
+        train = f"{', '.join(sorted(lacking))} is not found, by which its runs are known; {train}"
     damaged = "".join(f" {problem}." for problem in index.problems)
     return f"study {data.where} has no runs in {index.store.root}: {train}.{stored}{damaged}"
 
@@ -376,16 +380,27 @@ def _nothing(index: RunIndex, data: StudyData) -> str:
 def _changed(index: RunIndex, data: StudyData) -> list[str]:
     """Return the single fields by whose change stored runs are those of the study."""
     counts: dict[str, int] = {}
+    own = {Path(name).name for fields in data.fields.values() for name in own_files(fields)}
+    earlier = f"of another version of {', '.join(sorted(own)) or 'rules or engine'}"
     sizes = index.frame["config_id"].value_counts()
     finished = index.frame[index.frame["status"].isin(FINISHED)].drop_duplicates("config_id")
     for known, run_id in finished[["config_id", "run_id"]].itertuples(index=False):
         row = index.row(run_id)
         kept = _without_amount(row.fields) if row else {}
         for fields in data.fields.values() if row else ():
-            unlike = [
-                key for key in {**fields, **kept} if as_tuple(fields.get(key)) != as_tuple(kept.get(key))
-            ]
-            if len(unlike) == 1:
-                option = shlex.join(setting_words({unlike[0]: kept.get(unlike[0])}))
-                counts[option] = counts.get(option, 0) + int(sizes[known])
-    return [f"{counted(count, 'run')} ({option})" for option, count in counts.items()]
+            unlike = [key for key in {**fields, **kept} if _bare(fields.get(key)) != _bare(kept.get(key))]
+            if len(unlike) < 2:
+                option = shlex.join(setting_words({key: kept.get(key) for key in unlike}))
+                told = f"({option})" if option else earlier
+                counts[told] = counts.get(told, 0) + int(sizes[known])
+    return [f"{counted(count, 'run')} {told}" for told, count in counts.items()]
+
+
+def _bare(value: Any) -> Any:
+    """Return a field's value with the user's own files by their names alone."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_bare, value))
+    if isinstance(value, str) and value.startswith("/"):
+        file, colon, inside = value.partition(":")
+        return Path(file).name.removesuffix(".py") + colon + inside
+    return value

@@ -13,6 +13,7 @@ from typing import Any
 from pneuma.algorithms import OF_OPEN_LEARNERS
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
+from pneuma.files import read_whole
 from pneuma.study.executors.base import Event, ExecutorConfig, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
@@ -68,6 +69,8 @@ def prepare(
         about = {"title": plan.study.title, "baseline": plan.study.baseline, "runs": runs}
         store.save_listing(plan.study.name, about)
     elif plan.steps:
+        if plan.study.own_path:
+            store.write(store.studies / plan.study.path.name, read_whole(plan.study.path))
         store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
     return todo, _notes(plan, statuses, todo)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,7 @@ _FILES = {
 }
 """By field: the function that returns the user's files to hash. None imports them."""
 CLASSES = ("reward", "wrappers", "callback")
-_USES = {
-    "reward": "run the reward", "env_module": "run the module", "wrappers": "run the wrapper",
-    "callback": "run the callback",
-}  # fmt: skip
+_SAID = {"env_module": "module", "wrappers": "wrapper"}
 
 
 def run_id(run: Run) -> str:
@@ -85,13 +82,7 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     Raises:
         UserError, OSError: for a file that cannot be read.
     """
-    paths: list[Path] = []
-    for key, named in own_names(fields).items():
-        module, function = _FILES[key]
-        every = [named] if isinstance(named, str) else named
-        names = [name.partition("{")[0].rpartition(":")[0] if key in CLASSES else name for name in every]
-        for name in names:
-            paths += getattr(import_module(module), function)(name)
+    paths = [path for _, found in _own_files(fields) for path in found]
     digest = hashlib.sha256()
     for path in paths:
         data = read_whole(path)
@@ -99,13 +90,27 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     return digest.hexdigest() if paths else ""
 
 
-def own_names(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that name a user's own level, characters or modules, by field."""
+def own_files(fields: Mapping[str, Any], missing: bool = False) -> list[str]:
+    """Return a run's own level, characters and modules by their names, or those that are missing here."""
+    return [name for name, found in _own_files(fields) if not (missing and found)]
+
+
+def _own_files(fields: Mapping[str, Any]) -> Iterator[tuple[str, list[Path]]]:
+    """Yield a user's own level, characters and modules, each with its files."""
+    for key, names in own_names(fields).items():
+        module, function = _FILES[key]
+        for name in names:
+            file = name.partition("{")[0].rpartition(":")[0] if key in CLASSES else name
+            yield file, getattr(import_module(module), function)(file)
+
+
+def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the names of a user's own level, characters or modules, by field."""
     tests = {"level": is_own_level, "characters": are_own_characters}
     named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
     named |= {key: fields.get(key) for key in ("env_module", "wrappers", "callback")}
     named["reward"] = own_rewards(fields.get("reward", ()))
-    return {key: value for key, value in named.items() if value}
+    return {key: (own,) if isinstance(own, str) else tuple(own) for key, own in named.items() if own}
 
 
 def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -115,10 +120,9 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     """
     over: dict[str, Any] = {}
     for key, own in own_names(fields).items():
-        if isinstance(own, str):
-            over[key] = _beside(path.parent, key, own)
-        else:
-            over[key] = tuple(_beside(path.parent, key, one) if one in own else one for one in fields[key])
+        beside = {name: _beside(path.parent, key, name) for name in own}
+        value = fields[key]
+        over[key] = beside[value] if isinstance(value, str) else tuple(beside.get(one, one) for one in value)
     return {**fields, **over}
 
 
@@ -140,8 +144,10 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     """
     keys = (key for key in _FILES if fields.get(key) is not None)
     named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
-    texts = {key: value if isinstance(value, str) else ", ".join(value) for key, value in named.items()}
-    described = {key: f"{_USES.get(key, f'read the {key}')} {named}" for key, named in texts.items()}
+    described = {
+        key: f"{'run' if _FILES[key] is _MODULE_FILES else 'read'} the {_SAID.get(key, key)} {', '.join(own)}"
+        for key, own in named.items()
+    }
     if arguments := fields.get("env_kwargs"):
         env = fields.get("env")
         described["env_kwargs"] = f"{'start the game of' if env == GODOT else f'make {env} with'} {arguments}"

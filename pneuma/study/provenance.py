@@ -13,9 +13,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from typing import Any
+
+from pneuma.config import Run, as_fields
+from pneuma.study.identity import own_names
 
 PACKAGES = (
     "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
@@ -141,7 +144,7 @@ def code() -> str:
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
     commit = _git(SOURCE, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
-    return " ".join([_version("pneuma") or "unknown", *commit])
+    return " ".join([_version("pneuma-rl") or "unknown", *commit])
 
 
 def uncommitted(source: Path = SOURCE) -> list[str]:
@@ -164,10 +167,32 @@ def file_at(path: Path, commit: str, line: str) -> str | None:
     return None
 
 
-def _git(source: Path, *words: str) -> list[str]:
-    """Return the lines that git prints about a source tree; none without a repository, or without git."""
+def project(study: Path) -> dict[str, str]:
+    """Return a user's study file by its name, and the commit of the repository that it is in, if any."""
+    commit = _git(study.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*", own=False)
+    return {"study": study.name, **({"commit": commit[0]} if commit else {})}
+
+
+def packages_of(run: Run) -> dict[str, str]:
+    """Return the versions of the packages that a run's environment and its own modules come from."""
+    from gymnasium.envs.registration import registry  # workers have it, commands need not
+
+    spec = registry.get(run.env)
+    named = [name for names in own_names(as_fields(run)).values() for name in names]
+    named += [str(spec.entry_point)] if spec else []
+    tops = {re.split(r"[.:]", name)[0] for name in named} - {"gymnasium", "pneuma"}
+    modules = sorted(filter(str.isidentifier, tops))
+    known = packages_distributions() if modules else {}
+    return {name: version(name) for module in modules for name in known.get(module, ())}
+
+
+def _git(source: Path, *words: str, own: bool = True) -> list[str]:
+    """Return the lines that git prints about a source tree; none without a repository, or without git.
+
+    Pneuma's `own` is a repository as a whole: installed, it may lie in one of somebody else.
+    """
     command = ["git", "-C", str(source), *words]
-    if (source / ".git").exists():
+    if not own or (source / ".git").exists():
         with suppress(OSError, subprocess.CalledProcessError):
             return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).splitlines()
     return []

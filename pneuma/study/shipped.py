@@ -31,10 +31,13 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) -> Path:
+def find_file(
+    what: str, name: str, folder: Path, others: Iterable[str] = (), kept: Path | None = None
+) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
 
-    A mistyped name may mean one of `others`.
+    Of none of these, `kept` may have it, a folder of files as they were run. A mistyped name may mean one of
+    `others`.
     """
     known = shipped_names(folder)
     if name in known:
@@ -46,6 +49,8 @@ def find_file(what: str, name: str, folder: Path, others: Iterable[str] = ()) ->
             path = Path("examples") / path
         elif name in examples:
             return folder / "examples" / path
+        elif kept and (kept / path).is_file():
+            return kept / path
         else:
             raise unknown_name(what, name, [*known, *others, *examples])
     refuse_taken_name(path, folder / path.name, what)

@@ -237,12 +237,14 @@ def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
 # --- Reading ---------------------------------------------------------------------------------------
 
 
-def load_study(name: str, world: str | None = None, others: Iterable[str] = ()) -> Study:
+def load_study(
+    name: str, world: str | None = None, others: Iterable[str] = (), kept: Path | None = None
+) -> Study:
     """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
-    Its usual world is the arena, if it is run in it. A mistyped name may mean one of `others`.
+    Its usual world is the arena, if it is run in it. `find_file` tells of the others.
     """
-    study = _read_study(find_file("study", name, studies_folder(), others))
+    study = _read_study(find_file("study", name, studies_folder(), others, kept))
     return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 

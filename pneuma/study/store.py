@@ -10,6 +10,7 @@
                             checkpoints/     where a run that has not ended goes on from
     results/published/      tables of rows, for version control
     results/studies/NAME.json  the runs of a study without a file: imported logs, forks, trials of a search
+                    NAME.toml  a user's own study as it was last run here
     results/last/NAME.json  the steps of a study's last `study run` here, by world and changed fields
 
 Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
@@ -308,7 +309,11 @@ class Store:
         return listing
 
     def listing_path(self, study: str) -> Path:
-        return self.root / "studies" / f"{study}.json"
+        return self.studies / f"{study}.json"
+
+    @property
+    def studies(self) -> Path:
+        return self.root / "studies"
 
     @property
     def nothing_yet(self) -> str:
@@ -318,7 +323,7 @@ class Store:
         return f"no study was run or published in {self.root} yet: run `pneuma study run activation` first"
 
     def listings(self) -> list[str]:
-        names = names_in(self.root / "studies")
+        names = names_in(self.studies)
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
     def save_last_steps(self, study: str, variant: str, steps: int) -> None:

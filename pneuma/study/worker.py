@@ -38,7 +38,7 @@ from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, read_job
 from pneuma.study.identity import run_id
 from pneuma.study.live import open_log
 from pneuma.study.locks import remove_lock
-from pneuma.study.provenance import Attempt, finished_provenance
+from pneuma.study.provenance import Attempt, finished_provenance, packages_of
 from pneuma.study.row_builder import cells_of_files
 from pneuma.study.rows import encode_row
 from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
@@ -180,6 +180,8 @@ class Worker:
             status = replace(status, identity=run_identity(run))
             about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
             about |= {"warning": warned[0]} if warned else {}
+            about |= {"project": self.how.project} if self.how.project else {}
+            about["packages"] |= packages_of(run)
             files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
             files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
             if result.policy is not None:

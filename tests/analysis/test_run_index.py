@@ -16,11 +16,14 @@ from pneuma.analysis.runs import RunIndex, open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
-from pneuma.study.plan import Selection
+from pneuma.study.execute import prepare
+from pneuma.study.plan import Selection, make_plan
 from pneuma.study.published import encode_published
 from pneuma.study.quantities import TRAINING_QUANTITIES
+from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
+from ..cli.calls import save_finished
 from ..hand_made import save_listing, study_of, write_events
 from .published_runs import publish, republished, save_run
 
@@ -157,3 +160,36 @@ def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: St
     data = open_study(RunIndex(store), "both")
     assert {run.run_id: run.published for run in data.rows} == {ids[0]: True, ids[1]: True, A0: False}
     assert {*ids} <= {*index.frame.index} and not {*ids} & {*RunIndex(store, shipped=False).frame.index}
+
+
+OWN = """
+title = "Own"
+base = "table-6-2"
+[run]
+env = "CartPole-v1"
+env_module = "of_mine_alone"
+[conditions.one]
+[presets.quick]
+seeds = 1
+steps = 256
+"""
+
+
+def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    module, study, store = Path("of_mine_alone.py"), Path("mine.toml"), Store("results")
+    module.write_text("import gymnasium\n")
+    study.write_text(OWN)
+    plan = make_plan(load_study("mine"), Selection())
+    prepare(plan, store)
+    save_finished(store, plan.cells[0].run)
+    study.unlink()
+    assert len(open_study(RunIndex(store), "mine").runs) == 1
+    module.write_text("import gymnasium  # as before\n")
+    with pytest.raises(UserError, match="Stored are: 1 run of another version of of_mine_alone"):
+        open_study(RunIndex(store), "mine")
+    module.unlink()
+    with pytest.raises(UserError, match="of_mine_alone is not found, by which its runs are known; run"):
+        open_study(RunIndex(store), "mine")

@@ -17,9 +17,8 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import chdir, suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -111,7 +110,8 @@ def _delete(store: Store, dice: random.Random, deed: str) -> None:
 
 def storm_of_readers(seconds: float, processes: int = 2) -> Reading:
     """Let several processes read and delete at once; return what all did, and what was found."""
-    with tempfile.TemporaryDirectory() as name, _inside(Path(name)) as folder:
+    with tempfile.TemporaryDirectory() as name, chdir(name):
+        folder = Path(name)
         (folder / "mine.toml").write_text(STUDY.format(fields=""))
         (folder / "kept.toml").write_text(STUDY.format(fields="gamma = 0.5"))
         reading = Reading(found=_failures(("study", "run", "kept.toml", "--quiet")))
@@ -130,17 +130,6 @@ def storm_of_readers(seconds: float, processes: int = 2) -> Reading:
         unlike -= {file for file in unlike if file.endswith("/.lock")}  # of one who came to a finished run
         reading.found += [f"{file} is not as undisturbed" for file in sorted(unlike)]
     return reading
-
-
-@contextmanager
-def _inside(folder: Path) -> Iterator[Path]:
-    """Let a folder be the current one, in which the commands name files."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield folder
-    finally:
-        os.chdir(before)
 
 
 def _failures(words: tuple[str, ...]) -> list[str]:

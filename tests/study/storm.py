@@ -26,6 +26,8 @@ from pneuma.study.executors.local import worker_environment
 from pneuma.study.row_builder import stored_row
 from pneuma.study.store import ROW_FILE, Store
 
+from .begun import outcome, wait_until
+
 STUDY = """\
 title = "Storm"
 base = "table-6-2"
@@ -41,10 +43,6 @@ momentum = 0.9
 seeds = 2
 steps = {steps}
 """
-COMPARED = (
-    "run.json", "episodes.parquet", "metrics.parquet", "evaluations.parquet", "policy.safetensors",
-)  # fmt: skip
-"""Byte by byte. Rows are compared as they are read, without their provenance."""
 DAMAGES = ("cut short", "bit flipped", "emptied", "removed")
 ORPHAN_SECONDS = 2.0
 
@@ -68,12 +66,10 @@ class Storm:
     found: list[str] = field(default_factory=list)
 
     def command(self, results: str) -> list[str]:
-        """Return the command that people type."""
         run = [sys.executable, "-m", "pneuma", "study", "run", str(self.folder / "storm.toml")]
         return [*run, "--results", str(self.folder / results), "--checkpoint-seconds", "0.3"]
 
     def begin(self, results: str) -> subprocess.Popen[bytes]:
-        """Start it."""
         command = [*self.command(results), "--quiet"]
         return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=worker_environment())
 
@@ -85,14 +81,12 @@ class Storm:
         told = done.stdout + done.stderr
         if "Traceback" in told or done.returncode:
             self.found.append(f"exit {done.returncode}: {told}")
-        for run in sorted((self.folder / "reference" / "runs").iterdir()):
-            for name in COMPARED:
-                own = self.folder / results / "runs" / run.name / name
-                if not own.is_file() or own.read_bytes() != (run / name).read_bytes():
-                    self.found.append(f"{run.name}/{name} differs")
-            rows = [stored_row(Store(self.folder / each), run.name) for each in ("reference", results)]
-            if not rows[0].same_numbers(rows[1]):
-                self.found.append(f"{run.name}: its row differs")
+        store = Store(self.folder / results)
+        for name in store.runs():
+            stored_row(store, name)  # one that is lost is made again when it is read
+        found = outcome(store.root)
+        reference = outcome(self.folder / "reference")
+        self.found += [f"{name} differs" for name, data in reference.items() if found.get(name) != data]
         return told
 
     def strike(self, parent: subprocess.Popen[bytes]) -> bool:
@@ -189,7 +183,6 @@ def damage(path: Path, how: str, dice: random.Random) -> None:
 
 
 def kill(pid: int) -> None:
-    """End a process at once."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
 
@@ -203,10 +196,9 @@ def children(pid: int) -> Iterator[int]:
 
 
 def wait_for_end(pids: Sequence[int]) -> float:
-    """Return how many seconds it takes until all of these have gone; 60 at most."""
+    """Return how many seconds it takes until all of these have gone."""
     begun = time.monotonic()
-    while any(_lives(pid) for pid in pids) and time.monotonic() - begun < 60:
-        time.sleep(0.02)
+    wait_until(lambda: not any(map(_lives, pids)))
     return time.monotonic() - begun
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.study.identity import run_id
 from pneuma.study.progress import START_SECONDS, expected_seconds, stored_paces
-from pneuma.study.provenance import Attempt, finished_provenance, machine
+from pneuma.study.provenance import Attempt, finished_provenance, machine, packages_of, project
 from pneuma.study.store import Store
 
 from ..hand_made import save_run
@@ -60,7 +62,26 @@ def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
     assert pace(store, fork) == pytest.approx(2.56 / 256)
 
 
-# --- What produced a run: every attempt keeps its machine -----------------------------------------
+# --- What produced a run ---------------------------------------------------------------------------
+
+
+def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modules(tmp_path: Path) -> None:
+    study = tmp_path / "within" / "mine.toml"
+    study.parent.mkdir()
+    study.touch()
+    assert project(study) == {"study": "mine.toml"}
+    identity = ["-c", "user.name=me", "-c", "user.email=me"]
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "all"]):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    head = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=tmp_path, text=True).strip()
+    assert project(study)["commit"] == head
+    study.write_text("title")
+    assert project(study)["commit"] == f"{head}-dirty"
+    run = make_run({"env": "CartPole-v1", "wrappers": ["numpy.random:Generator", "NormalizeObservation"]})
+    assert packages_of(run) == {"numpy": np.__version__}
+
+
+# --- Every attempt keeps its machine -----------------------------------------
 
 
 def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:

@@ -107,7 +107,7 @@ def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Execut
     assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
 
 
-def test_a_planned_run_says_what_it_is_and_a_study_with_a_file_leaves_nothing_else(tmp_path: Path) -> None:
+def test_a_planned_run_says_what_it_is_and_a_study_leaves_its_file(tmp_path: Path) -> None:
     """The runs are found again by these; planning once more does not undo what a run has come to."""
     plan, store = tiny_plan(tmp_path), Store(tmp_path / "results")
     for _ in range(2):
@@ -117,7 +117,8 @@ def test_a_planned_run_says_what_it_is_and_a_study_with_a_file_leaves_nothing_el
             name: run_identity(run) for name, run in todo.items()
         }
     assert {status.name for status in statuses.values()} == {"planned"}
-    assert sorted(os.listdir(store.root)) == ["last", "runs"]
+    assert sorted(os.listdir(store.root)) == ["last", "runs", "studies"]
+    assert (store.studies / "tiny.toml").read_bytes() == (tmp_path / "tiny.toml").read_bytes()
     first = plan.cells[0].run_id
     store.save_run(first, Status("done", 256), {})
     assert store.status(first).identity == run_identity(plan.cells[0].run)

@@ -59,6 +59,7 @@ class ExecutorConfig:
         checkpoint_seconds: between two checkpoints of a run.
         keep_checkpoints: how many of each run to keep for forks.
         logs: folders of TensorBoard logs, by run.
+        project: the user's study, for the provenance of runs.
         until: steps at which runs pause, by run: they go on to a checkpoint there; 0 is the end.
         executor: one of `EXECUTORS`.
         address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
@@ -71,6 +72,7 @@ class ExecutorConfig:
     keep_checkpoints: int = 0
     logs: Mapping[str, str] = field(default_factory=dict)
     until: Mapping[str, int] = field(default_factory=dict)
+    project: Mapping[str, str] = field(default_factory=dict)
     executor: str = LOCAL
     address: str | None = None
     slurm: tuple[tuple[str, str], ...] = ()
