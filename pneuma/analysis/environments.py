@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.intervals import LEVEL, interquartile_mean, shown_with_interval
-from pneuma.analysis.outcomes import outcome_values
+from pneuma.analysis.intervals import LEVEL, interquartile_mean
+from pneuma.analysis.outcomes import known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import NO_CELL, summary_table, wide, with_cells
 from pneuma.errors import UserError
@@ -72,20 +72,13 @@ def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, f
         else:
             seen = data.evaluations
             low = float(seen["random_return"].mean()) if "random_return" in seen else np.nan
-            means = [
-                _values(data, name, outcome).mean() for name in data.conditions if data.of_condition(name)
-            ]
-            high = float(max(means, default=np.nan))
+            every = (known_values(data, name, outcome) for name in data.conditions)
+            high = float(max((values.mean() for values in every if len(values)), default=np.nan))
         if not np.isfinite([low, high]).all() or low == high:
             fix = f"[scores.{env}] random = …, expert = … in the study's file"
             raise UserError(f"{env}: there is no scale from {low:g} to {high:g}: give {fix}")
         found[env] = low, high
     return found
-
-
-def _values(data: StudyData, condition: str, outcome: str) -> np.ndarray:
-    values = outcome_values(data, condition, outcome)
-    return values[np.isfinite(values)]
 
 
 def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
@@ -94,7 +87,7 @@ def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
     found = {}
     for name in dict.fromkeys(name for data in parts.values() for name in data.conditions):
         if all(data.of_condition(name) for data in parts.values()):
-            values = {env: _values(data, name, outcome) for env, data in parts.items()}
+            values = {env: known_values(data, name, outcome) for env, data in parts.items()}
             found[name] = [(own - scales[env][0]) / np.diff(scales[env]) for env, own in values.items()]
     return {name: each for name, each in found.items() if all(map(len, each))}
 
@@ -124,18 +117,12 @@ def environment_cells(
     every = every[(every["outcome"] == outcome) & (every["statistic"] == "mean")]
     names = [*dict.fromkeys(every["condition"])]
     means = wide(every, names, [*parts], of=["environment"])
-    scored = wide(score_cells(over), names, [*dict.fromkeys(over["statistic"])], of=["statistic"])
+    scored = wide(with_cells(over), names, [*dict.fromkeys(over["statistic"])], of=["statistic"])
     table = pd.concat([means, scored], axis=1).fillna(NO_CELL)
     table.columns = [str(column) for column in table.columns]
     runs = [", ".join(str(len(part.of_condition(name))) for part in parts.values()) for name in names]
     table.insert(0, "runs", runs)
     return table.reset_index(), every.drop(columns="cell"), over
-
-
-def score_cells(numbers: pd.DataFrame) -> pd.DataFrame:
-    """Return scores with a column `cell`: each as text, with its interval."""
-    rows = zip(numbers["value"], numbers["low"], numbers["high"], strict=True)
-    return numbers.assign(cell=[shown_with_interval(*row) for row in rows])
 
 
 def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:

@@ -123,6 +123,12 @@ def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
     return np.array([outcome(run, name) for run in data.of_condition(condition)], float)
 
 
+def known_values(data: StudyData, condition: str, name: str) -> np.ndarray:
+    """Return the finite ones of `outcome_values`."""
+    values = outcome_values(data, condition, name)
+    return values[np.isfinite(values)]
+
+
 def with_unit(name: str) -> str:
     unit = "" if name == "diverged" else find_outcome(name).unit  # a run's status
     return f"{name} ({unit})" if unit else name

@@ -24,6 +24,7 @@ from pneuma.analysis.outcomes import (
     have_one_return,
     is_foreign,
     is_return,
+    known_values,
     outcome_values,
     primary,
     reason,
@@ -79,16 +80,16 @@ def _rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[
     runs = data.of_condition(condition)
     yield "runs", "count", float(len(runs)), no_interval(), len(runs)
     yield _share("diverged", "share", [run.status == "diverged" for run in runs])
-    collapsed = _known(outcome_values(data, condition, "collapsed"))
+    collapsed = known_values(data, condition, "collapsed")
     if len(collapsed):
         yield _share("collapsed", "share", collapsed)
     for name in outcomes:
-        values = outcome_values(data, condition, name)
         if name.startswith("steps-to"):  # infinite where it was never reached
+            values = outcome_values(data, condition, name)
             if len(steps := values[~np.isnan(values)]):
                 yield _share(name, "reached", np.isfinite(steps))
                 yield name, "median", float(np.median(steps)), no_interval(), len(steps)
-        elif len(known := _known(values)):
+        elif len(known := known_values(data, condition, name)):
             yield from _statistics(condition, name, known)
 
 
@@ -109,10 +110,6 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Summa
         yield name, statistic, float(estimate(values)), interval, len(values)
     spread = intervals.deviation(values), intervals.deviation_interval(values)
     yield name, "deviation", *spread, len(values)
-
-
-def _known(values: np.ndarray) -> np.ndarray:
-    return values[np.isfinite(values)]
 
 
 def _generator(*words: str) -> np.random.Generator:
@@ -136,18 +133,17 @@ def with_cells(found: pd.DataFrame, form: str = "interval") -> pd.DataFrame:
 
     In the form `sd` means stand with the deviation, as in 0.68 ± 0.11, if there is one.
     """
+    numbers = zip(found["value"], found["low"], found["high"], strict=True)
+    found = found.assign(cell=[intervals.shown_with_interval(*row) for row in numbers])
+    if form == "interval":
+        return found
     deviations = found[found["statistic"] == "deviation"].set_index(["condition", "outcome"])["value"]
-
-    def cell(row: dict[Any, Any]) -> str:
-        value, deviation = row["value"], np.nan
-        if form == "sd" and row["statistic"] == "mean":
-            deviation = deviations[row["condition"], row["outcome"]]
-        if not np.isfinite(deviation):
-            return intervals.shown_with_interval(value, row["low"], row["high"])
-        places = intervals.decimals(value, value - deviation, value + deviation)
-        return f"{shown(value, places)} ± {shown(deviation, places)}"
-
-    return found.assign(cell=[cell(row) for row in found.to_dict("records")])
+    for place, row in found[found["statistic"] == "mean"].iterrows():
+        value, deviation = row["value"], deviations[row["condition"], row["outcome"]]
+        if np.isfinite(deviation):
+            places = intervals.decimals(value, value - deviation, value + deviation)
+            found.loc[place, "cell"] = f"{shown(value, places)} ± {shown(deviation, places)}"
+    return found
 
 
 def wide(
@@ -234,18 +230,12 @@ def episodes_text(data: StudyData, outcomes: Iterable[str]) -> str:
 
 COMPARED = ("final-return", "auc-return")
 """Outcomes compared by default, beside the study's primary one."""
-COMPARISON_COLUMNS = (
-    "outcome", "unit", "a", "b", "mean_a", "mean_b", "difference", "low", "high", "p_better", "seeds_a",
-    "seeds_b", "without_value",
-)  # fmt: skip
-
-
 LEAST_FOR_BETTER = 10
 """Fewer runs say too little of how often one is better; of three against three 1.00 means nothing."""
 
 
 def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> pd.DataFrame:
-    """Compare two conditions of a study in `COMPARISON_COLUMNS`, one row per outcome.
+    """Compare two conditions of a study: one row per outcome.
 
     The 95 % interval of the difference of means is Welch's. `p_better` is the probability that a run of a is
     better than one of b (ties count half), NaN for an outcome without a better direction, and for fewer than
@@ -253,32 +243,46 @@ def compare_conditions(data: StudyData, a: str, b: str, outcomes: Sequence[str] 
     """
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
+    names = outcomes or _usual_outcomes(data, a, b)
+    for name in names:
+        refuse_unlike_returns(data, name, (a, b))
+    return pd.DataFrame([_compared(data, a, b, name) for name in names])
+
+
+def _usual_outcomes(data: StudyData, a: str, b: str) -> Sequence[str]:
     usual = data.study.outcomes or (primary(data), *COMPARED)
     unlike = not have_one_return(data, (a, b))
-    outcomes = outcomes or [name for name in usual if not (unlike and is_return(name))] or usual
-    for name in outcomes:
-        refuse_unlike_returns(data, name, (a, b))
-    return pd.DataFrame(_compared(data, a, b, outcomes), columns=list(COMPARISON_COLUMNS))
+    return [name for name in usual if not (unlike and is_return(name))] or usual
 
 
-def _compared(data: StudyData, a: str, b: str, outcomes: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    for name in outcomes:
-        found = find_outcome(name)
-        every = [outcome_values(data, condition, name) for condition in (a, b)]
-        first, second = (values[~np.isnan(values)] for values in every)
-        fewer = min(len(first), len(second))
-        means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
-        finite = np.isfinite(means).all()  # steps to a threshold may be infinite
-        interval = no_interval()
-        if finite and fewer >= LEAST_RUNS:
-            width = found.bounds[1] - found.bounds[0]
-            interval = intervals.within(intervals.difference_interval(first, second), -width, width)
-        sign = {"higher": 1, "lower": -1}.get(found.better, 0)
-        known = sign and fewer >= LEAST_FOR_BETTER
-        better = intervals.probability_of_improvement(sign * first, sign * second) if known else np.nan
-        counts = len(first), len(second), sum(map(len, every)) - len(first) - len(second)
-        difference = means[0] - means[1] if finite else np.nan
-        yield name, found.unit, a, b, *means, difference, interval.low, interval.high, better, *counts
+def _compared(data: StudyData, a: str, b: str, name: str) -> dict[str, Any]:
+    found = find_outcome(name)
+    every = [outcome_values(data, condition, name) for condition in (a, b)]
+    first, second = (values[~np.isnan(values)] for values in every)
+    fewer = min(len(first), len(second))
+    means = [float(values.mean()) if len(values) else np.nan for values in (first, second)]
+    finite = np.isfinite(means).all()  # steps to a threshold may be infinite
+    interval = no_interval()
+    if finite and fewer >= LEAST_RUNS:
+        width = found.bounds[1] - found.bounds[0]
+        interval = intervals.within(intervals.difference_interval(first, second), -width, width)
+    sign = {"higher": 1, "lower": -1}.get(found.better, 0)
+    known = sign and fewer >= LEAST_FOR_BETTER
+    return {
+        "outcome": name,
+        "unit": found.unit,
+        "a": a,
+        "b": b,
+        "mean_a": means[0],
+        "mean_b": means[1],
+        "difference": means[0] - means[1] if finite else np.nan,
+        "low": interval.low,
+        "high": interval.high,
+        "p_better": intervals.probability_of_improvement(sign * first, sign * second) if known else np.nan,
+        "seeds_a": len(first),
+        "seeds_b": len(second),
+        "without_value": sum(map(len, every)) - len(first) - len(second),
+    }
 
 
 def compare_pairs(
@@ -290,10 +294,8 @@ def compare_pairs(
     """
     tables = []
     for shared, (a, b) in pairs.items():
-        usual = compare_conditions(data, a, b, outcomes)
-        named = dict.fromkeys([*first, *usual["outcome"]])
-        found = compare_conditions(data, a, b, [*named]) if first else usual
-        tables.append(found.assign(condition=shared))
+        names = dict.fromkeys([*first, *(outcomes or _usual_outcomes(data, a, b))])
+        tables.append(compare_conditions(data, a, b, [*names]).assign(condition=shared))
     return pd.concat(tables, ignore_index=True)
 
 

@@ -162,9 +162,9 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
     """Return a comparison of two conditions in each environment, and of their scores over all."""
     import pandas as pd
 
-    from pneuma.analysis.environments import OUTCOME, by_environment, improvements, score_cells
+    from pneuma.analysis.environments import OUTCOME, by_environment, improvements
     from pneuma.analysis.outcomes import with_unit
-    from pneuma.analysis.summaries import compare_conditions, comparison_cells
+    from pneuma.analysis.summaries import compare_conditions, comparison_cells, with_cells
 
     parts, outcomes = by_environment(data), outcomes or [OUTCOME]
     tables = [
@@ -175,7 +175,7 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
     people = comparison_cells(table.assign(outcome=table["outcome"].map(with_unit)), [a, b])
     people = people.rename(columns={"": "environment"})
     table = table.rename(columns={"condition": "environment"})
-    scores = score_cells(over)[["statistic", "cell"]]
+    scores = with_cells(over)[["statistic", "cell"]]
     scores.columns = ["scores over all", f"{a} against {b}"]
     shown: list[str | Table] = ["", frame_table(people), "", frame_table(scores), "", *SCALE]
     document = {**data.about, "comparisons": table, "scores": over}

@@ -23,7 +23,7 @@ from pneuma.analysis.outcomes import (
     find_outcome,
     is_foreign,
     is_return,
-    outcome_values,
+    known_values,
     primary,
 )
 from pneuma.analysis.study_data import StudyData
@@ -73,12 +73,8 @@ class OutcomeRows:
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
         """The finite outcomes of the runs of each condition that has runs."""
-        every = {
-            name: outcome_values(self.data, name, self.outcome)
-            for name in self.data.conditions
-            if self.data.of_condition(name)
-        }
-        return {name: found[np.isfinite(found)] for name, found in every.items()}
+        trained = [name for name in self.data.conditions if self.data.of_condition(name)]
+        return {name: known_values(self.data, name, self.outcome) for name in trained}
 
     @cached_property
     def table(self) -> pd.DataFrame:

@@ -101,8 +101,9 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
     for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
         assert above[name][above[name].index >= at].iloc[0] == share
     assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
-    told = refused("study", "plot", "activation", "--figure", "profile", "--seeds", "100")
-    assert "--figure profile: is over several environments; activation has one" in told
+    told = call("study", "plot", "activation", "--figure", "profile", "--seeds", "100")
+    assert told.code == 2
+    assert "--figure profile: is over several environments; activation has one" in told.err
 
 
 def test_a_scale_of_nothing_is_refused(study: Path) -> None:
