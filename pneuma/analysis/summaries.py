@@ -209,11 +209,12 @@ def _condition_cells(data: StudyData, found: pd.DataFrame, pairs: list[tuple[str
 def lacks_text(data: StudyData, found: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
     """Say which conditions have no value of an outcome that was asked for, and why."""
     known, text = {*zip(found["outcome"], found["condition"], strict=True)}, []
-    for outcome, condition in product(outcomes, data.conditions):
-        if (outcome, condition) not in known:
-            runs = data.of_condition(condition)
-            why = reason(runs[0], outcome) if runs else "no run has finished"
-            text.append(f"{outcome}, {condition}: {why}")
+    runs = {condition: data.of_condition(condition) for condition in data.conditions}
+    if untrained := "; ".join(condition for condition, its in runs.items() if not its):
+        text.append(f"no run has finished of {untrained}")
+    for (condition, its), outcome in product(runs.items(), outcomes):
+        if its and (outcome, condition) not in known:
+            text.append(f"{outcome}, {condition}: {reason(its[0], outcome)}")
     return text
 
 
