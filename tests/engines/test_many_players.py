@@ -100,23 +100,11 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
         trainer.update(update * 128, (update + 1) * 128, records)
     for update, rollout in enumerate(seen):
         for player, learner in enumerate(alone):
-            own = Rollout(*(np.array(array) for array in rollout))._replace(
-                **{
-                    name: getattr(rollout, name)[player::2].copy()
-                    for name in (
-                        "observations",
-                        "actions",
-                        "rewards",
-                        "starts",
-                        "last_observations",
-                        "last_ends",
-                    )
-                }
-            )
             mine = rollout.ended["slot"] % 2 == player
             ended = rollout.ended[mine]
-            ended["slot"] = ended["slot"] // 2
-            own = own._replace(ended=ended, terminal_observations=rollout.terminal_observations[mine])
+            ended["slot"] //= 2
+            parts = [np.ascontiguousarray(each[player::2]) for each in rollout[:6]]  # all but endings
+            own = Rollout(*parts, ended, rollout.terminal_observations[mine])
             learner.learn_from(own, left=1 - (update + 1) * 128 / run.steps)
     policy = trainer.policy()
     assert policy.players == 2
