@@ -31,6 +31,8 @@ WEIGHT_LEFT_OUT = 0.01
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (N, features) to actions (N,), whole numbers."""
+Choose = Callable[[np.ndarray], np.ndarray]
+"""Which players still play, (N * P,) booleans, to the actions of all, (N, P)."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,13 @@ class Evaluation:
 
     def _play_at_random(self) -> float:
         generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
-        self._play(RandomPlayer(generator).act)
+        player = RandomPlayer(generator)
+        self._play(lambda _: player.act(self.worlds))
         killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
         return float(killed.mean()) / max(self.worlds.monsters.shape[1], 1)
 
-    def _acting(self, policy: Policy | OwnAgent, step: int) -> Callable[[Worlds], np.ndarray]:
-        """Return a function that chooses actions, (N, P): drawn ones in the first worlds, else the best."""
+    def _acting(self, policy: Policy | OwnAgent, step: int) -> Choose:
+        """Return what chooses actions: drawn ones in the first worlds, else the best."""
         generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
         drawn = self.episodes * players
@@ -143,22 +146,20 @@ class Evaluation:
         if isinstance(policy, Policy) and self._is_compiled(policy):
             network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
 
-            def compute(worlds: Worlds) -> np.ndarray:
-                plays = np.repeat(worlds.worlds["ending"] == rules.RUNNING, players)
+            def compute(plays: np.ndarray) -> np.ndarray:
                 choose(*network, observations, generator.random(drawn, np.float32), plays, rows)
                 return actions
 
             return compute
 
-        def ask(worlds: Worlds) -> np.ndarray:
+        def ask(plays: np.ndarray) -> np.ndarray:
             """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
 
             With fewer rows a policy's results would differ in the last bits.
             """
-            plays = worlds.worlds["ending"] == rules.RUNNING
-            if plays[: self.episodes].any():
+            if plays[:drawn].any():
                 rows[:drawn] = policy.sample(observations[:drawn], generator)
-            if plays[self.episodes :].any():
+            if plays[drawn:].any():
                 rows[drawn:] = policy.best(observations[drawn:])
             return actions
 
@@ -169,13 +170,16 @@ class Evaluation:
         asks = bool(policy.scaling or policy.exploration is not None or own_rewards(self.run.reward))
         return not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
-    def _play(self, act: Callable[[Worlds], np.ndarray]) -> None:
+    def _play(self, act: Choose) -> None:
         """Play one episode in every world, always the same one, up to its end."""
         self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
-        running = len(self.worlds)
+        players = self.worlds.players.shape[1]
+        running, plays = len(self.worlds), np.ones(len(self.worlds) * players, np.bool_)
         while running:
-            running -= self.worlds.advance(act(self.worlds))
+            if ended := self.worlds.advance(act(plays)):
+                running -= ended
+                plays = np.repeat(self.worlds.worlds["ending"] == rules.RUNNING, players)
 
 
 def evenness(kills: np.ndarray) -> float:
