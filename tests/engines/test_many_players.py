@@ -104,7 +104,7 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
             ended = rollout.ended[mine]
             ended["slot"] //= 2
             parts = [np.ascontiguousarray(each[player::2]) for each in rollout[:6]]  # all but endings
-            own = Rollout(*parts, ended, rollout.terminal_observations[mine])
+            own = Rollout._make([*parts, ended, rollout.terminal_observations[mine]])
             learner.learn_from(own, left=1 - (update + 1) * 128 / run.steps)
     policy = trainer.policy()
     assert policy.players == 2
