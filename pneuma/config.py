@@ -341,7 +341,6 @@ def _refuse(said: str, why: str) -> NoReturn:
 
 
 def _check_learner(run: Run) -> None:
-    """Refuse combinations of environment, algorithm and sizes that do not work together."""
     if (run.algorithm in TABULAR) != (run.env == MAILMAN):
         fitting = [name for name in ALGORITHMS if (name in TABULAR) == (run.env == MAILMAN)]
         raise UserError(

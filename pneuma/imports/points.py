@@ -63,7 +63,6 @@ def _named(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.Dat
 
 
 def _evaluations(named: pd.DataFrame) -> list[Any]:
-    """Return the evaluations of a log as rows."""
     columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
     found = named[named["tag"].str.startswith("eval/") & (named["tag"] != "eval/step")]
     found = found.assign(name=found["tag"].map(columns).fillna(found["tag"].str.removeprefix("eval/")))

@@ -229,7 +229,6 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
 
 
 def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
-    """Cross a study's conditions with the values of swept fields."""
     count = math.prod(map(len, [study.conditions, *swept.values()]))
     if swept and count > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")

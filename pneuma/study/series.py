@@ -118,7 +118,6 @@ def _single(curve: np.ndarray) -> np.ndarray:
 
 
 def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the window of each point begins and ends among a run's values."""
     before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
     # values at or before t
     return np.searchsorted(step, before, side="right"), np.searchsorted(step, grid, side="right")

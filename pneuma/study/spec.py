@@ -300,7 +300,6 @@ def _worlds(study: Study) -> tuple[str, ...]:
 
 
 def _crossed(file: TomlFile, study: Study) -> Study:
-    """Return a study with its conditions crossed with its factors."""
     factors = {**study.factors, **({CONDITION: study.conditions} if study.conditions else {})}
     if not study.factors:
         return study

@@ -155,7 +155,6 @@ class Worker:
                     raise
 
     def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warned: Sequence[str]) -> None:
-        """Train a run, from its latest checkpoint if there is one, and store its end."""
         start = checkpoints.latest()
         first = start.step if start else 0
         until = self.how.until.get(name) or run.steps
@@ -192,7 +191,6 @@ class Worker:
         self.reporter.end(name, status)
 
     def _end_crashed(self, name: str, run: Run, error: Exception) -> None:
-        """Report a run's crash, and store it if the run is not tried again."""
         reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         final = self.last_try or isinstance(error, OwnCodeError)
         if final:

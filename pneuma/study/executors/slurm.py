@@ -112,7 +112,6 @@ def main() -> None:
 
 
 def _submit(groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> None:
-    """Submit groups, without runs that are in the queue already."""
     live = queued(store)
     fresh = [{name: run for name, run in group.items() if name not in live} for group in groups]
     fresh = [group for group in fresh if group]
@@ -136,7 +135,6 @@ def _options(how: ExecutorConfig) -> dict[str, str]:
 
 
 def _sbatch(folder: Path, jobs: int, how: ExecutorConfig) -> list[str]:
-    """Return the command that submits an array of jobs."""
     own = {
         "job_name": folder.name,
         "array": f"0-{jobs - 1}%{how.workers}",
@@ -224,7 +222,6 @@ def queued(store: Store) -> dict[str, Queued]:
 
 
 def _ask(*command: str, text: str = "", seconds: float = ANSWER_SECONDS) -> list[str]:
-    """Return the lines that a Slurm program prints."""
     try:
         answer = subprocess.run(
             command, input=text, capture_output=True, text=True, timeout=seconds, check=True
