@@ -14,7 +14,6 @@ signs that decide nothing is known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -35,9 +34,6 @@ FALLEN_TO = 0.5
 DEPTH = 0.1
 """Least fall, and least gain over the random player before it, in share of monsters killed: 1.4 of 14,
 twice the standard error of the difference of two evaluations of 50 episodes, or more."""
-INCIDENCE_COLUMNS = (
-    "condition", "runs", "diverged", "collapsed", "share", "low", "high", "interval", "unknown",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Diagnosis:
 
 def diagnose(run: Row) -> Diagnosis:
     played, found, distance = _played(run), run.signs, run.update_steps
-    steps = played.steps
+    steps = played[0]
     gap, shortest = GAP * run.budget + (distance or 0), SHORTEST * run.budget
     falls, losses = _falls(played), _losses(run)
     sunk = _lasting(losses or [], gap, shortest)
@@ -116,11 +112,13 @@ def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:
         diagnosed = every[every["condition"] == condition]
         found = diagnosed[diagnosed["collapsed"].notna()]
         runs, count = len(found), int(found["collapsed"].sum())
-        diverged, share = int((found["status"] == "diverged").sum()), count / runs if runs else float("nan")
         interval = incidence_interval(count, runs)
-        ends = interval.low, interval.high, interval.method
-        rows.append((condition, runs, diverged, count, share, *ends, len(diagnosed) - runs))
-    return pd.DataFrame(rows, columns=list(INCIDENCE_COLUMNS))
+        rows.append({
+            "condition": condition, "runs": runs, "diverged": int((found["status"] == "diverged").sum()),
+            "collapsed": count, "share": count / runs if runs else float("nan"), "low": interval.low,
+            "high": interval.high, "interval": interval.method, "unknown": len(diagnosed) - runs,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 # --- Spells ----------------------------------------------------------------------------------------
@@ -143,27 +141,23 @@ def _losses(run: Row) -> list[Stretch] | None:
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
-class _Played(NamedTuple):
-    """Evaluation steps, how well the run played there, and the random player's level if known.
+_Played = tuple[np.ndarray, np.ndarray, float | None]
+
+
+def _played(run: Row) -> _Played:
+    """Return evaluation steps, how well the run played there, and the random player's level if known.
 
     This is the share of monsters killed. In other environments it is the gain in return over the random
     player, in a unit in which `DEPTH` is twice the standard deviation of that player's returns.
     """
-
-    steps: np.ndarray
-    shares: np.ndarray
-    random: float | None
-
-
-def _played(run: Row) -> _Played:
     _, returned = run.known_evaluations("random_return")
     if not len(returned):
         _, random = run.known_evaluations("random_share_killed")
-        return _Played(*run.known_evaluations("share_killed"), float(random[0]) if len(random) else None)
+        return *run.known_evaluations("share_killed"), float(random[0]) if len(random) else None
     _, spreads = run.known_evaluations("random_spread")
     steps, returns = run.known_evaluations("return")
     unit = 2 * max(spreads[0], 0.01 * abs(returned[0]), 1e-9) / DEPTH
-    return _Played(steps, (returns - returned[0]) / unit, 0.0)
+    return steps, (returns - returned[0]) / unit, 0.0
 
 
 def _falls(played: _Played) -> list[Stretch]:

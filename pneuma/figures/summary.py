@@ -100,6 +100,17 @@ class OutcomeRows:
         return self.outcome.endswith("share-killed")
 
     @property
+    def measured(self) -> str:
+        """The words of the axis."""
+        measured = "Return of an episode" if is_return(self.outcome) else find_outcome(self.outcome).unit
+        return "Share killed" if self.of_killed else measured
+
+    def labels(self, named: Mapping[str, str] | None) -> list[str]:
+        """Return the labels of rows: counts of runs, after the names of conditions if there are any."""
+        names = {**named, **self.data.study.labels} if named else {}
+        return [label_of(self.data, name, names.get(name, " ")).strip() for name in self.values]
+
+    @property
     def all_values(self) -> np.ndarray:
         return np.concatenate([*self.values.values(), []])
 
@@ -126,18 +137,7 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     Of several worlds, by title, it is the one outcome that the study names, or the usual one. Each has a row
     for each condition that has runs there.
     """
-    columns: Mapping[str, OutcomeRows | None]
-    if one_study := isinstance(studies, StudyData):
-        every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
-        short_titles = {each.heading: each for each in every}
-        columns = short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
-    else:
-        columns = {
-            title: OutcomeRows(data, "".join(data.study.outcomes[: len(data.study.outcomes) == 1]))
-            if data
-            else None
-            for title, data in studies.items()
-        }
+    columns, one_study = _outcomes_of(studies), isinstance(studies, StudyData)
     drawn = {title: found for title, found in columns.items() if found}
     alone = next(iter(drawn.values()))
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
@@ -155,17 +155,13 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     def panel(title: str, found: OutcomeRows | None) -> Panel:
         if found is None:
             return grid.no_runs(title)
-        data, names = found.data, [*found.values]
-        whole = not alike or found is alone  # else the first panel's rows have the names
-        said = (data.study.labels.get(name, named[name]) if whole else " " for name in names)
-        labels = [label_of(data, name, words).strip() for name, words in zip(names, said, strict=True)]
-        if one_study and not whole:  # the same runs in all panels
+        labels = found.labels(named if found is alone or not alike else None)
+        if one_study and found is not alone:  # the same runs in all panels
             labels = [""] * len(labels)
-        measured = "Return of an episode" if is_return(found.outcome) else find_outcome(found.outcome).unit
         draw = partial(_draw_runs, found=found, colours=colours, pitch=pitch, ends=(least, highest))
         shares = grid.shares if alike else partial(grid.shares, most=3)  # beside names panels are narrow
-        label, ticks = ("Share killed", shares) if found.of_killed else (measured, grid.few)
-        return Panel(draw, title, label, x_ticks=ticks, rows=[*labels, *[""] * (most - len(names))])
+        ticks = shares if found.of_killed else grid.few
+        return Panel(draw, title, found.measured, x_ticks=ticks, rows=[*labels, *[""] * (most - len(labels))])
 
     notes = merge_notes(
         {
@@ -185,6 +181,22 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
         [*notes, parts and f"Rows: {parts}."],
         [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
     )
+
+
+def _outcomes_of(
+    studies: StudyData | Mapping[str, StudyData | None],
+) -> Mapping[str, OutcomeRows | None]:
+    """Return what has a panel, by title: the outcomes of a study, or one of it in each of several worlds."""
+    if isinstance(studies, StudyData):
+        every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
+        short_titles = {each.heading: each for each in every}
+        return short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
+    return {
+        title: OutcomeRows(data, "".join(data.study.outcomes[: len(data.study.outcomes) == 1]))
+        if data
+        else None
+        for title, data in studies.items()
+    }
 
 
 def _draw_runs(
