@@ -99,8 +99,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = app(args=words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:
         return _refuse(str(error))
-    except typer.BadParameter as error:
-        return _refuse(f"{error.param.opts[0] if error.param else ''} {error.message}")
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except (KeyboardInterrupt, typer.Abort):

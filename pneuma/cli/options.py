@@ -33,6 +33,13 @@ if TYPE_CHECKING:
 # --- How options are declared ----------------------------------------------------------------------
 
 
+class WrongText(typer.BadParameter):
+    """The text of an option that is not allowed; its message is read after the option's name."""
+
+    def format_message(self) -> str:
+        return f"{self.param.opts[0]} {self.message}" if self.param else self.message
+
+
 def option(
     metavar: str, help_text: str, read: Callable[[str], Any] | None = None, name: str = "", **more: Any
 ) -> Any:
@@ -54,7 +61,7 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
 
     def read(text: str) -> str:
         if text not in names:
-            raise typer.BadParameter(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
+            raise WrongText(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
         return text
 
     return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: [*names])
@@ -69,7 +76,7 @@ def count(help_text: str) -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number < 2**53 and number.is_integer()):
-            raise typer.BadParameter(f"{text}: must be a whole number of at least 1")
+            raise WrongText(f"{text}: must be a whole number of at least 1")
         return int(number)
 
     return option("N", help_text, read)
@@ -85,7 +92,7 @@ def seeds(help_text: str, first: int = 0) -> Any:
                 return read_seeds(parts)
             return tuple(first + seed for seed in read_seeds(parts[0]))
         except (ValueError, IndexError):
-            raise typer.BadParameter(f"{text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
+            raise WrongText(f"{text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
 
     return option("N|LIST", help_text, read)
 
@@ -101,7 +108,7 @@ def _span(text: str) -> range:
 def _read_pair(text: str, example: str = "partition=short") -> tuple[str, str]:
     key, equals, value = (part.strip() for part in text.partition("="))
     if not (key and equals):
-        raise typer.BadParameter(f"{text}: must be KEY=VALUE, as in {example}")
+        raise WrongText(f"{text}: must be KEY=VALUE, as in {example}")
     return key, value
 
 

@@ -39,7 +39,10 @@ MISTAKES = {
     "study collapse activation --trust": "--trust requires --fork",
     "study collapse activation --fork-seeds 1": "--fork-seeds requires --fork",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
-    "study export activation --out x.csv": "--table",
+    "study export activation --out x.csv": "Missing option '--table'",
+    "study compare": "Missing argument 'NAME'",
+    f"{RUN} --seeds x": "--seeds x: must be a count",
+    "study plot activation --width x": "Invalid value for '--width': ",
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format svg: must be one of table",
     f"{RUN} --executor slurm": "--executor slurm",  # before it says that it trains
