@@ -122,7 +122,7 @@ def _classes() -> Figure:
     worlds = level_worlds(config=make_env_config({"players": len(CLASSES), "classes": CLASSES}))
     _put_ahead(worlds, np.arange(len(CLASSES)), 66.0)
     titles = [
-        f"{name}\n{stats['hp']:.0f} HP, {stats['damage']:.0f} a blow"
+        f"{name}\n{stats['hp']:.0f} HP, {stats['sword']['damage']:.0f} a blow"
         for name, stats in zip(CLASSES, worlds.player_stats, strict=True)
     ]
     return _page(dict(zip(titles, _acted(worlds, "attack", 340), strict=True)))[0]
