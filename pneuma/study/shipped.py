@@ -1,4 +1,4 @@
-"""Files of studies and searches: those that come with Pneuma, and the user's own."""
+"""Files of studies and searches, and tables: those that come with Pneuma, and the user's own."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ CLAIMS_FILE = "claims.toml"
 
 def studies_folder() -> Path:
     return shipped_folder("pneuma.studies", "studies")
+
+
+def shipped_tables() -> Path:
+    return shipped_folder("pneuma.published", "results/published")
 
 
 def shipped_names(folder: Path) -> list[str]:

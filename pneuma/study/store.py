@@ -47,11 +47,11 @@ from pneuma.files import (
     parse_json,
     read_whole,
     replace_files,
-    shipped_folder,
     to_json,
 )
 from pneuma.study.identity import config_id
 from pneuma.study.locks import is_held, remove_lock, run_lock
+from pneuma.study.shipped import shipped_tables as shipped_tables
 
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
@@ -61,7 +61,6 @@ ROW_FILE = "row.arrow"
 """A run's row, which is made anew from its other files if it is missing or damaged."""
 
 PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
-"""The folder of published tables in a results folder, and the ending of their names."""
 
 CHECKPOINTS = "checkpoints"
 
@@ -106,14 +105,10 @@ class Status:
         return self.name == "crashed"
 
 
-# --- What documents of a results folder, which may be untrusted, must contain to be read ----------------
-
 _Int64 = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 
 
 class _Manifest(TypedDict):
-    """A run's status.json."""
-
     status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
     step: _Int64
     files: dict[str, str]
@@ -129,8 +124,6 @@ class _Listed(TypedDict):
 
 
 class _Listing(TypedDict):
-    """The record of a study without a file."""
-
     study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
     title: str
     baseline: str
@@ -391,10 +384,6 @@ def read_checkpoint_name(name: str) -> tuple[int, str] | None:
     """Return the step and checksum in a checkpoint's file name; None for any other file."""
     match = _CHECKPOINT_NAME.fullmatch(name)
     return (int(match[1]), match[2]) if match else None
-
-
-def shipped_tables() -> Path:
-    return shipped_folder("pneuma.published", "results/published")
 
 
 def run_identity(run: Run) -> Identity:

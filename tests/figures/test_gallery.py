@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.figures.origin import read_origin
-from pneuma.study.store import shipped_tables
+from pneuma.study.shipped import shipped_tables
 from tools import gallery
 
 
