@@ -29,7 +29,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.presets import WORLDS
-from pneuma.study.store import shipped_tables
+from pneuma.study.shipped import shipped_tables
 from tools import COMMAND
 from tools.environment_figures import level_worlds
 

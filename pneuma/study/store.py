@@ -51,7 +51,7 @@ from pneuma.files import (
 )
 from pneuma.study.identity import config_id
 from pneuma.study.locks import is_held, remove_lock, run_lock
-from pneuma.study.shipped import shipped_tables as shipped_tables
+from pneuma.study.shipped import shipped_tables
 
 FINISHED = ("done", "diverged")
 """Statuses of runs that have results and are not trained again."""
