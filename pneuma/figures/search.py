@@ -116,6 +116,8 @@ def _pictures(searched: Record, complete: Sequence[FrozenTrial]) -> dict[str, Pi
         evaluator = PedAnovaImportanceEvaluator(target_quantile=share)  # Watanabe et al. 2023
         sign = -1 if first.direction == "maximize" else 1  # it asks what makes a target low
         low: dict[str, Any] = {"target": lambda trial: sign * trial.values[0], "target_name": words[0]}
+        # Of equally important ones the first comes first: a set's order would change from process to process.
+        low["params"] = sorted(set.intersection(*({*trial.params} for trial in complete)))
         title = "which parameters tell the best trials from the others (PED-ANOVA)"
         drawn["importances"] = title, lambda: pictures.plot_param_importances(study, evaluator, **low)
     if len(others) == 1:
