@@ -47,6 +47,8 @@ def find_file(
     if name in known:
         return folder / f"{name}.toml"
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if name.endswith(".toml") and not os.path.exists(name) and os.path.isfile(shipped := folder / path):
+        return shipped  # such as examples/cartpole.toml, from any folder
     if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
         examples = shipped_names(folder / "examples")
         if os.path.isfile(f"examples/{name}.toml"):

@@ -177,3 +177,4 @@ def test_a_name_finds_a_file_in_examples_and_before_it_one_here(
     assert load_study("mine").title == "An example"
     Path("mine.toml").write_text(STUDY)
     assert load_study("mine").title == "Two activations"
+    assert load_study("examples/cartpole.toml").title == load_study("cartpole").title  # a shipped one's path
