@@ -165,8 +165,9 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
 
     notes = merge_notes(
         {
-            title: (found.data, [f"{found.detail if one_study else found.words}.", *found.notes])
+            title: (found.data, [said and f"{said}.", *found.notes])
             for title, found in drawn.items()
+            for said in [found.detail if one_study else found.words]
         }
     )
     budgets = {steps for each in drawn.values() for steps in each.data.runs["steps"]}
