@@ -160,6 +160,7 @@ def open_data(
     conditions: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
+    any_version: bool = False,
     say: Say = _silent,
 ) -> StudyData:
     """Open a study's finished runs of one budget, stored or published.
@@ -172,14 +173,16 @@ def open_data(
         conditions: names of conditions; default: all.
         settings: fields that are set in every condition.
         world: a key of `pneuma.presets.WORLDS`; default: the arena where the study is run in it.
+        any_version: whether runs that other versions of your modules, the rules or an engine made count, too.
         say: is told what is shown, and what else is stored.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
     """
-    from pneuma.analysis.runs import RunIndex, open_study
+    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import open_study
 
-    picked = _selection(seeds, steps, conditions, settings)
+    picked = replace(_selection(seeds, steps, conditions, settings), any_version=any_version)
     return open_study(RunIndex(_store(results)), os.fspath(study), picked, world, say)
 
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.api import load_policy
 from pneuma.engines.policy import Policy
 from pneuma.env.fields import ACTION_NAMES, make_env_config

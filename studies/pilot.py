@@ -17,7 +17,8 @@ import numpy as np
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection

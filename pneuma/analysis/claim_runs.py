@@ -16,7 +16,8 @@ import pandas as pd
 from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
-from pneuma.analysis.runs import RunIndex, find_runs, finished_rows
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import find_runs, finished_rows
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import round_up
 from pneuma.errors import UserError

@@ -15,7 +15,7 @@ import pandas as pd
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
-from pneuma.analysis.runs import RunIndex
+from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, plain

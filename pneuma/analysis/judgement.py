@@ -23,7 +23,7 @@ from pneuma.analysis.claims import MINUS, Claim, ClaimList
 from pneuma.analysis.contrasts import Contrast, compare_arms
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.runs import RunIndex
+from pneuma.analysis.run_index import RunIndex
 from pneuma.study.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"

@@ -1,6 +1,6 @@
-"""Which runs there are, and which of them a study's name and options mean.
+"""Which of all runs a study's name and options mean.
 
-    results folder, published tables → RunIndex.frame: a row for each run, finished or not
+    results folder, published tables → `RunIndex.frame`: a row for each run, finished or not
     a study's name, world, changed fields → `find_study`: its conditions, each with its configuration's id,
         joined with the frame: every run of the study
     steps and seeds → `choose_runs`: those of one budget → `read_runs`: the finished ones, with their rows
@@ -15,147 +15,26 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, as_fields, round_up
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.files import read_whole
 from pneuma.presets import TEXT, WORLDS
 from pneuma.study.identity import config_id, own_files
 from pneuma.study.plan import Selection, configure
-from pneuma.study.published import Published
-from pneuma.study.row_builder import UNKNOWN, stored_row
-from pneuma.study.rows import Row
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study, run_command
-from pneuma.study.store import FINISHED, Identity, Store, checked_listing
+from pneuma.study.store import FINISHED
 from pneuma.values import setting_words
 
 ALL = Selection()
+Fields = Mapping[str, Mapping[str, Any]]
 Say = Callable[[str], object]
-COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
-"""Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
-
-
-class RunIndex:
-    """The runs of a results folder and of published tables.
-
-    With `stored = False` only published tables are used; with `shipped = False` not those that come with
-    Pneuma.
-
-    Attributes:
-        problems: messages on what cannot be read, or contradicts itself.
-        row: returns the row of a run by its id; None if it cannot be read.
-    """
-
-    def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
-        self.store = store
-        self._stored = stored
-        self._shipped = shipped
-        self.problems: list[str] = []
-        self.row = cache(self._read_row)
-
-    @cached_property
-    def frame(self) -> pd.DataFrame:
-        """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
-        here = [*self._runs_here()] if self._stored else []
-        published = [(*run, str(table.path)) for table in self.tables.values() for run in table.index]
-        finished = [run for run in here if run[COLUMNS.index("status")] in FINISHED]
-        every = pd.DataFrame([*here, *published, *finished], columns=COLUMNS)
-        every = every.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
-        return every.astype({"seed": int, "steps": int, "end": int})
-
-    @cached_property
-    def tables(self) -> dict[str, Published]:
-        return {
-            name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
-        }
-
-    @cached_property
-    def places(self) -> Mapping[Any, Any]:
-        """The places in the frame of each configuration's runs, of any seed and budget."""
-        return self.frame.groupby("config_id").indices
-
-    @cached_property
-    def _where(self) -> Mapping[str, str]:
-        return dict(zip(self.frame.index, self.frame["where"], strict=True))
-
-    def engine_of(self, run: Run) -> str:
-        """Return the engine of a run's configuration, or another by which there are runs of it alone."""
-        engines = dict.fromkeys([run.engine, *ALGORITHM_ENGINES[run.algorithm]])
-        known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
-        return next(known, run.engine)
-
-    def listing(self, name: str) -> dict[str, Any] | None:
-        """Return the record of a study without a file, from here or from its published table."""
-        listing = self.store.listing(name) if self._stored else None
-        if listing is None and name in self.tables:
-            listing = checked_listing(self.tables[name].about.get("listing"), name)
-        return listing
-
-    def listings(self) -> list[str]:
-        """Return the names of studies without a file that are recorded here or published."""
-        listed = (name for name, table in self.tables.items() if table.about.get("listing"))
-        here = self.store.listings() if self._stored else ()
-        return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
-
-    def _runs_here(self) -> Iterator[tuple[Any, ...]]:
-        for run_id in self.store.runs():
-            status = self.store.status(run_id, quick=True)
-            if status.identity is None and status.name == "damaged":
-                folder = self.store.run_folder(run_id)
-                self.problems.append(
-                    f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
-                )
-            about = status.identity or Identity(UNKNOWN, 0, 0)
-            yield run_id, about.config_id, about.seed, about.steps, status.name, status.step, ""
-
-    def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
-        try:
-            about = path.stat()
-            yield path.stem, _read_table(path, about.st_ino, about.st_mtime_ns, about.st_size)
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            self.problems.append(
-                f"{path}: cannot be read ({reason}); take it from version control again, or publish it anew"
-            )
-
-    def _read_row(self, run_id: str) -> Row | None:
-        if where := self._where[run_id]:
-            return next((row for _, row in self._published(run_id, where)), None)
-        try:
-            row = stored_row(self.store, run_id)
-        except UserError as error:
-            self.problems.append(str(error))
-            return next((row for _, row in self._published(run_id)), None)
-        for path, other in self._published(run_id):
-            if not other.same_numbers(row):
-                self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
-        return row
-
-    def _published(self, run_id: str, alone: str = "") -> Iterator[tuple[Path, Row]]:
-        """Yield the rows of a run in published tables, or in one of them."""
-        for table in self.tables.values():
-            if run_id in table.places and alone in ("", str(table.path)):
-                try:
-                    yield table.path, table.row(run_id)
-                except ValueError as error:
-                    self.problems.append(f"{table.path}: {error}")
-
-
-@lru_cache(maxsize=100)
-def _read_table(path: Path, *_version: int) -> Published:
-    """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
-    return Published(path, read_whole(path))
-
-
-# --- The runs of a study ----------------------------------------------------------------------------
 
 
 def find_study(index: RunIndex, name: str, picked: Selection = ALL, world: str | None = None) -> StudyData:
@@ -174,10 +53,14 @@ def find_study(index: RunIndex, name: str, picked: Selection = ALL, world: str |
 def find_runs(index: RunIndex, study: Study, picked: Selection = ALL) -> StudyData:
     """Return a study of a file in its world, with changed fields, and all its runs of any budget."""
     found = configure(study, picked.settings, picked.conditions, index.engine_of)
-    places = {condition: index.places.get(config_id(run), ()) for condition, run in found.runs.items()}
-    runs = index.frame.iloc[[place for each in places.values() for place in each]].reset_index(drop=True)
-    runs = runs.assign(condition=[condition for condition, each in places.items() for _ in each])
     fields = {condition: _without_amount(as_fields(run)) for condition, run in found.runs.items()}
+    ids = [(condition, config_id(run)) for condition, run in found.runs.items()]
+    if picked.any_version:
+        ids += _other_versions(index, fields, found.runs)
+    places = [(condition, place) for condition, known in ids for place in index.places.get(known, ())]
+    runs = index.frame.iloc[[place for _, place in places]].reset_index(drop=True)
+    runs = runs.assign(condition=[condition for condition, _ in places])
+    runs = runs.drop_duplicates(["condition", "seed", "steps"], ignore_index=True)  # the present version's
     return StudyData(found.study, fields, runs, found.runs)
 
 
@@ -244,6 +127,8 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
             published = ", published" if (each["where"] != "").all() else ""
             others.append(f"{counted(len(each), 'run')} of {steps:,} steps{published} (--steps {steps})")
     others += _elsewhere(index, study)
+    if any(map(own_files, data.fields.values())) and not picked.any_version:
+        others += _earlier(index, data)
     chosen_data = replace(data, runs=shown, steps=budget, others=others, last_here=last_here)
     return _narrowed(chosen_data, picked)
 
@@ -257,6 +142,7 @@ def _narrowed(data: StudyData, picked: Selection) -> StudyData:
     narrowed = [*picked.conditions] if len(data.fields) < len(data.study.conditions) else []
     narrowed += ["seeds", *map(str, sorted(kept))] if kept < seeds else []
     narrowed += ["steps", str(picked.steps)] if picked.steps else []
+    narrowed += ["any-version"] if picked.any_version else []
     runs = data.runs[data.runs["seed"].isin(kept)].sort_values("seed", kind="stable")
     return replace(data, runs=runs, narrowed=narrowed)
 
@@ -380,20 +266,39 @@ def _nothing(index: RunIndex, data: StudyData) -> str:
 def _changed(index: RunIndex, data: StudyData) -> list[str]:
     """Return the single fields by whose change stored runs are those of the study."""
     counts: dict[str, int] = {}
+    for _, known, unlike in _alike(index, data.fields):
+        if unlike:
+            option = shlex.join(setting_words(unlike))
+            counts[option] = counts.get(option, 0) + len(index.places[known])
+    return [*_earlier(index, data), *(f"{counted(n, 'run')} ({option})" for option, n in counts.items())]
+
+
+def _earlier(index: RunIndex, data: StudyData) -> list[str]:
+    """Return how many runs another version of the user's modules, the rules or an engine made."""
+    others = {known for _, known in _other_versions(index, data.fields, data.configurations)}
+    runs = sum(len(index.places[known]) for known in others)
     own = {Path(name).name for fields in data.fields.values() for name in own_files(fields)}
-    earlier = f"of another version of {', '.join(sorted(own)) or 'rules or engine'}"
-    sizes = index.frame["config_id"].value_counts()
+    of = ", ".join(sorted(own)) or "rules or engine"
+    return [f"{counted(runs, 'run')} of another version of {of} (--any-version)"] if runs else []
+
+
+def _other_versions(index: RunIndex, fields: Fields, runs: Mapping[str, Run]) -> list[tuple[str, str]]:
+    """Return the configurations of stored runs whose fields are those of a condition, but not the id."""
+    ids = {condition: config_id(run) for condition, run in runs.items()}
+    alike = ((condition, known) for condition, known, unlike in _alike(index, fields) if not unlike)
+    return [(condition, known) for condition, known in alike if known != ids[condition]]
+
+
+def _alike(index: RunIndex, fields: Fields) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield each condition with configurations that differ from it in one field or none, and its value."""
     finished = index.frame[index.frame["status"].isin(FINISHED)].drop_duplicates("config_id")
     for known, run_id in finished[["config_id", "run_id"]].itertuples(index=False):
         row = index.row(run_id)
         kept = _without_amount(row.fields) if row else {}
-        for fields in data.fields.values() if row else ():
-            unlike = [key for key in {**fields, **kept} if _bare(fields.get(key)) != _bare(kept.get(key))]
+        for condition, own in fields.items() if row else ():
+            unlike = [key for key in {**own, **kept} if _bare(own.get(key)) != _bare(kept.get(key))]
             if len(unlike) < 2:
-                option = shlex.join(setting_words({key: kept.get(key) for key in unlike}))
-                told = f"({option})" if option else earlier
-                counts[told] = counts.get(told, 0) + int(sizes[known])
-    return [f"{counted(count, 'run')} {told}" for told, count in counts.items()]
+                yield condition, known, {key: kept.get(key) for key in unlike}
 
 
 def _bare(value: Any) -> Any:

@@ -17,7 +17,7 @@ Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 def delete_study(
     name: opt.Study,
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     yes: Yes = False,
 ) -> Result:
     """Remove a study's runs from the results folder; without --steps those that are shown.

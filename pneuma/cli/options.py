@@ -27,7 +27,7 @@ from pneuma.study.store import Store
 from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
 
 if TYPE_CHECKING:
-    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.study_data import StudyData
 
 # --- How options are declared ----------------------------------------------------------------------
@@ -145,6 +145,8 @@ Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "-
 """Pairs of a field and its value; use `dict(set_ or ())`."""
 _WHOSE = "Whose rules: the arena (default), the thesis's text, or its published code."
 World = Annotated[str | None, choice(WORLDS, _WHOSE)]
+_VERSIONS = "Also runs that other versions of your modules, the rules or an engine made."
+AnyVersion = Annotated[bool, flag("--any-version", _VERSIONS)]
 _PRESETS = "|".join((*PRESETS, CLAIMS))
 Preset = Annotated[str | None, option(_PRESETS, "How much to run (default: quick, or the first).")]
 _OF_FIGURES = "Of figures (may be repeated; default: png and svg)."
@@ -176,7 +178,8 @@ class RunFilter:
     @property
     def selection(self) -> Selection:
         settings, preset = dict(self.set_ or ()), getattr(self, "preset", None)
-        return Selection(preset, self.seeds, self.steps, tuple(self.condition or ()), settings)
+        any_version = getattr(self, "any_version", False)
+        return Selection(preset, self.seeds, self.steps, tuple(self.condition or ()), settings, any_version)
 
     @property
     def store(self) -> Store:
@@ -185,7 +188,7 @@ class RunFilter:
     @functools.cached_property
     def index(self) -> RunIndex:
         """Every run, stored or published."""
-        from pneuma.analysis.runs import RunIndex
+        from pneuma.analysis.run_index import RunIndex
 
         return RunIndex(self.store)
 
@@ -201,6 +204,13 @@ class RunFilter:
 
         found = find_study(self.index, name, self.selection, self.world)
         return choose_runs(self.index, found, self.selection)
+
+
+@dataclass(frozen=True)
+class StoredFilter(RunFilter):
+    """Which stored runs of a study are shown."""
+
+    any_version: AnyVersion = False
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from pneuma.study.stored_runs import default_settings, find_run, run_files, stor
 from pneuma.values import shown_value
 
 if TYPE_CHECKING:
-    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.run_index import RunIndex
 
 app = opt.Commands("run", "Look at single runs and take them along.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
@@ -29,7 +29,7 @@ app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 @app.command("list", short_help="List the stored runs.")
 def list_(results: opt.Results = opt.HERE) -> Result:
     """List the stored runs: status, steps, seed, and which studies hold them."""
-    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(Store(results))
     labels, here = _labels(index), index.frame[index.frame["where"] == ""]
@@ -67,7 +67,7 @@ def show(
     store = Store(results)
     run_id = find_run(store, name)
     status, settings = store.status(run_id), stored_settings(store, run_id)
-    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.run_index import RunIndex
 
     held = _labels(RunIndex(store)).get(run_id, [])
     usual = default_settings(settings)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import delete, study_files, study_results, study_run, study_summary, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, rows_of, say, tallied, write_file
+from pneuma.config import is_gymnasium_id, reads
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, shipped, spec
@@ -70,15 +72,22 @@ def new(
 @app.command(short_help="Show what a study compares, and its presets.")
 def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HERE) -> Result:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    from pneuma.analysis.runs import RunIndex, find_study
+    from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.runs import find_study
 
     data = find_study(RunIndex(Store(results)), name, world=world)
     study = data.study
+    read = {condition: reads(run) for condition, run in data.configurations.items()}
+    fields = {
+        condition: {key: value for key, value in own.items() if key in read.get(condition, own)}
+        for condition, own in data.fields.items()
+    }
+    data = replace(data, fields=fields)
     keys = ("section", "about", "world", "worlds") if study.path else ()
     about = {key: getattr(study, key) for key in keys}
     presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()}
     head = {"study": study.name, "title": study.title, "baseline": study.baseline}
-    return Result({**head, **about, "conditions": data.fields, "presets": presets}, _show(data))
+    return Result({**head, **about, "conditions": fields, "presets": presets}, _show(data))
 
 
 def _show(data: StudyData) -> Iterator[str | Table]:
@@ -104,8 +113,9 @@ def _show(data: StudyData) -> Iterator[str | Table]:
     from pneuma.analysis.claim_runs import fixed_amounts
 
     yield ""
-    yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
-    yield ""
+    if not all(is_gymnasium_id(run.env) for run in data.configurations.values()):
+        yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
+        yield ""
     yield "Presets:"
     amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
     amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
@@ -131,7 +141,7 @@ def _who_has(values: Mapping[str, Any]) -> str:
 
 @app.command(short_help="Say how far the runs of a study are.")
 def status(
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     name: Annotated[str | None, opt.argument("NAME", "A study; left out: all that were run.")] = None,
     format: opt.Format = opt.TABLE,
 ) -> Result:
@@ -157,7 +167,7 @@ def status(
     return Result({"study": data.study.name, "runs": runs, "jobs": queued}, text, table=runs)
 
 
-def _every_status(picked: opt.RunFilter) -> Result:
+def _every_status(picked: opt.StoredFilter) -> Result:
     from pneuma.analysis.runs import studies_here
 
     studies, table = [], []

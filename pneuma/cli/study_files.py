@@ -95,7 +95,7 @@ class Drawing:
 
 
 def plot(
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     asked: Drawing,
     names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
     out: opt.PlotFolder = None,
@@ -157,7 +157,7 @@ def plot(
     return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.RunFilter) -> list[tuple[str, str | None]]:
+def _run_here(picked: opt.StoredFilter) -> list[tuple[str, str | None]]:
     """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
     from pneuma.analysis.runs import studies_here
 
@@ -217,7 +217,7 @@ def table(
 
 def export(
     name: opt.Study,
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     table: Annotated[str, opt.choice(EXPORT_TABLES, "What to export.")],
     out: Annotated[Path, opt.option("FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
     band: Annotated[str | None, opt.choice(EDGED_BANDS, "Of curves: low and high (default: sd).")] = None,

@@ -19,7 +19,7 @@ FORK_SEEDS = 3
 
 def collapse(
     name: opt.Study,
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     fork: Annotated[bool, opt.flag("--fork", "Go on from before each collapse, one thing changed.")] = False,
     fork_seeds: Annotated[Any, opt.seeds("With --fork: seeds of each run's forks (default: 3).")] = None,
     workers: opt.Workers = None,

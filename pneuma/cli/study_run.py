@@ -186,7 +186,7 @@ def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     planned = api.plan_study(name, chosen.selection, chosen.world, say)
     if not unpublished:
         return planned
-    from pneuma.analysis.runs import RunIndex
+    from pneuma.analysis.run_index import RunIndex
 
     index = RunIndex(chosen.store, stored=False)
     published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)

@@ -26,7 +26,7 @@ SCALE = (
 
 def summary(
     name: opt.Study,
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     outcome: opt.Outcomes = None,
     all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
     format: opt.Format = opt.TABLE,
@@ -80,7 +80,7 @@ def summary(
 
 def compare(
     name: opt.Study,
-    picked: opt.RunFilter,
+    picked: opt.StoredFilter,
     a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
     b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
     with_: Annotated[

@@ -12,7 +12,8 @@ from typing import Any
 
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import judge
-from pneuma.analysis.runs import RunIndex, choose_runs, find_study, read_runs, studies_here
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import choose_runs, find_study, read_runs, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.verdict_words import verdicts_by_claim

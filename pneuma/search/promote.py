@@ -19,7 +19,8 @@ import pandas as pd
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import OF_WORLDS
 from pneuma.errors import UserError, counted

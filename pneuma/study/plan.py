@@ -52,6 +52,8 @@ class Selection:
         conditions: names of conditions; all if empty.
         settings: run fields that override those of every condition. A field with several values makes a
             condition for each value.
+        any_version: whether runs that other versions of the user's modules, the rules or an engine made count
+            as the study's, where it has no others.
     """
 
     preset: str | None = None
@@ -59,6 +61,7 @@ class Selection:
     steps: int | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    any_version: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import pytest
 
 from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study import series

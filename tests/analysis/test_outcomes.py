@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError

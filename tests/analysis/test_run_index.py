@@ -12,7 +12,8 @@ import pytest
 
 from pneuma.analysis.curves import study_curves
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.runs import RunIndex, open_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
@@ -190,6 +191,15 @@ def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_
     module.write_text("import gymnasium  # as before\n")
     with pytest.raises(UserError, match="Stored are: 1 run of another version of of_mine_alone"):
         open_study(RunIndex(store), "mine")
+    both = Selection(any_version=True)
+    data = open_study(RunIndex(store), "mine", both)
+    assert [*data.runs["seed"]] == [0] and data.basename() == "study-mine-any-version"
+    new = make_plan(load_study("mine", kept=store.studies), Selection(seeds=(1,))).cells[0].run
+    save_finished(store, new)
+    said: list[str] = []
+    assert len(open_study(RunIndex(store), "mine", say=said.append).runs) == 1
+    assert "1 run of another version of of_mine_alone (--any-version)" in said[0]
+    assert [*open_study(RunIndex(store), "mine", both).runs["seed"]] == [0, 1]
     module.unlink()
     with pytest.raises(UserError, match="of_mine_alone is not found, by which its runs are known; run"):
         open_study(RunIndex(store), "mine")

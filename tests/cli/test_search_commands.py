@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis import runs
+from pneuma.analysis import run_index
 from pneuma.api import promote
 from pneuma.engines import loop
 from pneuma.search.trials import Unfinished
@@ -132,7 +132,7 @@ def test_a_winner_is_promoted_on_fresh_seeds_where_a_diverged_run_counts_as_in_t
     def in_row(store: Store, run_id: str) -> Row:
         return replace(stored_row(store, run_id), status="diverged" if run_id == lost else "done")
 
-    monkeypatch.setattr(runs, "stored_row", in_row)
+    monkeypatch.setattr(run_index, "stored_row", in_row)
     again = described(*words)
     (found,) = again["gains"]
     # one of five counts with all monsters killed, the worst that is sought here

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.runs import RunIndex, choose_runs, find_study
+from pneuma.analysis.run_index import RunIndex
+from pneuma.analysis.runs import choose_runs, find_study
 from pneuma.api import open_data
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.analysis.runs import RunIndex
+from pneuma.analysis.run_index import RunIndex
 from pneuma.config import make_run
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure

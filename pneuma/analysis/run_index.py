@@ -1,0 +1,137 @@
+"""All runs of a results folder and of published tables, as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache, cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.config import Run
+from pneuma.errors import UserError
+from pneuma.files import read_whole
+from pneuma.study.identity import config_id
+from pneuma.study.published import Published
+from pneuma.study.row_builder import UNKNOWN, stored_row
+from pneuma.study.rows import Row
+from pneuma.study.shipped import list_studies
+from pneuma.study.store import FINISHED, Identity, Store, checked_listing
+
+COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
+"""Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
+
+
+class RunIndex:
+    """The runs of a results folder and of published tables.
+
+    With `stored = False` only published tables are used; with `shipped = False` not those that come with
+    Pneuma.
+
+    Attributes:
+        problems: messages on what cannot be read, or contradicts itself.
+        row: returns the row of a run by its id; None if it cannot be read.
+    """
+
+    def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
+        self.store = store
+        self._stored = stored
+        self._shipped = shipped
+        self.problems: list[str] = []
+        self.row = cache(self._read_row)
+
+    @cached_property
+    def frame(self) -> pd.DataFrame:
+        """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
+        here = [*self._runs_here()] if self._stored else []
+        published = [(*run, str(table.path)) for table in self.tables.values() for run in table.index]
+        finished = [run for run in here if run[COLUMNS.index("status")] in FINISHED]
+        every = pd.DataFrame([*here, *published, *finished], columns=COLUMNS)
+        every = every.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
+        return every.astype({"seed": int, "steps": int, "end": int})
+
+    @cached_property
+    def tables(self) -> dict[str, Published]:
+        return {
+            name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
+        }
+
+    @cached_property
+    def places(self) -> Mapping[Any, Any]:
+        """The places in the frame of each configuration's runs, of any seed and budget."""
+        return self.frame.groupby("config_id").indices
+
+    @cached_property
+    def _where(self) -> Mapping[str, str]:
+        return dict(zip(self.frame.index, self.frame["where"], strict=True))
+
+    def engine_of(self, run: Run) -> str:
+        """Return the engine of a run's configuration, or another by which there are runs of it alone."""
+        engines = dict.fromkeys([run.engine, *ALGORITHM_ENGINES[run.algorithm]])
+        known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
+        return next(known, run.engine)
+
+    def listing(self, name: str) -> dict[str, Any] | None:
+        """Return the record of a study without a file, from here or from its published table."""
+        listing = self.store.listing(name) if self._stored else None
+        if listing is None and name in self.tables:
+            listing = checked_listing(self.tables[name].about.get("listing"), name)
+        return listing
+
+    def listings(self) -> list[str]:
+        """Return the names of studies without a file that are recorded here or published."""
+        listed = (name for name, table in self.tables.items() if table.about.get("listing"))
+        here = self.store.listings() if self._stored else ()
+        return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
+
+    def _runs_here(self) -> Iterator[tuple[Any, ...]]:
+        for run_id in self.store.runs():
+            status = self.store.status(run_id, quick=True)
+            if status.identity is None and status.name == "damaged":
+                folder = self.store.run_folder(run_id)
+                self.problems.append(
+                    f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
+                )
+            about = status.identity or Identity(UNKNOWN, 0, 0)
+            yield run_id, about.config_id, about.seed, about.steps, status.name, status.step, ""
+
+    def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
+        try:
+            about = path.stat()
+            yield path.stem, _read_table(path, about.st_ino, about.st_mtime_ns, about.st_size)
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            self.problems.append(
+                f"{path}: cannot be read ({reason}); take it from version control again, or publish it anew"
+            )
+
+    def _read_row(self, run_id: str) -> Row | None:
+        if where := self._where[run_id]:
+            return next((row for _, row in self._published(run_id, where)), None)
+        try:
+            row = stored_row(self.store, run_id)
+        except UserError as error:
+            self.problems.append(str(error))
+            return next((row for _, row in self._published(run_id)), None)
+        for path, other in self._published(run_id):
+            if not other.same_numbers(row):
+                self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
+        return row
+
+    def _published(self, run_id: str, alone: str = "") -> Iterator[tuple[Path, Row]]:
+        """Yield the rows of a run in published tables, or in one of them."""
+        for table in self.tables.values():
+            if run_id in table.places and alone in ("", str(table.path)):
+                try:
+                    yield table.path, table.row(run_id)
+                except ValueError as error:
+                    self.problems.append(f"{table.path}: {error}")
+
+
+@lru_cache(maxsize=100)
+def _read_table(path: Path, *_version: int) -> Published:
+    """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
+    return Published(path, read_whole(path))
