@@ -84,7 +84,17 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
         ray.train_here("/shared/results/.shared-1/job.json", 0, ray.versions(), str(tmp_path))
 
 
-# --- A node is lost: last, because the others need both ------------------------------------------------
+# --- Lost nodes: the other one last, because the tests before need both --------------------------------
+
+
+@pytest.mark.slow
+def test_this_machines_own_cluster_is_started_again_once_if_it_dies(tmp_path: Path, cluster: Nodes) -> None:
+    study = write_study(tmp_path, steps=64 * 1500)
+    process = begin(tmp_path, study, "--executor", "ray")
+    wait_until(lambda: checkpoint_folders(tmp_path), seconds=240)
+    found = subprocess.run(["pgrep", "-P", str(process.pid), "raylet"], capture_output=True, text=True)
+    os.kill(int(found.stdout), signal.SIGKILL)
+    assert_same_as_local(tmp_path, study, process)
 
 
 @pytest.mark.slow
@@ -93,11 +103,15 @@ def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: 
     process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)
     wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
     os.kill(cluster.nodes[0], signal.SIGKILL)
+    assert_same_as_local(tmp_path, study, process)
+
+
+def assert_same_as_local(folder: Path, study: Path, process: subprocess.Popen[str]) -> None:
     out, told = process.communicate(timeout=300)
     assert process.returncode == 0, told
-    assert [run["status"] for run in json.loads(out)["runs"]] == ["done", "done"]
-    assert not checkpoint_folders(tmp_path)
-    (tmp_path / "results").rename(tmp_path / "away")
-    local = begin(tmp_path, study)
+    assert {run["status"] for run in json.loads(out)["runs"]} == {"done"}
+    assert not checkpoint_folders(folder)
+    (folder / "results").rename(folder / "away")
+    local = begin(folder, study)
     assert local.communicate(timeout=120) and local.returncode == 0
-    assert outcome(tmp_path / "away") == outcome(tmp_path / "results")
+    assert outcome(folder / "away") == outcome(folder / "results")

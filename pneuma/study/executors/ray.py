@@ -64,14 +64,21 @@ def run_groups(
         job = write_job(Path(folder).resolve() / "job.json", [group for _, group in waiting], store, how)
         told = versions(), os.getcwd()
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
-        tasks: dict[Any, Mapping[str, Run]] = {}
+        tasks: dict[Any, tuple[int, Mapping[str, Run]]] = {}
+        restarts = [how.address] if how.address is None else []
 
         def live() -> dict[str, Queued]:
             """Return the runs of tasks that have not ended, and keep those tasks."""
             while waiting and len(tasks) < how.workers:
                 index, group = waiting.pop(0)
-                tasks[start(str(job.path), index, *told)] = group
-            for task in ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else ():
+                tasks[start(str(job.path), index, *told)] = index, group
+            ended = ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else []
+            if restarts and any(map(_lost_with_cluster, ended)):
+                waiting[:0] = tasks.values()
+                tasks.clear()
+                _restart(restarts.pop())
+                ended = []
+            for task in ended:
                 del tasks[task]
                 _check(task)
             if interrupts.count:
@@ -79,7 +86,7 @@ def run_groups(
                 raise KeyboardInterrupt
             return {
                 **{name: Queued("WAITING") for _, group in waiting for name in group},
-                **{name: Queued("IN THE CLUSTER") for group in tasks.values() for name in group},
+                **{name: Queued("IN THE CLUSTER") for _, group in tasks.values() for name in group},
             }
 
         try:
@@ -100,6 +107,25 @@ def _check(task: Any) -> None:
         raise cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}") from None
     except ray.exceptions.RayError:
         pass
+
+
+def _lost_with_cluster(task: Any) -> bool:
+    import ray
+
+    try:
+        ray.get(task)
+    except ray.exceptions.RayError as error:
+        return isinstance(error, ray.exceptions.LocalRayletDiedError)
+    return False
+
+
+def _restart(address: str | None) -> None:
+    """Start this machine's own cluster again: one of Ray's processes has died, and all others with it."""
+    import ray
+
+    ray.shutdown()
+    join.cache_clear()
+    join(address)
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
