@@ -19,14 +19,13 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
-from torch import nn
 
 from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Layers, Policy
-from pneuma.engines.sb3_learners import make_model
+from pneuma.engines.sb3_learners import linear_layers, make_model
 from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, install_extra
@@ -39,11 +38,9 @@ ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
 """The oldest version with all operators used, so that older runtimes can read it."""
 
-_ONNX_ACTIVATIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "tanh": ("Tanh", {}),
-    "relu": ("Relu", {}),
-    "leaky-relu": ("LeakyRelu", {"alpha": LEAKY_SLOPE}),
-}
+FLOAT, DOUBLE = 1, 11
+"""ONNX's codes of float32 and float64."""
+_ONNX_ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu", "leaky-relu": f"LeakyRelu <alpha = {LEAKY_SLOPE}>"}
 
 
 # --- Stable-Baselines3 -----------------------------------------------------------------------------
@@ -59,26 +56,20 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     actor, critic = (
         tuple(len(bias) for _, bias in network[:-1]) for network in (policy.actor, policy.critic)
     )
-    if (policy.activation, actor, critic) != (run.activation, run.actor, run.critic):
-        raise UserError("policy.safetensors: is not of the shape that its run.json says")
     # separate clipping, or no baseline, would need Pneuma's classes to read the file
     run = replace(run, clip="joint", value_baseline=True)
+    run = replace(run, activation=policy.activation, actor=actor, critic=critic)
     if run.optimizer == "upgd":
         run = replace(run, optimizer="adam", weight_decay=0.0)
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
     model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))
     model.num_timesteps = run.steps
-    nets = model.policy.mlp_extractor
     with torch.no_grad():
         if policy.deviation is not None:
             model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))
-        for layers, hidden, head in (
-            (policy.actor, nets.policy_net, model.policy.action_net),
-            (policy.critic, nets.value_net, model.policy.value_net),
-        ):
-            linear = [module for module in hidden if isinstance(module, nn.Linear)]
-            for (weight, bias), module in zip(layers, (*linear, head), strict=True):
+        for part, layers in linear_layers(model).items():
+            for (weight, bias), module in zip(getattr(policy, part), layers, strict=True):
                 module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
                 module.bias.copy_(torch.from_numpy(bias.copy()))
     file = io.BytesIO()
@@ -159,38 +150,21 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
     For a network of action values, the only output is action_values (batch, actions). In place of logits
     a policy of continuous actions has mean_action (batch, …), the mean clipped to the action space.
 
-    The graph is written layer by layer. `torch.onnx.export` takes seconds and would add a trace of its calls,
-    with local paths, to every node. `about` goes into the model's metadata, with the names of the actions.
+    The graph is written in ONNX's own text form. `torch.onnx.export` takes seconds and would add a trace of
+    its calls, with local paths, to every node. `about` goes into the model's metadata, with the names of the
+    actions.
     """
     try:
-        from onnx import TensorProto, checker, helper
+        from onnx import checker, helper, numpy_helper, parser
     except ImportError:
         raise UserError(f".onnx needs onnx: {install_extra('onnx')}, or choose .zip") from None
-    graph = _Graph()
-    seen = _add_scaling(graph, policy.scaling) if policy.scaling else "observation"
-    output = "logits" if policy.exploration is None else "action_values"
-    _add_layers(graph, "actor", policy.actor, policy.activation, seen, output)
-    shapes: dict[str, list[str | int]] = {"observation": ["batch", policy.features]}
-    if policy.bounds is None:
-        shapes[output] = ["batch", policy.actions]
-    else:  # ONNX's `Clip` knows one bound for all numbers
-        low, high = policy.bounds.astype(np.float32)
-        shaped = graph.add("Reshape", "shaped", output, graph.constant("shape", [-1, *low.shape]))
-        above = graph.add("Max", "above", shaped, graph.constant("low", low))
-        mean = graph.add("Min", "mean_action", above, graph.constant("high", high))
-        shapes[mean] = ["batch", *low.shape]
-    if policy.exploration is None:
-        values = _add_layers(graph, "critic", policy.critic, policy.activation, seen, "values")
-        shapes[graph.add("Reshape", "value", values, graph.constant("flat", [-1]))] = ["batch"]
-    inputs, *outputs = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()
-    ]
+    lines, numbers, outputs = _graph(policy)
+    inputs = f"float[batch, {policy.features}] observation"
+    text = "\n".join([f"policy ({inputs}) => ({', '.join(outputs)}) {{", *lines, "}"])
+    graph = parser.parse_graph(text)
+    graph.initializer.extend(numpy_helper.from_array(array, name) for name, array in numbers.items())
     made = {"producer_name": "pneuma", "doc_string": MADE_BY, "ir_version": ONNX_IR_VERSION}
-    model = helper.make_model(
-        helper.make_graph(graph.nodes, "policy", [inputs], outputs, graph.constants),
-        opset_imports=[helper.make_opsetid("", ONNX_OPSET)],
-        **made,
-    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", ONNX_OPSET)], **made)
     named = {"actions": json.dumps(names)} if names else {}
     if policy.choices is not None:  # whose logits stand one after another
         named = {"choices": json.dumps(policy.choices.tolist())}
@@ -199,44 +173,50 @@ def to_onnx(policy: Policy, about: Mapping[str, str], names: Sequence[str] = ())
     return model.SerializeToString(deterministic=True)
 
 
-class _Graph:
-    """The nodes and constants of a model so far; what is added is known by its name."""
+def _graph(policy: Policy) -> tuple[list[str], dict[str, np.ndarray], list[str]]:
+    """Return a model's operations as text, the numbers that they name, and its outputs."""
+    lines: list[str] = []
+    numbers: dict[str, np.ndarray] = {}
+    seen = "observation"
+    if policy.scaling:  # in double precision, as the policy has it
+        seen, deviation = "seen", np.sqrt(policy.scaling.variance + EPSILON)
+        numbers = {"average": policy.scaling.mean, "deviation": deviation}
+        numbers |= {"least": np.array(-CLIP), "most": np.array(CLIP)}
+        lines = [
+            f"precise = Cast <to = {DOUBLE}> (observation)",
+            "centred = Sub (precise, average)",
+            "scaled = Div (centred, deviation)",
+            "clipped = Clip (scaled, least, most)",
+            f"seen = Cast <to = {FLOAT}> (clipped)",
+        ]
 
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
+    def add_layers(part: str, layers: Layers, output: str) -> None:
+        operation = _ONNX_ACTIVATIONS[policy.activation]
+        before = seen
+        for i, (weight, bias) in enumerate(layers):
+            name, last = f"{part}_{i}", i == len(layers) - 1
+            linear = output if last else f"{name}_linear"
+            numbers.update({f"{name}_weight": weight, f"{name}_bias": bias})
+            lines.append(f"{linear} = Gemm ({before}, {name}_weight, {name}_bias)")
+            if not last:
+                lines.append(f"{name} = {operation} ({linear})")
+            before = name
 
-    def add(self, kind: str, name: str, *inputs: str, **attributes: Any) -> str:
-        from onnx import helper
-
-        self.nodes.append(helper.make_node(kind, inputs, [name], **attributes))
-        return name
-
-    def constant(self, name: str, value: Any) -> str:
-        from onnx import numpy_helper
-
-        self.constants.append(numpy_helper.from_array(np.array(value), name))
-        return name
-
-
-def _add_scaling(graph: _Graph, scaling: Scaling) -> str:
-    """Normalise the observation, in double precision as the policy has it."""
-    from onnx import TensorProto
-
-    deviation = np.sqrt(scaling.variance + EPSILON)
-    double = graph.add("Cast", "double", "observation", to=TensorProto.DOUBLE)
-    centred = graph.add("Sub", "centred", double, graph.constant("mean", scaling.mean))
-    scaled = graph.add("Div", "scaled", centred, graph.constant("deviation", deviation))
-    limits = graph.constant("least", -CLIP), graph.constant("most", CLIP)
-    return graph.add("Cast", "seen", graph.add("Clip", "clipped", scaled, *limits), to=TensorProto.FLOAT)
-
-
-def _add_layers(graph: _Graph, part: str, layers: Layers, activation: str, seen: str, output: str) -> str:
-    kind, attributes = _ONNX_ACTIVATIONS[activation]
-    for i, (weight, bias) in enumerate(layers):
-        name = f"{part}.{i}"
-        numbers = graph.constant(f"{name}.weight", weight), graph.constant(f"{name}.bias", bias)
-        last = i == len(layers) - 1
-        linear = graph.add("Gemm", output if last else f"{name}.linear", seen, *numbers)
-        seen = linear if last else graph.add(kind, name, linear, **attributes)
-    return seen
+    output = "logits" if policy.exploration is None else "action_values"
+    add_layers("actor", policy.actor, output)
+    outputs = [f"float[batch, {policy.actions}] {output}"]
+    if policy.bounds is not None:  # ONNX's `Clip` knows one bound for all numbers
+        low, high = policy.bounds.astype(np.float32)
+        numbers |= {"shape": np.array([-1, *low.shape]), "low": low, "high": high}
+        lines += [
+            f"shaped = Reshape ({output}, shape)",
+            "above = Max (shaped, low)",
+            "mean_action = Min (above, high)",
+        ]
+        outputs = [f"float[{', '.join(map(str, ['batch', *low.shape]))}] mean_action"]
+    if policy.exploration is None:
+        add_layers("critic", policy.critic, "values")
+        numbers["flat"] = np.array([-1])
+        lines.append("value = Reshape (values, flat)")
+        outputs.append("float[batch] value")
+    return lines, numbers, outputs

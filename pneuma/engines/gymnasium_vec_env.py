@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from pneuma.config import Run
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
-from pneuma.engines.normalization import Scaling
 from pneuma.env.sb3 import WholeVecEnv
 
 
@@ -27,13 +26,9 @@ class GymnasiumVecEnv(WholeVecEnv):
         action_space = _learners_space(self.slots.action_space)
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 
-    @property
-    def finished(self) -> list[dict[str, Any]]:
-        return self.slots.finished
-
-    @property
-    def scaling(self) -> Scaling | None:
-        return self.slots.scaling
+    def __getattr__(self, name: str) -> Any:
+        """Return what engines ask of the slots: finished episodes, the scaling, their saved state."""
+        return getattr(self.slots, name)
 
     def reset(self) -> np.ndarray:
         return self.slots.seen.copy()
@@ -44,19 +39,11 @@ class GymnasiumVecEnv(WholeVecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         rewards, terminated, truncated = self.slots.step(self._actions)
         dones = terminated | truncated
-        infos: list[dict[str, Any]] = [
-            {"terminal_observation": self.slots.terminal[slot].copy(), "TimeLimit.truncated": bool(cut)}
-            if done
-            else {}
-            for slot, (done, cut) in enumerate(zip(dones, truncated, strict=True))
-        ]
+        infos: list[dict[str, Any]] = [{} for _ in dones]
+        for slot in np.flatnonzero(dones):
+            seen, cut = self.slots.terminal[slot].copy(), bool(truncated[slot])
+            infos[slot] = {"terminal_observation": seen, "TimeLimit.truncated": cut}
         return self.slots.seen.copy(), rewards.astype(np.float32), dones, infos
-
-    def saved_state(self) -> dict[str, np.ndarray]:
-        return self.slots.saved_state()
-
-    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        self.slots.restore_state(saved)
 
     def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
         """Continue with other random streams, from each slot's next episode on."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -216,27 +215,26 @@ def read_sound_policy(data: bytes) -> Policy:
 
 
 def _is_sound(policy: Policy) -> bool:
-    networks = [policy.actor] if policy.exploration is not None else [policy.actor, policy.critic]
-    inputs = {layers[0][0].shape[-2] for layers in networks}
-    players = {weight.shape[:-2] for layers in networks for weight, _ in layers}
-    fits = policy.activation in ACTIVATIONS and len(inputs) == len(players) == 1 and len(min(players)) <= 1
+    """Return whether a policy's parts fit each other, so that it plays, compiled or not."""
+    players = {weight.shape[:-2] for weight, _ in (*policy.actor, *policy.critic)}
+    fits = policy.activation in ACTIVATIONS and len(players) == 1 and len(min(players)) <= 1
     fits &= policy.players == 1 or (policy.exploration, policy.scaling) == (None, None)
-    for layers in networks:
+    for layers in filter(None, (policy.actor, policy.critic)):
+        widths = [policy.features, *(bias.shape[-1] for _, bias in layers)]
         fits &= all(bias.shape == (*weight.shape[:-2], weight.shape[-1]) for weight, bias in layers)
-        fits &= all(before[1].shape[-1] == after[0].shape[-2] for before, after in pairwise(layers))
+        fits &= [weight.shape[-2] for weight, _ in layers] == widths[:-1]
     fits &= (policy.deviation is None) == (policy.bounds is None)
     if policy.deviation is not None and policy.bounds is not None:
         low, high = policy.bounds
         fits &= policy.deviation.shape == (policy.actions,) and low.size == policy.actions
         fits &= bool((low <= high).all() and np.isfinite(policy.deviation).all())
     if policy.choices is not None:
-        fits &= policy.deviation is None and policy.exploration is None
-        fits &= policy.choices.dtype.kind in "iu" and policy.choices.size > 0
+        fits &= policy.deviation is None and policy.exploration is None and policy.choices.dtype.kind in "iu"
         fits &= bool((policy.choices >= 1).all()) and policy.choices.sum() == policy.actions
     if policy.scaling is not None:
-        fits &= all({len(array)} == inputs and array.ndim == 1 for array in vars(policy.scaling).values())
-        fits &= all(bool(np.isfinite(array).all()) for array in vars(policy.scaling).values())
-        fits &= bool((policy.scaling.variance >= 0).all())
+        mean, variance = policy.scaling.mean, policy.scaling.variance
+        fits &= mean.shape == variance.shape == (policy.features,) and bool((variance >= 0).all())
+        fits &= bool(np.isfinite([mean, variance]).all())
     if policy.exploration is not None:
         return fits and not policy.critic and 0 <= policy.exploration <= 1
     return fits and policy.critic[-1][1].shape[-1] == 1

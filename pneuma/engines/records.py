@@ -13,34 +13,14 @@ from pneuma.env.fields import ACTION_NAMES
 
 EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
 METRIC_COLUMNS = (
-    "step",
-    "policy_loss",
-    "value_loss",
-    "entropy",
-    "approx_kl",
-    "clip_fraction",
-    "grad_norm",
-    "grad_norm_actor",
-    "grad_norm_critic",
-    "explained_variance",
-    "dead_units",
+    "step", "policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction", "grad_norm",
+    "grad_norm_actor", "grad_norm_critic", "explained_variance", "dead_units",
     *(f"action_{i}" for i in range(len(ACTION_NAMES))),
-)
+)  # fmt: skip
 EVALUATION_COLUMNS = (
-    "step",
-    "episodes",
-    "share_killed",
-    "score",
-    "return",
-    "length",
-    "died",
-    "argmax_starts",
-    "argmax_share_killed",
-    "argmax_score",
-    "argmax_return",
-    "random_share_killed",
-)
-
+    "step", "episodes", "share_killed", "score", "return", "length", "died", "argmax_starts",
+    "argmax_share_killed", "argmax_score", "argmax_return", "random_share_killed",
+)  # fmt: skip
 VALUE_COLUMNS = (
     "q_estimate", "q_true", "success", "random_return", "random_spread", "steps_to_clear", "hp_lost",
     "commonest_action", "kill_evenness",

@@ -29,6 +29,7 @@ from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, ac
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
+    linear_layers,
     logged_losses,
     make_model,
     restore_checkpoint,
@@ -242,29 +243,20 @@ def visited_metrics(
 
 def extract_policy(model: Any, run: Run) -> Policy:
     """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
-    policy = model.policy
-    if isinstance(model, DQN):
-        return Policy(run.activation, _layers(policy.q_net.q_net), (), run.exploration)
-    nets = policy.mlp_extractor
+    networks = {  # torch keeps (outputs, inputs)
+        part: tuple((a.weight.detach().numpy().T.copy(), a.bias.detach().numpy().copy()) for a in layers)
+        for part, layers in linear_layers(model).items()
+    }
     several: dict[str, Any] = {}
-    if hasattr(policy, "log_std"):
+    if isinstance(model, DQN):
+        several = {"exploration": run.exploration}
+    elif hasattr(model.policy, "log_std"):
         space = model.env.slots.action_space  # not the learner's, which is flat and of float32
         bounds = np.stack([space.low, space.high])
-        several = {"deviation": np.exp(policy.log_std.detach().numpy()), "bounds": bounds}
+        several = {"deviation": np.exp(model.policy.log_std.detach().numpy()), "bounds": bounds}
     elif isinstance(model.action_space, spaces.MultiDiscrete):
         several = {"choices": choices_of(model.env.slots.action_space)}
-    return Policy(
-        run.activation,
-        _layers(nets.policy_net, policy.action_net),
-        _layers(nets.value_net, policy.value_net),
-        **several,
-    )
-
-
-def _layers(hidden: nn.Module, *head: nn.Module) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    linear = [layer for layer in (*hidden.children(), *head) if isinstance(layer, nn.Linear)]
-    # torch keeps (outputs, inputs)
-    return tuple((a.weight.detach().numpy().T.copy(), a.bias.detach().numpy().copy()) for a in linear)
+    return Policy(run.activation, networks["actor"], networks.get("critic", ()), **several)
 
 
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:

@@ -51,10 +51,9 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     arguments["policy_kwargs"] |= extractor or {}
     model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device="cpu", **arguments)
     if run.first_layer_scale != 1:
-        networks: Any = model.policy.mlp_extractor
         with torch.no_grad():
-            for network in (networks.policy_net, networks.value_net):
-                network[0].weight.mul_(run.first_layer_scale)
+            for layers in linear_layers(model).values():
+                layers[0].weight.mul_(run.first_layer_scale)
     model.set_logger(Logger(folder=None, output_formats=[]))
     seed_streams(model, run)
     return model
@@ -81,6 +80,22 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
         "optimizer_kwargs": optimizer_arguments(run),
     }
     return arguments
+
+
+def linear_layers(model: Any) -> dict[str, list[nn.Linear]]:
+    """Return the layers of a learner's networks, as `Policy` names these; the last one is the output."""
+    policy = model.policy
+    if isinstance(model, DQN):
+        return {"actor": _linear(policy.q_net.q_net)}
+    hidden = policy.mlp_extractor
+    return {
+        "actor": [*_linear(hidden.policy_net), policy.action_net],
+        "critic": [*_linear(hidden.value_net), policy.value_net],
+    }
+
+
+def _linear(network: nn.Module) -> list[nn.Linear]:
+    return [layer for layer in network.children() if isinstance(layer, nn.Linear)]
 
 
 def scheduled(run: Run, name: str) -> Any:

@@ -92,7 +92,7 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
 def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     run = make_run(TEAM)
     trainer, records = BatchedTrainer(run), Records()
-    alone = [Learner(run, trainer.collector.features, 5, player) for player in range(2)]
+    alone = [Learner(run, trainer.collector.observations.shape[1], 5, player) for player in range(2)]
     collect = trainer.collector.collect
     seen: list[Rollout] = []
     trainer.collector.collect = lambda actor: seen.append(collect(actor)) or seen[-1]  # type: ignore[method-assign, func-returns-value]
@@ -116,7 +116,8 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
 
 def test_each_acts_by_its_own_policy_in_a_rollout() -> None:
     collector = Collector(make_run(TEAM))
-    weight, bias = np.zeros((2, collector.features, 5), np.float32), np.zeros((2, 5), np.float32)
+    features = collector.observations.shape[1]
+    weight, bias = np.zeros((2, features, 5), np.float32), np.zeros((2, 5), np.float32)
     bias[0, 0] = bias[1, 3] = 50.0
     actions = collector.collect(((weight, bias),)).actions
     assert (actions[0::2] == 0).all() and (actions[1::2] == 3).all()

@@ -12,7 +12,14 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, value_of
-from pneuma.engines.batched.update import METRICS, annealed_numbers, evaluate_rollout, learn, run_numbers
+from pneuma.engines.batched.update import (
+    METRICS,
+    annealed_numbers,
+    evaluate_rollout,
+    learn,
+    program,
+    run_numbers,
+)
 from pneuma.engines.policy import Layers, Policy
 from pneuma.engines.records import action_shares
 from pneuma.env import rules
@@ -60,16 +67,7 @@ class Learner:
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
         networks, optimizer, metrics = learn(
-            self.networks,
-            self.optimizer,
-            batch,
-            orders,
-            numbers,
-            run.activation,
-            run.optimizer,
-            min(run.minibatch, count),
-            decays=bool(numbers["weight_decay"] != 0),
-            normalizes=run.normalize_advantage,
+            self.networks, self.optimizer, batch, orders, numbers, program(run)
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
         return {

@@ -104,7 +104,7 @@ def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
     highest = jnp.stack([u.max() for u in jax.tree.leaves(utility)]).max()
     scale = correction_u * jnp.where(highest == 0, 1.0, highest)
     rate = 2 * numbers["learning_rate"]
-    shrunk = 1 - numbers["learning_rate"] * numbers["shrinking"]
+    shrunk = 1 - numbers["learning_rate"] * numbers["weight_decay"]
 
     def move(p: Any, m: Any, v: Any, u: Any, xi: Any) -> Any:
         free = 1 - jax.nn.sigmoid(u / scale)

@@ -16,11 +16,13 @@ import numpy as np
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
 from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, forward, room
+from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Layers, sizes
 from pneuma.env import rules
 from pneuma.env.compiling import cached
 from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, RECORD, RESET, STEP, run_worlds
+from pneuma.env.slots import Slots
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes, open_state
 from pneuma.env.worlds import ENDINGS, Worlds
 
@@ -32,6 +34,8 @@ ENDED = np.dtype(
 )  # fmt: skip
 """A finished episode; `step` counts steps of the rollout from 1."""
 
+Network = tuple[np.ndarray, np.ndarray, int]
+"""An actor as compiled functions take it: its weights, widths, and the code of its activation."""
 _WORLDS = ("worlds", "players", "monsters")
 kernel: Any = cached(error_model="numpy")
 
@@ -80,44 +84,57 @@ class Collector:
     identifies the layout of the arrays of `saved_state`.
     """
 
-    scaling = None  # Pneuma's worlds scale what they show by themselves
+    layout = LAYOUT_DIGEST
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self.layout = LAYOUT_DIGEST
-        self._asks = bool(own_rewards(run.reward))
+        self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+        self._set_up()
+
+    def _set_up(self) -> None:
+        run = self._run
         self.worlds = Worlds(run.slots, env_config(run))
         self.worlds.seed(slot_seeds(run))
         self.worlds.reset()
-        self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-        self._book = self.worlds.slots.reshape(-1)
-        self.features = self.worlds.observations.shape[2]
+        self._slots = Slots(self.worlds)
         self.actions = int(self.worlds.action_space.n)
 
     @property
     def observations(self) -> np.ndarray:
-        """What each slot's player observes now, (S, features)."""
-        return self.worlds.observations.reshape(-1, self.features)
+        """What each slot observes now, (S, features)."""
+        return self._slots.observations
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Whether each slot's next step begins an episode, (S,)."""
+        return self._slots.book["begins"]
+
+    @property
+    def scaling(self) -> Scaling | None:
+        """How observations are normalised; Pneuma's worlds scale what they show by themselves."""
+        return None
 
     def collect(self, actor: Layers) -> Rollout:
-        steps, slots = self._run.horizon, len(self._book)
-        rollout = empty_rollout(slots, steps, self.features)
-        draws = self.generator.random((steps, slots), np.float32)
-        play = self._play_asking if self._asks else _play
-        activation = ACTIVATION_CODES[self._run.activation]
-        count = play(
-            self.worlds.handle,
-            flat(actor),
-            sizes(actor),
-            activation,
-            draws,
-            self.worlds.usual_starts,
-            rollout,
-        )
-        rollout.last_observations[:] = self.observations
-        rollout.last_observations[self._book["idle"]] = 0.0
-        rollout.last_ends[:] = self._book["begins"]
+        slots, features = self.observations.shape
+        rollout = empty_rollout(slots, self._run.horizon, features)
+        draws = self.generator.random((self._run.horizon, slots), np.float32)
+        network = flat(actor), sizes(actor), ACTIVATION_CODES[self._run.activation]
+        count = self._play(network, draws, rollout)
+        rollout.last_observations[:], rollout.last_ends[:] = self.observations, self.begins
         return rollout.cut(count)
+
+    def _play(self, network: Network, draws: np.ndarray, rollout: Rollout) -> int:
+        """Fill in a rollout; return the number of endings."""
+        handle, usual_starts = self.worlds.handle, self.worlds.usual_starts
+        if not own_rewards(self._run.reward):
+            return _play(handle, *network, draws, usual_starts, rollout)
+        chosen = np.zeros(self.worlds.players.shape, np.int64)
+        count = 0
+        for step, draw in enumerate(draws):  # as `_play` does: a user's reward is plain Python
+            _choose(handle, *network, draw, rollout, step, chosen)
+            self.worlds.advance(chosen)
+            count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
+        return count
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
         rows = [dict(zip(ENDED.names or (), row, strict=True)) for row in rollout.ended.tolist()]
@@ -127,7 +144,7 @@ class Collector:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
-        episodes = {**self.worlds.counts(), "begins": self._book["begins"]}
+        episodes = {**self.worlds.counts(), "begins": self.begins}
         return {
             **{f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS},
             **{f"episodes/{name}": array for name, array in episodes.items()},
@@ -141,23 +158,11 @@ class Collector:
         self.worlds.observe()
 
     def fork(self) -> None:
+        """Continue with random streams of the run's own, and with XP reset if it says so."""
         self.worlds.rekey(slot_seeds(self._run))
         if self._run.fork_reset == "xp":
             self.worlds.players["xp"] = 0.0
             self.worlds.observe()
-
-    def _play_asking(
-        self, handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any,
-        rollout: Rollout,
-    ) -> int:  # fmt: skip
-        """Do the same as `_play` step by step, because a user's reward is plain Python."""
-        chosen = np.zeros(self.worlds.players.shape, np.int64)
-        count = 0
-        for step, draw in enumerate(draws):
-            _choose(handle, weights, widths, activation, draw, rollout, step, chosen)
-            self.worlds.advance(chosen)
-            count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
-        return count
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:

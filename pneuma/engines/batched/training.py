@@ -25,13 +25,9 @@ class BatchedTrainer(ResumableTrainer):
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
-        self.collector: Collector | GymnasiumCollector = (
-            GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
-        )
-        self.learners = [
-            Learner(run, self.collector.features, self.collector.actions, player)
-            for player in range(run.policies)
-        ]
+        self.collector = GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
+        sizes = self.collector.observations.shape[1], self.collector.actions
+        self.learners = [Learner(run, *sizes, player) for player in range(run.policies)]
 
     def update(self, before: int, after: int, records: Records) -> bool:
         rollout = self.collector.collect(self._joined().actor)

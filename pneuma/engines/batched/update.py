@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,45 +29,50 @@ Tree = Any
 JOINED_BELOW = 2**18
 """Weights of a layer from which on it is not worth while to copy them beside their biases."""
 METRICS = (
-    "policy_loss",
-    "value_loss",
-    "entropy",
-    "clip_fraction",
-    "approx_kl",
-    "grad_norm",
-    "grad_norm_actor",
+    "policy_loss", "value_loss", "entropy", "clip_fraction", "approx_kl", "grad_norm", "grad_norm_actor",
     "grad_norm_critic",
-)
+)  # fmt: skip
 """What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
+
+_AS_THEY_ARE = (
+    "learning_rate", "clip_range", "value_coefficient", "entropy_coefficient", "epsilon", "momentum",
+    "dampening", "smoothing", "noise",
+)  # fmt: skip
+
+
+class Program(NamedTuple):
+    """What of a run makes another compiled program, beside shapes."""
+
+    activation: str
+    optimizer: str
+    minibatch: int
+    decays: bool
+    """Whether gradients get a weight decay; reading weights for one of zero takes time."""
+    normalizes: bool
+    """Whether the advantages of each minibatch are normalised."""
+
+
+def program(run: Run) -> Program:
+    decays = bool(run.weight_decay) and run.optimizer != "upgd"  # which shrinks weights by itself
+    minibatch = min(run.minibatch, run.steps_per_update // run.policies)
+    return Program(run.activation, run.optimizer, minibatch, decays, run.normalize_advantage)
 
 
 def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
-    """Return the run's numeric fields, float32; an absent limit is infinite.
+    """Return the run's numeric fields, float32; an absent limit is infinite, another absent number 0.
 
     They include the key of UPGD's noise, (2,) uint32.
     """
-    b1, b2 = run.betas or (0.0, 0.0)
     limit = math.inf if run.gradient_limit is None else run.gradient_limit
+    beta_1, beta_2 = run.betas or (0.0, 0.0)
+    decays = {"beta_1": beta_1, "beta_2": beta_2, "utility_decay": run.utility_decay or 0.0}
     numbers = {
-        "learning_rate": run.learning_rate,
-        "clip_range": run.clip_range,
-        "value_coefficient": run.value_coefficient,
-        "entropy_coefficient": run.entropy_coefficient,
+        **{name: getattr(run, name) or 0.0 for name in _AS_THEY_ARE},
+        **decays,
+        **{f"log_{name}": math.log(each) if each else -math.inf for name, each in decays.items()},
         "joint_limit": limit if run.clip == "joint" else math.inf,
         "part_limit": limit if run.clip == "separate" else math.inf,
-        "beta_1": b1,
-        "beta_2": b2,
-        "log_beta_1": math.log(b1) if b1 else -math.inf,
-        "log_beta_2": math.log(b2) if b2 else -math.inf,
-        "epsilon": run.epsilon or 0.0,
-        "momentum": run.momentum or 0.0,
-        "dampening": run.dampening or 0.0,
-        "smoothing": run.smoothing or 0.0,
-        "weight_decay": 0.0 if run.optimizer == "upgd" else run.weight_decay,
-        "shrinking": run.weight_decay,
-        "utility_decay": run.utility_decay or 0.0,
-        "log_utility_decay": math.log(run.utility_decay) if run.utility_decay else -math.inf,
-        "noise": run.noise or 0.0,
+        "weight_decay": run.weight_decay,
     }
     key = np.array([stream_seed(run.stream, "upgd-noise", player)], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
@@ -97,27 +102,23 @@ def evaluate_rollout(
     return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
-@partial(
-    jax.jit,
-    static_argnames=("activation", "optimizer", "minibatch", "decays", "normalizes"),
-    donate_argnums=(0, 1),
-)
+@partial(jax.jit, static_argnames="program", donate_argnums=(0, 1))
 def learn(
     parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
-    activation: str, optimizer: str, minibatch: int, decays: bool, normalizes: bool,
+    program: Program,
 ) -> tuple[Tree, Tree, Any]:  # fmt: skip
     """Take all gradient steps of an update; return parameters, the optimizer's state, and `METRICS`.
 
     The batch has observations (N, features), actions, log_probabilities, advantages and returns (N,). The
-    orders, (epochs, N) permutations, are cut into minibatches, of which the last one may be smaller. `decays`
-    says whether the numbers, `run_numbers`, have a weight decay, and `normalizes` whether the advantages of
-    each minibatch are normalised. The memory of parameters and state is reused.
+    orders, (epochs, N) permutations, are cut into minibatches, of which the last one may be smaller. The
+    numbers are those of `run_numbers`. The memory of parameters and state is reused.
     """
+    minibatch = program.minibatch
     whole = orders.shape[1] // minibatch
 
     def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
         part = {name: array[index] for name, array in batch.items()}
-        return _step(carry, part, numbers, activation, optimizer, decays, normalizes)
+        return _step(carry, part, numbers, program)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
         carry, metrics = jax.lax.scan(take, carry, order[: whole * minibatch].reshape(whole, minibatch))
@@ -159,18 +160,10 @@ def _is_layer(node: Any) -> bool:
     return isinstance(node, tuple) and getattr(node[-1], "ndim", 0) == 1
 
 
-def _step(
-    carry: Tree,
-    batch: Mapping[str, Any],
-    numbers: Any,
-    activation: str,
-    optimizer: str,
-    decays: bool,
-    normalizes: bool,
-) -> tuple[Tree, Any]:
+def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program) -> tuple[Tree, Any]:
     """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
     parameters, state = carry
-    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, activation, normalizes)
+    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, program)
     squares = {part: sum((g**2).sum() for g in jax.tree.leaves(gradients[part])) for part in gradients}
     norm = jnp.sqrt(squares["actor"] + squares["critic"])
     norms = {part: jnp.sqrt(square) for part, square in squares.items()}
@@ -179,9 +172,9 @@ def _step(
     clipped = {
         part: jax.tree.map(partial(jnp.multiply, factors[part]), gradients[part]) for part in gradients
     }
-    if decays:
+    if program.decays:
         clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
-    carry = STEPS[optimizer](clipped, parameters, state, numbers)
+    carry = STEPS[program.optimizer](clipped, parameters, state, numbers)
     return carry, jnp.concatenate([metrics, jnp.stack([norm, norms["actor"], norms["critic"]])])
 
 
@@ -190,14 +183,12 @@ def _shrink(norm: Any, limit: Any) -> Any:
     return jnp.minimum(limit / (norm + 1e-6), 1.0)
 
 
-def _loss(
-    parameters: Tree, batch: Mapping[str, Any], numbers: Any, activation: str, normalizes: bool
-) -> tuple[Any, Any]:
+def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Program) -> tuple[Any, Any]:
     """Return the loss of a minibatch and the first five `METRICS`."""
-    _, logits = _forward(parameters["actor"], activation, batch["observations"])
-    _, values = _forward(parameters["critic"], activation, batch["observations"])
+    _, logits = _forward(parameters["actor"], program.activation, batch["observations"])
+    _, values = _forward(parameters["critic"], program.activation, batch["observations"])
     advantages = batch["advantages"]
-    if normalizes and advantages.shape[0] > 1:
+    if program.normalizes and advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
     logs = jax.nn.log_softmax(logits)
     difference = _of_chosen(logs, batch["actions"]) - batch["log_probabilities"]
