@@ -101,7 +101,7 @@ def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | 
         if found.published
         else f"Optuna's log: {found.journal.path}"
     )
-    amount = f"{counted(len(budget.seeds), 'seed')} each, {found.task.steps:,} steps a run"
+    amount = f"{counted(len(budget.seeds), 'seed')} each, {budget.steps:,} steps a run"
     yield f"{len(found.trials)} of {budget.trials} trials, {amount}"
     for objective in search.objectives:
         yield f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
@@ -166,7 +166,7 @@ def run(
 ) -> Result:
     """Search for hyperparameters, going on where it was stopped; several processes share the work."""
     from pneuma import api
-    from pneuma.search.record import STATES, Task
+    from pneuma.search.record import STATES
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, refuse_unfinished, run_search
 
@@ -176,7 +176,7 @@ def run(
         raise unknown_name(f"preset of search {search.name}", preset, presets)
     amount = {"trials": trials, "seeds": seeds, "steps": steps}
     given = {key: value for key, value in amount.items() if value is not None}
-    task = Task(search, presets[preset].model_copy(update=given))
+    budget = presets[preset].model_copy(update=given)
     how, once = place.config(), cache(tell)  # which says the same of later generations no more
 
     def train(planned: Plan, until: Mapping[str, int]) -> None:
@@ -185,10 +185,10 @@ def run(
         )
         refuse_unfinished(results, until)
 
-    document: dict[str, Any] = {"search": task.search.name, "trials": [], "best": None}
+    document: dict[str, Any] = {"search": search.name, "trials": [], "best": None}
     told, code = set[int](), 0
     try:
-        for found in run_search(task, store, train, tell):
+        for found in run_search(search, budget, store, train, tell):
             for trial in found.trials:
                 if trial.number not in told:
                     note = f" ({note})" if (note := trial.user_attrs.get("note")) else ""
@@ -198,7 +198,7 @@ def run(
             so_far = f"front: {best}" if best else "none complete yet"
             if isinstance(best, int):
                 so_far = f"best {_value(found.begun[best])}, trial {best}"
-            tell(f"{len(told)}/{task.budget.trials} trials; {so_far}")
+            tell(f"{len(told)}/{budget.trials} trials; {so_far}")
     except Unfinished as error:
         say(f"Stopped: {error}")
         code = 1

@@ -131,7 +131,7 @@ def _amount(searched: Record) -> str:
     counts = [f"{ended.count(state)} {word}" for state, word in words.items() if state in ended]
     seeds = counted(len(searched.task.budget.seeds), "seed")
     return (
-        f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {searched.task.steps:,} steps each"
+        f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {searched.task.budget.steps:,} steps each"
     )
 
 

@@ -86,7 +86,7 @@ class Promotion:
         task = self.winners[0].searched.task
         seen = f"{counted(task.budget.trials, 'trial')} of {counted(len(task.budget.seeds), 'seed')}"
         fresh = f"{counted(len(self.seeds), 'fresh seed')}, {self.steps:,} steps each"
-        return f"searched: {seen}, {task.steps:,} steps each; now: winner and base alike, {fresh}"
+        return f"searched: {seen}, {task.budget.steps:,} steps each; now: winner and base alike, {fresh}"
 
     def path(self, store: Store) -> Path:
         return store.root / "searches" / f"{self.name}.toml"
@@ -123,7 +123,7 @@ def promote(
     searches = [read_record(store, name, world, settings) for name in names]
     winners = find_winners(searches, trial, seeds)
     runs = [each.space.make_run(params) for each in winners for params in ({}, each.trial.params)]
-    return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.steps))
+    return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.budget.steps))
 
 
 def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence[int]) -> list[Winner]:
@@ -271,7 +271,7 @@ def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
     if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
         between = difference_interval(arms[0], arms[1])
         difference, low, high = float(arms[0].mean() - arms[1].mean()), between.low, between.high
-    alike = won[0].budget == winner.space.make_run(winner.trial.params, steps=task.steps).steps
+    alike = won[0].budget == winner.space.make_run(winner.trial.params, steps=task.budget.steps).steps
     alike &= objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
     sign = 1 if objective.direction == "maximize" else -1
     luck = sign * (seen - fresh) if alike else math.nan

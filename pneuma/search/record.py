@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +38,7 @@ ABOUT = "pneuma"
 """The user attribute of a study that says which search it is."""
 FORMAT = 3
 """Of records; raised when one that was begun before would go on with other suggestions or runs."""
-SAME_STEPS = 3
-"""The first format whose trials all have the same steps."""
-VERSIONS = ("optuna", "rules", "engines")
+VERSIONS = ("optuna", "rules", "engines", "format")
 """Parts of a search's identity that the user does not choose."""
 STATES = {TrialState.COMPLETE: "complete", TrialState.PRUNED: "pruned", TrialState.FAIL: "failed"}
 """Of trials that have ended: a pruned one was stopped early, and a failed one has no value."""
@@ -59,18 +56,10 @@ def common_steps(runs: Iterable[Run], steps: int) -> int:
 
 @dataclass(frozen=True)
 class Task:
-    """A search with its budget."""
+    """A search with its budget, whose steps are those of each run."""
 
     search: Search
     budget: Budget
-    format: int = FORMAT
-
-    @cached_property
-    def steps(self) -> int:
-        """Agent steps of each run: those of the budget, rounded up alike for all trials and the base."""
-        space = self.search.space
-        runs = [space.make_run({}), *(run for _, run in space.corners())]
-        return self.budget.steps if self.format < SAME_STEPS else common_steps(runs, self.budget.steps)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -98,7 +87,7 @@ class Task:
             "optuna": optuna.__version__,
             "rules": RULES_VERSION,
             "engines": ENGINE_VERSIONS,
-            "format": self.format,
+            "format": FORMAT,
         }
         plain: dict[str, Any] = json.loads(json.dumps(identity, default=list))
         return plain
@@ -109,8 +98,6 @@ class Task:
 
     def changes_since(self, identity: Any) -> list[str]:
         """Return where a recorded identity differs from this one, as keys with dots."""
-        if isinstance(space := identity["space"], list):  # as it was recorded before
-            identity = {**identity, "space": {each["name"]: each for each in space}}
         then, now = _flat(identity), _flat(self.identity)
         return [key for key in {**then, **now} if then.get(key) != now.get(key)]
 
@@ -168,9 +155,9 @@ class Record:
             }
             for trial in self.trials
         ]
-        task = self.task
-        amount = {"trials_asked": task.budget.trials, "seeds": task.budget.seeds, "steps": task.steps}
-        return {"search": task.search.name, **amount, "trials": trials, "best": self.best}
+        budget = self.task.budget
+        amount = {"trials_asked": budget.trials, "seeds": budget.seeds, "steps": budget.steps}
+        return {"search": self.task.search.name, **amount, "trials": trials, "best": self.best}
 
 
 # --- Searching ------------------------------------------------------------------------------------
@@ -280,8 +267,8 @@ def _read_latest(paths: Sequence[Path], search: Search, published: bool = False)
                 raise UserError(f"{path}: no trial was begun yet: `pneuma search run` it first")
             identity = about["identity"]
             budget = Budget(trials=about["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
-            record = Record(Task(search, budget, identity.get("format", 0)), study, journal, published)
-            changes = record.task.changes_since({"format": 0, **identity})
+            record = Record(Task(search, budget), study, journal, published)
+            changes = record.task.changes_since(identity)
             changed = ", ".join(key for key in changes if key.split(".")[0] not in VERSIONS)
             if not changed:
                 _check_trials(study, search)

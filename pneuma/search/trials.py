@@ -24,9 +24,9 @@ from pneuma.config import Run, stream_seed
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
 from pneuma.errors import UserError
 from pneuma.schema import shown
-from pneuma.search.record import STATES, Record, Task, open_record
+from pneuma.search.record import STATES, Record, Task, common_steps, open_record
 from pneuma.search.samplers import BY_SEED, PRUNERS, make_sampler
-from pneuma.search.spec import check_budget
+from pneuma.search.spec import Budget, Search, check_budget
 from pneuma.search.values import Outcomes, objective_value, over_seeds
 from pneuma.study.execute import CellResult, check_environments
 from pneuma.study.identity import config_id, run_id
@@ -53,17 +53,25 @@ def refuse_unfinished(results: Sequence[CellResult], until: Mapping[str, int]) -
             raise Unfinished(f"{what}{why}{again}")
 
 
-def run_search(task: Task, store: Store, train: Train, say: Callable[[str], None]) -> Iterator[Record]:
+def run_search(
+    search: Search, budget: Budget, store: Store, train: Train, say: Callable[[str], None]
+) -> Iterator[Record]:
     """Search, training only runs that are not stored; yield the record at first and after each generation.
 
-    `say` tells how far the search is. A search that cannot be run here is refused before anything is trained.
-    Raises `Unfinished` when a run crashed; trials that ended before are stored.
+    The budget's steps are rounded up alike for all trials and the base. `say` tells how far the search is. A
+    search that cannot be run here is refused before anything is trained. Raises `Unfinished` when a run
+    crashed; trials that ended before are stored.
     """
-    search, runs = task.search, [run for _, run in task.search.space.corners()]
-    check_budget(search, task.budget)
+    runs = [search.space.make_run({}), *(run for _, run in search.space.corners())]
+    check_budget(search, budget)
     check_environments(runs)
     for objective, env in product(search.objectives, sorted({run.env for run in runs})):
         check_outcome(objective.outcome, [env])
+    steps = common_steps(runs, budget.steps)
+    if steps != budget.steps:
+        alike = f"{steps:,} for all trials and the base, whole updates of each"
+        say(f"Note: {budget.steps:,} steps are rounded up to {alike}.")
+    task = Task(search, budget.model_copy(update={"steps": steps}))
     record = open_record(store, task, say)
     yield record
     yield from conduct(record, train, Outcomes(search, store), say)
@@ -194,7 +202,7 @@ def _entry(record: Record, what: str) -> Iterator[None]:
 
 
 def _cells(task: Task, number: int, params: Mapping[str, Any]) -> list[Cell]:
-    run = task.search.space.make_run(params, steps=task.steps)
+    run = task.search.space.make_run(params, steps=task.budget.steps)
     runs = [replace(run, seed=seed) for seed in task.budget.seeds]
     return [Cell(f"trial-{number:03}", one.seed, one, run_id(one)) for one in runs]
 
@@ -224,11 +232,7 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         about=task.search.spec.about,
         world=task.search.world,
     )
-    notes = [*rounding_notes((task.steps, cell.run) for cell in cells)]
-    if task.steps != task.budget.steps:
-        asked, all_alike = f"{task.budget.steps:,} steps", f"{task.steps:,} for all trials and the base"
-        notes.append(f"{asked} are rounded up to {all_alike}, whole updates of each")
-    return Plan(study, tuple(cells), tuple(notes))
+    return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))
 
 
 # --- Values ----------------------------------------------------------------------------------------

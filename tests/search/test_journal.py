@@ -47,7 +47,7 @@ def search(task: Task, store: Store, most: int = 99) -> tuple[list[Told], list[s
             raise Killed
 
     try:
-        for found in run_search(task, store, train, notes.append):
+        for found in run_search(task.search, task.budget, store, train, notes.append):
             ended = told_of(found.trials)[: task.budget.trials]
     except Killed:
         pass
@@ -231,7 +231,7 @@ def test_processes_that_search_together_find_what_one_would(make_task: MakeTask,
             others.append([])
             others[-1] = search(task, store, most=len(others))[0]
 
-    *_, found = run_search(task, store, train, lambda note: None)
+    *_, found = run_search(task.search, task.budget, store, train, lambda note: None)
     assert told_of(found.trials) == solve(task)
 
 
