@@ -29,7 +29,7 @@ BAND_OF_PROFILES = "95 % band, stratified bootstrap"
 
 
 def curves_page(
-    studies: StudyData | Mapping[str, StudyData | None],
+    studies: StudyData | Mapping[str, StudyData],
     quantities: str | Sequence[str] = (),
     basename: str = "",
     **how: Any,
@@ -37,8 +37,8 @@ def curves_page(
     """Return the figure of the curves of a study's finished runs.
 
     Args:
-        studies: the study; or its runs in each world, by the title of a column, which is narrow if there are
-            none. The quantities are the rows then.
+        studies: the study; or its runs in each world, by the title of a column. The quantities are the rows
+            then.
         quantities: of `curve_names`; default: the return and the share killed, as far as recorded. If returns
             are of different rewards, the length of episodes replaces them.
         basename: of the files; default: of a single study its figure, and how this one differs from the
@@ -50,17 +50,15 @@ def curves_page(
             or a band that runs are too few for.
     """
     columns = {"": studies} if isinstance(studies, StudyData) else studies
-    data = next(filter(None, columns.values()))
-    if not all(fits_panel(each) for each in columns.values() if each):
+    data, alone = next(iter(columns.values())), len(columns) == 1
+    if not all(map(fits_panel, columns.values())):
         most = f"pick {style.MOST_IN_A_PANEL} at most by --condition, or --figure summary"
         raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {most}")
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
     names = [*filter(None, names)] or usual_quantities(data)
-    alone = len(columns) == 1
     drawn = {
         title: Column(each, [name for name in names if alone or name in curve_names(each)], **how)
         for title, each in columns.items()
-        if each
     }
     first = next(iter(drawn.values()))
     stem = basename or data.basename(*_differences(first, names))
@@ -71,15 +69,14 @@ def curves_page(
         inches = rows * style.PANEL_INCHES * (1.2 if across == 1 else 1)
         headline, notes = headline_of(data), first.notes
     else:
-        panels, notes = _in_columns([*columns], drawn, names)
+        panels, notes = _in_columns(drawn, names)
         inches = 0.95 * len(names) * style.PANEL_INCHES
-        by_world = len({column.data.world for column in drawn.values()}) > 1
+        by_world = len({each.world for each in columns.values()}) > 1
         shown = after_thesis(stem) or "by world" * by_world
         headline = ": ".join(filter(None, [data.study.title, shown]))
-    runs = samples_of(*(each.data for each in drawn.values()), *filter(None, [first.beside]))
+    runs = samples_of(*columns.values(), *filter(None, [first.beside]))
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
-    widths = [1 if title in drawn else grid.EMPTY_WIDTH for title in columns]
-    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else widths)
+    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else [1] * len(columns))
 
 
 def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **how: Any) -> Axes:
@@ -140,7 +137,7 @@ def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
 
 
 def _in_columns(
-    titles: Sequence[str], drawn: dict[str, Column], quantities: Sequence[str]
+    drawn: dict[str, Column], quantities: Sequence[str]
 ) -> tuple[list[list[Panel | None]], list[str]]:
     """Return a column for each world, and a row for each quantity; and the notes on them."""
     notes = merge_notes({title: (column.data, column.notes) for title, column in drawn.items()})
@@ -151,16 +148,14 @@ def _in_columns(
         drawn = {title: replace(column, labels=labels, ends=False) for title, column in drawn.items()}
     first = next(iter(drawn))
 
-    def panel(title: str, name: str) -> Panel | None:
-        column, top, low = drawn.get(title), name == quantities[0], name == quantities[-1]
-        if column is None:
-            return grid.no_runs(title * top)
+    def panel(title: str, column: Column, name: str) -> Panel | None:
+        top, low = name == quantities[0], name == quantities[-1]
         if name not in column.curves:
             return None
         label, along = QUANTITIES[name].title * (title == first), X_LABELS[column.x] * low
         return replace(column.panel(name), title=title * top, x=along, y=label)
 
-    return [[panel(title, name) for title in titles] for name in quantities], notes
+    return [[panel(*each, name) for each in drawn.items()] for name in quantities], notes
 
 
 def _joint_label(condition: str, columns: Iterable[Column]) -> str:

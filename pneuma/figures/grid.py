@@ -43,8 +43,6 @@ NARROW = 2.5
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
 RANDOM_PLAYER = "random player"
-EMPTY_WIDTH = 0.3
-"""Width of a column without runs, relative to the others."""
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
 LEAST_PANEL_INCHES = 0.8
@@ -144,16 +142,6 @@ class Page:
 def in_grid(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
     padded = [*panels, *[None] * (-len(panels) % columns)]
     return [padded[start : start + columns] for start in range(0, len(padded), columns)]
-
-
-def no_runs(title: str) -> Panel:
-    return Panel(_draw_no_runs, textwrap.fill(title, 12))
-
-
-def _draw_no_runs(axes: Axes) -> None:
-    axes.set(xticks=(), yticks=())
-    axes.spines[:].set_visible(False)
-    axes.text(0.5, 0.5, "no\nruns\nyet", transform=axes.transAxes, ha="center", va="center", color=GREY)
 
 
 def save_page(

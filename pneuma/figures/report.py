@@ -64,7 +64,7 @@ class Part:
     notes: list[str] = field(default_factory=list)
     fix: str = ""
     extent: str = ""
-    pictures: Sequence[Mapping[str, str]] = ()
+    picture: Mapping[str, str] = field(default_factory=dict)
     numbers: CaptionedTable | None = None
     conditions: Mapping[str, Any] | None = None
     runs: Sequence[Sequence[Any]] = ()
@@ -136,22 +136,19 @@ def numbers_table(study: str, summary: pd.DataFrame) -> CaptionedTable:
 # --- Pictures ----------------------------------------------------------------------------------------
 
 
-def study_pictures(data: StudyData, words: str) -> list[dict[str, str]]:
-    """Draw a study's figure for the report: its curves.
+def study_picture(data: StudyData, words: str) -> dict[str, str]:
+    """Draw a study's figure for the report: its curves, or with too many conditions its summary.
 
     It has a data URI, a text alternative, and a caption with the command that draws it, whose `words` ask
-    for the study. With too many conditions for curves, it shows their summaries.
+    for the study.
     """
-    if curve_names(data) and fits_panel(data):
-        pages = [(f"Curves over {data.budget:,} environment steps", "plot", curves_page(data))]
-    else:
-        pages = [("What every run came to, and means", "plot --figure summary", summary_page(data))]
-    pictures = []
-    for what, command, page in pages:
-        again = f"pneuma study {command} {words}"
-        with TemporaryDirectory() as folder:
-            (path,) = save_page(page, Path(folder), ("png",), again)
-            source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
-        alternative = f"{data.study.title}: {what}, for {'; '.join(data.conditions)}."
-        pictures.append({"source": source, "alt": alternative, "caption": f"{what}: {again}."})
-    return pictures
+    what, verb = f"Curves over {data.budget:,} environment steps", "plot"
+    if not (of_curves := curve_names(data) and fits_panel(data)):
+        what, verb = "What every run came to, and means", "plot --figure summary"
+    again = f"pneuma study {verb} {words}"
+    with TemporaryDirectory() as folder:
+        page = curves_page(data) if of_curves else summary_page(data)
+        (path,) = save_page(page, Path(folder), ("png",), again)
+        source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
+    alternative = f"{data.study.title}: {what}, for {'; '.join(data.conditions)}."
+    return {"source": source, "alt": alternative, "caption": f"{what}: {again}."}

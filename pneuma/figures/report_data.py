@@ -18,7 +18,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.errors import UserError, counted
-from pneuma.figures.report import Part, Verdicts, numbers_table, study_pictures
+from pneuma.figures.report import Part, Verdicts, numbers_table, study_picture
 from pneuma.presets import WORLDS
 from pneuma.study import spec
 from pneuma.study.plan import differing_fields
@@ -119,7 +119,7 @@ def _add_data(index: RunIndex, part: Part, data: StudyData) -> None:
         origins = Counter(tuple(_facts(run).items()) for run in data.rows)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
         steps = f" --steps {data.steps}" if data.steps else ""
-        part.pictures = study_pictures(data, part.words + steps)
+        part.picture = study_picture(data, part.words + steps)
     except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         part.notes.append(_without_folder(index.store, error))
 

@@ -129,10 +129,8 @@ def _amount(searched: Record) -> str:
     ended = [trial.state for trial in searched.trials]
     words = {TrialState.COMPLETE: "whole", TrialState.PRUNED: "stopped early", TrialState.FAIL: "failed"}
     counts = [f"{ended.count(state)} {word}" for state, word in words.items() if state in ended]
-    seeds = counted(len(searched.task.budget.seeds), "seed")
-    return (
-        f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {searched.task.budget.steps:,} steps each"
-    )
+    seeds, steps = counted(len(searched.task.budget.seeds), "seed"), searched.task.budget.steps
+    return f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {steps:,} steps each"
 
 
 def _tables(searched: Record) -> list[tuple[int, str]]:
@@ -230,14 +228,7 @@ def _draw_values(
         for values, colour in zip(arms[row["search"]], (tuned, base), strict=True):
             axes.plot(values, [place + 0.22] * len(values), "o", color=colour, markersize=2.2, alpha=0.6)
     for label, (key, look) in looks.items():
-        axes.plot(
-            [row[key] for row in rows],
-            range(len(rows)),
-            label=label,
-            linestyle="",
-            markersize=4.5,
-            zorder=2.6,
-            **look,
-        )
+        look |= {"label": label, "linestyle": "", "markersize": 4.5, "zorder": 2.6}
+        axes.plot([row[key] for row in rows], range(len(rows)), **look)
     if from_zero:
         axes.set_xlim(left=0)

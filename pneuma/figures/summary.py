@@ -131,14 +131,13 @@ class OutcomeRows:
         return [*notes, *["Intervals: Student's t for means, else bootstrap."] * enough]
 
 
-def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: str = "") -> Page:
+def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "") -> Page:
     """Return what every run of a study came to, in all outcomes that it names.
 
     Of several worlds, by title, it is the one outcome that the study names, or the usual one. Each has a row
     for each condition that has runs there.
     """
-    columns, one_study = _outcomes_of(studies), isinstance(studies, StudyData)
-    drawn = {title: found for title, found in columns.items() if found}
+    drawn, one_study = _outcomes_of(studies), isinstance(studies, StudyData)
     alone = next(iter(drawn.values()))
     colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
     for found in drawn.values():
@@ -152,9 +151,7 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     highest, lowest = max([0.0, *killed]), min(killed, default=0.0)
     least = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
 
-    def panel(title: str, found: OutcomeRows | None) -> Panel:
-        if found is None:
-            return grid.no_runs(title)
+    def panel(title: str, found: OutcomeRows) -> Panel:
         labels = found.labels(named if found is alone or not alike else None)
         if one_study and found is not alone:  # the same runs in all panels
             labels = [""] * len(labels)
@@ -174,19 +171,17 @@ def summary_page(studies: StudyData | Mapping[str, StudyData | None], basename: 
     shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
     return Page(
         basename or alone.data.basename("summary"),
-        [[panel(title, found) for title, found in columns.items()]],
+        [[panel(*each) for each in drawn.items()]],
         max(pitch * most + 0.7, 0.6 * style.PANEL_INCHES),
         headline_of(alone.data, shown) if one_study else f"{alone.data.study.title}: {shown}",
         samples_of(*(found.data for found in drawn.values())),
         _marks(max(len(runs) for found in drawn.values() for runs in found.values.values())),
         [*notes, parts and f"Rows: {parts}."],
-        [1 if title in drawn else grid.EMPTY_WIDTH for title in columns],
+        [1] * len(drawn),
     )
 
 
-def _outcomes_of(
-    studies: StudyData | Mapping[str, StudyData | None],
-) -> Mapping[str, OutcomeRows | None]:
+def _outcomes_of(studies: StudyData | Mapping[str, StudyData]) -> Mapping[str, OutcomeRows]:
     """Return what has a panel, by title: the outcomes of a study, or one of it in each of several worlds."""
     if isinstance(studies, StudyData):
         every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
@@ -194,8 +189,6 @@ def _outcomes_of(
         return short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
     return {
         title: OutcomeRows(data, "".join(data.study.outcomes[: len(data.study.outcomes) == 1]))
-        if data
-        else None
         for title, data in studies.items()
     }
 

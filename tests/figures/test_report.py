@@ -32,7 +32,7 @@ def _page(name: str = "tanh") -> bytes:
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]], 1)
     part = Part(
         f"activation {name}", f"activation {name}", "In the text's world", notes=[name], fix=name,
-        pictures=[{"source": PICTURE, "alt": name, "caption": name}], numbers=numbers,
+        picture={"source": PICTURE, "alt": name, "caption": name}, numbers=numbers,
         conditions={"differing": (name, (name,), [[name]], 1), "alike": {name: name}},
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],

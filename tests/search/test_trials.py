@@ -15,11 +15,11 @@ from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
 from pneuma.search.record import Task
 from pneuma.search.trials import rounds
-from pneuma.search.values import Outcomes, over_seeds
+from pneuma.search.values import Outcomes
 from pneuma.study.plan import Cell
 from pneuma.study.store import Status, Store
 
-from .conftest import Formula, MakeTask, Told, height, record, solve, told_of
+from .conftest import Formula, MakeTask, Told, height, solve
 
 
 @pytest.fixture(autouse=True)
@@ -117,18 +117,6 @@ def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
         assert [*trial.reports] == ([5, 10, 15, 20] if trial.state == "complete" else reports)
 
 
-def test_a_pruned_trial_is_trained_no_further(make_task: MakeTask) -> None:
-    asked: list[Mapping[str, int]] = []
-    task = make_task(24, '[pruner]\nname = "median"\nn_startup_trials = 1')
-    found = record(task, asked=asked)
-    told = told_of(found.trials)
-    pruned = [trial for trial in told if trial.state == "pruned"]
-    ends = {name for until in asked for name, step in until.items() if step == 0}
-    assert pruned and ends == {name for trial in told if trial.state == "complete" for name in trial.run_ids}
-    best = found.best
-    assert isinstance(best, int) and told[best].values[0] > max(trial.values[0] for trial in pruned)
-
-
 def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
     """Of 8 seeds: a trial that is worse than the best on each of the first few is not trained on the rest."""
     asked: list[Mapping[str, int]] = []
@@ -144,20 +132,6 @@ def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
 
 def run_of(task: Task, trial: Told) -> Run:
     return task.search.space.make_run(trial.params, steps=task.budget.steps)
-
-
-@pytest.mark.parametrize(
-    ("name", "each", "expected"),
-    [
-        ("mean", (1, 2, 3, 6), 3.0),
-        ("median", (1, 2, 3, 5), 2.5),
-        ("iqm", (1, 2, 3, 5), 2.5),
-        ("deviation", (1, 2, 4, 5), math.sqrt(10 / 3)),
-    ],
-)
-def test_over_seeds_by_hand(name: str, each: tuple[int, ...], expected: float) -> None:
-    assert over_seeds(name, np.array(each, float)) == pytest.approx(expected)
-    assert np.isnan(over_seeds(name, np.array([1.0, np.nan])))
 
 
 @dataclass(frozen=True)
