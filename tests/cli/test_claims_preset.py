@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.cli import main, study_run
+from pneuma.cli import study_run
 from pneuma.study.provenance import uncommitted
+
+from .calls import refused
 
 
 def test_only_changes_of_code_and_studies_count(tmp_path: Path) -> None:
@@ -31,12 +33,8 @@ def test_only_changes_of_code_and_studies_count(tmp_path: Path) -> None:
     assert uncommitted(tmp_path) == ["pneuma/code.py", "studies/"]
 
 
-def test_claims_are_not_trained_from_a_changed_tree(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_claims_are_not_trained_from_a_changed_tree(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(study_run, "uncommitted", lambda: ["pneuma/engines/ppo.py", "studies/early.toml"])
-    words = ["study", "run", "activation", "--preset", "claims", "--results", str(tmp_path / "results")]
-    assert main(words) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "pneuma/engines/ppo.py is not as committed (2 files" in told
+    told = refused("study", "run", "activation", "--preset", "claims", "--results", tmp_path / "results")
+    assert "pneuma/engines/ppo.py is not as committed (2 files" in told
     assert not (tmp_path / "results").exists()

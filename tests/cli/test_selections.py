@@ -164,14 +164,6 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
     )
 
 
-def test_trained_and_published_runs_of_one_budget_are_one_sample(store: Store) -> None:
-    published, _ = _published(store, steps=1_000_000)
-    new = _finish(store, seeds=(9000,), steps=1_000_000)
-    shown, told = _ask(store, "activation", conditions=("tanh", "relu"))
-    assert len(shown) == published + 2 and {*new} < {*shown}
-    assert f"{published + 2} runs of 1,000,000 steps ({published} of them published)." in told
-
-
 # --- Conditions with changed fields ----------------------------------------------------------------
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -77,22 +77,10 @@ class Formula(Outcomes):
         return self._diverged
 
 
-@dataclass(frozen=True)
-class Told:
-    """What a search comes to in a trial, without identities and times."""
-
-    number: int
-    params: Mapping[str, Any]
-    state: str
-    values: tuple[float, ...]
-    run_ids: tuple[str, ...]
-    reports: Mapping[int, float]
-    note: str
-
-
-def told_of(trials: Iterable[FrozenTrial]) -> list[Told]:
+def told_of(trials: Iterable[FrozenTrial]) -> list[Any]:
+    """Return what a search comes to in each trial, without identities and times."""
     return [
-        Told(
+        SimpleNamespace(
             number=trial.number,
             params=trial.params,
             state=STATES[trial.state],
@@ -106,31 +94,24 @@ def told_of(trials: Iterable[FrozenTrial]) -> list[Told]:
 
 
 def record(
-    task: Task,
-    plans: list[Plan] | None = None,
-    outcomes: Formula | None = None,
-    asked: list[Mapping[str, int]] | None = None,
-    said: list[str] | None = None,
+    task: Task, outcomes: Formula | None = None, asked: list[Mapping[str, int]] | None = None
 ) -> Record:
-    """Conduct a task on the formula in a new folder; lists get what is trained, how far, and said."""
+    """Conduct a task on the formula in a new folder; a list gets how far runs are trained."""
 
     def train(plan: Plan, until: Mapping[str, int]) -> None:
-        if plans is not None:
-            plans.append(plan)
         if asked is not None:
             asked.append(until)
 
     path = Path(mkdtemp()) / "formula.log"
     found = begin_record(path, task, Store(path.parent))
-    say = (said if said is not None else []).append
-    for _ in conduct(found, train, outcomes or Formula(), say):
+    for _ in conduct(found, train, outcomes or Formula(), lambda note: None):
         pass
     return found
 
 
-def solve(task: Task, *lists: Any, **more: Any) -> list[Told]:
+def solve(task: Task, **how: Any) -> list[Any]:
     """Return the trials of a task on the formula; see `record`."""
-    return told_of(record(task, *lists, **more).trials)
+    return told_of(record(task, **how).trials)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import optuna
 import pytest
@@ -20,7 +21,7 @@ from pneuma.search.trials import run_search
 from pneuma.study.plan import Plan
 from pneuma.study.store import PUBLISHED, Store
 
-from .conftest import Formula, MakeTask, Told, record, solve, told_of
+from .conftest import Formula, MakeTask, record, solve, told_of
 
 MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
 
@@ -34,9 +35,9 @@ class Killed(Exception):
     """The process ends."""
 
 
-def search(task: Task, store: Store, most: int = 99) -> tuple[list[Told], list[str]]:
+def search(task: Task, store: Store, most: int = 99) -> tuple[list[Any], list[str]]:
     """Run a search, which is killed when it trains once more than `most`; return its trials and notes."""
-    ended: list[Told] = []
+    ended: list[Any] = []
     notes: list[str] = []
     trained = 0
 
@@ -200,7 +201,7 @@ def test_a_search_starts_warm_with_the_best_trials_of_another(make_task: MakeTas
 def test_processes_that_search_together_find_what_one_would(make_task: MakeTask, store: Store) -> None:
     """Another one goes on with the same search whenever this one trains."""
     task = make_task(12, more=MEDIAN)
-    others: list[list[Told]] = []
+    others: list[list[Any]] = []
 
     def train(plan: Plan, until: Mapping[str, int]) -> None:
         if len(others) < 5:

@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from pneuma.config import Run
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
-from pneuma.search.record import Task
 from pneuma.search.trials import rounds
 from pneuma.search.values import Outcomes
 from pneuma.study.plan import Cell
 from pneuma.study.store import Status, Store
 
-from .conftest import Formula, MakeTask, Told, height, solve
+from .conftest import Formula, MakeTask, height, solve
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +76,7 @@ def test_training_pauses_where_the_pruner_decides(
     (trial, *_) = solve(task, asked=asked)
     assert [part.pause for part in rounds(task)] == [*pauses, 20]
     steps = [until[trial.run_ids[0]] for until in asked]
-    run = run_of(task, trial)
+    run = task.search.space.make_run(trial.params, steps=2048)
     evaluated = sorted(evaluation_updates(run))  # 32 updates of 64 steps
     assert steps == [64 * evaluated[pause - 1] for pause in pauses] + [0]
 
@@ -128,10 +126,6 @@ def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
     trained = {name for until in asked for name in until}
     for trial in pruned:
         assert sum(name in trained for name in trial.run_ids) == len(trial.reports)
-
-
-def run_of(task: Task, trial: Told) -> Run:
-    return task.search.space.make_run(trial.params, steps=task.budget.steps)
 
 
 @dataclass(frozen=True)
