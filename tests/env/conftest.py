@@ -1,13 +1,14 @@
-"""Levels that the tests of the environment share."""
+"""Levels that the tests of the environment share, and windows that open nowhere."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import ModuleType
 
 import pytest
 
-from .arena import BAMBOO, RACCOON, SPIRIT, SQUID, write_level
+from .arena import EMPTY, FIELD, ZOO
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -22,17 +23,14 @@ def _no_screen() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return a field with one obstacle, a start at its centre and a monster in every corner."""
-    corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
-    return write_level(tmp_path_factory.mktemp("arena"), [(0.0, 0.0)], corners, [(14, 10)])
+    """Return a field with one obstacle, a start at its centre and a bamboo in every corner."""
+    return replace(FIELD, obstacles=((14, 10),)).write(tmp_path_factory.mktemp("arena"))
 
 
 @pytest.fixture(scope="session")
 def zoo(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a field with a start at its centre and a bamboo, spirit, raccoon and squid in the corners."""
-    corners = [(x, y) for x in (-540.0, 540.0) for y in (-540.0, 540.0)]
-    codes = (BAMBOO, SPIRIT, RACCOON, SQUID)
-    return write_level(tmp_path_factory.mktemp("zoo"), [(0.0, 0.0)], corners, codes=codes)
+    return ZOO.write(tmp_path_factory.mktemp("zoo"))
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +41,9 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
     step: three stand against its head, and two beside those, where its sword does not reach.
     """
     around = [(-25.0, -50.0), (0.0, -50.0), (25.0, -50.0), (-50.0, -30.0), (50.0, -30.0)]
-    return write_level(tmp_path_factory.mktemp("pit"), [(0.0, 0.0), (450.0, -450.0)], around)
+    monsters = tuple(("bamboo", x, y) for x, y in around)
+    starts = ((0.0, 0.0), (450.0, -450.0))
+    return replace(EMPTY, starts=starts, monsters=monsters).write(tmp_path_factory.mktemp("pit"))
 
 
 @pytest.fixture

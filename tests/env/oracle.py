@@ -13,48 +13,23 @@ A tick goes:
    no HP left is dead from the next tick on; until then he stands in the way.
 
 Bodies are boxes around points beside which they may lie; who observes, chases or is knocked goes by the
-points. Where `player_stops` has the bit of bodies, the living stop each other as walls do; nobody pushes.
+points. Where bodies block, the living stop each other as walls do; nobody pushes.
 
-An agent step is `settings.ticks` of them with the same actions. Its end may be the episode's.
+An agent step is 8 of them with the same actions, or as many as `settings.ticks` says. Its end may be the
+episode's.
 
-Inputs are what `Worlds` made of levels, characters and configuration (`oracle_arrays.py` reads them);
-what players see is in `oracle_view.py`. Units: pixels, ticks of 1/60 s, pixels a tick; y points down.
+Inputs are the configuration itself, and what `Worlds` made of levels and characters (`oracle_arrays.py` reads
+it); what players see is in `oracle_view.py`. Units: pixels, ticks of 1/60 s, pixels a tick; y points down.
 """
 
 from __future__ import annotations
 
 import math
 
-from pneuma.env.rules import (
-    ATTACK,
-    BODIES,
-    CLEARED,
-    DOWN,
-    FLAME,
-    HEAL,
-    KILLED,
-    RUNNING,
-    TIME_LIMIT,
-)
+from pneuma.env.rules import CLEARED, DOWN, KILLED, RUNNING, TIME_LIMIT
 
 from .oracle_moves import Box, Ground, Pair, move
-from .oracle_parts import (
-    WAYS,
-    Blow,
-    Events,
-    Gain,
-    Monster,
-    Player,
-    Rulebook,
-    approach,
-    blow,
-    die,
-    formula,
-    gap_squared,
-    heal,
-    knock_back,
-    wounds,
-)
+from .oracle_parts import WAYS, Blow, Events, Gain, Monster, Player, Rulebook
 
 # --- The world -------------------------------------------------------------------------------------
 
@@ -69,7 +44,8 @@ class Oracle:
         self.monsters_left = self.players_left = 0
         self.ending = RUNNING
         count = len(book.stats)
-        self.players = [Player(*both) for both in zip(book.stats, book.stats_of_second_weapons, strict=True)]
+        both = zip(book.stats, book.stats_of_second_weapons, book.rewards, strict=True)
+        self.players = [Player(*given) for given in both]
         self.monsters = [Monster(kind, [0] * count, [0] * count) for kind in book.kinds[0]]
 
     @property
@@ -94,7 +70,7 @@ class Oracle:
         for p, player in enumerate(self.players):
             player.x, player.y = places[(self.start + p) % len(places)]
             player.hp, player.energy = player.stats.hp, player.stats.energy
-            if not book.settings.keep_xp:
+            if book.config.xp_scope == "episode":
                 player.xp = 0.0
             player.facing = DOWN
             player.busy = player.action_kind = player.attack = player.safe = player.kills = 0
@@ -130,8 +106,8 @@ class Oracle:
         for player in self.players:
             events = player.events
             if events.present or events.died:
-                events.reward = formula(player)
-        if self.book.settings.shared_reward:
+                events.reward = player.formula()
+        if self.book.config.shared_reward:
             total = 0.0  # not by `sum`, which rounds differently from Python 3.12 on
             for player in self.players:
                 total += player.events.reward
@@ -141,9 +117,9 @@ class Oracle:
                     player.events.reward = mean
 
     def _token(self, action: int) -> int:
-        """Return what an action says: the last actions are the tokens 1, 2, ..."""
-        settings = self.book.settings
-        return max(action - (settings.actions - settings.tokens) + 1, 0)
+        """Return what an action says: say_1 is the token 1."""
+        said, _, token = self.book.actions[action].partition("_")
+        return int(token) if said == "say" else 0
 
     # --- Random numbers --------------------------------------------------------------------------
 
@@ -163,14 +139,14 @@ class Oracle:
 
     def _end(self) -> None:
         """Decide whether the episode is over, and charge the living for an ending."""
-        settings = self.book.settings
+        config = self.book.config
         self.players_left = sum(player.hp > 0.0 for player in self.players)
         self.monsters_left = sum(monster.hp > 0.0 for monster in self.monsters)
         if self.players_left == 0:
             self.ending = KILLED
-        elif self.monsters_left == 0 and settings.end_on_clear:
+        elif self.monsters_left == 0 and config.end_on_clear:
             self.ending = CLEARED
-        elif self.steps >= settings.episode_steps:
+        elif self.steps >= config.episode_steps:
             self.ending = TIME_LIMIT
         if self.ending in (CLEARED, TIME_LIMIT):
             for player in self.players:
@@ -179,7 +155,7 @@ class Oracle:
 
     def _charge(self, player: Player) -> None:
         """Take the XP that an ending costs; the published code then sets the reward to the XP."""
-        cost = self.book.settings.ending_cost
+        cost = self.book.config.ending_cost
         if cost != 0.0:
             player.xp -= cost
             player.events.xp_gained -= cost
@@ -206,47 +182,43 @@ class Oracle:
 
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
-        stats, settings = player.weapon, self.book.settings
+        stats, name = player.weapon, self.book.actions[action]
         struck = None
         if player.busy == 0:
-            if settings.hold >= 0 and action in (settings.hold, settings.hold + 1):
-                player.second = action - settings.hold
-            elif self._token(action):
-                pass  # stands still
-            elif action == settings.dash:
+            if name in ("first_weapon", "second_weapon"):
+                player.second = int(name == "second_weapon")
+            elif name == "dash":
                 if player.dash_cooldown == 0:  # 8 ticks of dashing, then 60 before the next
                     player.busy, player.dash_cooldown, player.action_kind = 8, 68, 2
-            elif action == ATTACK:
+            elif name == "attack":
                 player.busy, player.action_kind = stats.swing, 1
                 player.attack += 1
-            elif action == FLAME and player.energy >= stats.flame_cost:
+            elif name == "flame" and player.energy >= stats.flame_cost:
                 player.energy -= stats.flame_cost
                 player.busy, player.action_kind = stats.flame_ticks, 3
                 player.attack += 1
-                struck = blow(player, player.stats.flame)
-            elif action == HEAL and player.energy >= stats.heal_cost:
+                struck = player.blow(player.stats.flame)
+            elif name == "heal" and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
                 player.busy, player.action_kind = stats.heal_ticks, 4
                 for other in self.players:
-                    apart = (other.x - player.x) * (other.x - player.x) + (other.y - player.y) * (
-                        other.y - player.y
-                    )
-                    near = apart <= stats.heal_reach * stats.heal_reach and stats.heal_reach > 0.0
+                    dx, dy = other.x - player.x, other.y - player.y
+                    near = dx * dx + dy * dy <= stats.heal_reach * stats.heal_reach and stats.heal_reach > 0.0
                     if other is player or (near and other.hp > 0.0):
-                        heal(other, stats.heal, capped=True)
+                        other.heal(stats.heal, capped=True)
             elif action in WAYS:
                 self._walk(player, action)
         if player.busy > 0:
             player.busy -= 1
             if player.action_kind == 1:
-                struck = blow(player, stats.sword)
+                struck = player.blow(stats.sword)
             if player.action_kind == 2:
                 player.x, player.y = self.walked(player, player.facing, self._others(player), pace=3)
         player.dash_cooldown = max(player.dash_cooldown - 1, 0)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
-        if self.book.settings.deadly_coast and self.ground.is_sea(player.x, player.y):
+        if self.book.config.coast == "deadly" and self.ground.is_sea(player.x, player.y):
             player.events.hp_lost += player.hp
-            die(player)  # without XP cost
+            player.die()  # without XP cost
         return struck
 
     def _walk(self, player: Player, way: int) -> None:
@@ -256,15 +228,15 @@ class Oracle:
 
     def walked(self, player: Player, way: int, others: list[Box], pace: int = 1) -> Pair:
         """Return where one tick of walking takes a player among others; or of dashing, at thrice the pace."""
-        stats, stops = player.stats, self.book.settings.player_stops
-        slow = self.ground.pace(player.box, self.book.settings.slow_factor)
+        stats, slow = player.stats, self.ground.pace(player.box, self.book.config.slow_factor)
         dx, dy = (part * (pace * stats.speed) * slow for part in WAYS[way])
         offset = stats.body_x, stats.body_y
-        return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, stops, others)
+        closed = self.book.closed_to_players
+        return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, closed, others)
 
     def _others(self, mover: Player | Monster) -> list[Box]:
         """Return the bodies that stop one: of all others who live, if bodies block at all."""
-        if not self.book.settings.player_stops >> BODIES & 1:
+        if self.book.config.bodies == "pass":
             return []
         players = [player.box for player in self.players if player is not mover and player.hp > 0.0]
         return players + [m.box for m in self.monsters if m is not mover and m.hp > 0.0]
@@ -280,18 +252,16 @@ class Oracle:
                 monster.noticed.discard(p)
                 monster.bite[p] = 0
         met = {p for p in blows if monster.box.meets(blows[p].box)}
+        on_entry = self.book.config.blow == "entry"
+        swords = {p for p in blows if on_entry and self.players[p].action_kind == 1}
         for p in sorted(met):
-            number = blows[p].number
-            if self.book.settings.blow_on_entry and self.players[p].action_kind == 1:  # a sword
-                hit = p not in monster.inside
-            else:
-                hit = monster.struck_by[p] != number
+            enters = p in swords
+            hit = p not in monster.inside if enters else monster.struck_by[p] != blows[p].number
             if hit and monster.hp > 0.0 and monster.safe == 0:
                 self._strike(monster, p, blows[p], there, gains)
-            elif hit and self.book.settings.blow_on_entry and self.players[p].action_kind == 1:
+            elif hit and enters:
                 monster.struck_by[p] = 0
-        if self.book.settings.blow_on_entry:
-            monster.inside = {p for p in met if self.players[p].action_kind == 1}
+        monster.inside = met & swords
         if monster.hp <= 0.0:
             return
         target = self._sense(monster, there, gains)
@@ -300,29 +270,29 @@ class Oracle:
             monster.knocked -= 1
             dx, dy = monster.knock_x, monster.knock_y
         elif target is not None:
-            dx = approach(target.x - monster.x, monster.kind)
-            dy = approach(target.y - monster.y, monster.kind)
-        slow = self.ground.pace(monster.box, self.book.settings.slow_factor)
+            dx = monster.approach(target.x - monster.x)
+            dy = monster.approach(target.y - monster.y)
+        slow = self.ground.pace(monster.box, self.book.config.slow_factor)
         place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
-        stops, others, steps = self.book.settings.monster_stops, self._others(monster), (dx * slow, dy * slow)
-        monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, stops, others)
+        closed, others, steps = self.book.closed_to_monsters, self._others(monster), (dx * slow, dy * slow)
+        monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, closed, others)
 
     def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
         """Strike a living monster that a blow meets for the first time."""
         kind = monster.kind
         monster.struck_by[p] = blow.number
-        if not wounds(monster, p, blow.facing):
+        if not monster.wounds(p, blow.facing):
             return
         monster.safe = kind.safe
         monster.hp = max(monster.hp - blow.damage, 0.0)
         gains[p].hits += 1
         if monster.hp > 0.0:
-            knock_back(monster, blow)
+            monster.knock_back(blow)
             return
         gains[p].kills += 1
         for q in there:
             # Within the attack circle is who was when the monster last looked, a tick ago.
-            earns = monster.bite[q] > 0 if self.book.settings.credit_near else q == p
+            earns = monster.bite[q] > 0 if self.book.config.kill_credit == "near" else q == p
             if earns:
                 gains[q].deaths += 1
                 gains[q].xp += kind.xp
@@ -334,10 +304,10 @@ class Oracle:
         In flight it does not bite, unless told to: what is due then comes when it has landed.
         """
         kind, target, nearest = monster.kind, None, math.inf
-        flies = monster.knocked > 0 and not self.book.settings.bite_while_knocked
+        flies = monster.knocked > 0 and not self.book.config.bite_while_knocked
         for p in there:
             player, gain = self.players[p], gains[p]
-            gap = gap_squared(player, monster.x + kind.notice_x, monster.y + kind.notice_y)
+            gap = player.gap_squared(monster.x + kind.notice_x, monster.y + kind.notice_y)
             if gap > kind.notice_squared:
                 monster.noticed.discard(p)
             else:
@@ -345,7 +315,7 @@ class Oracle:
                 monster.noticed.add(p)
                 if gap < nearest:
                     target, nearest = player, gap
-            gap = gap_squared(player, monster.x + kind.attack_x, monster.y + kind.attack_y)
+            gap = player.gap_squared(monster.x + kind.attack_x, monster.y + kind.attack_y)
             if gap > kind.attack_squared:
                 monster.bite[p] = 0
             elif monster.bite[p] > 1:
@@ -376,11 +346,11 @@ class Oracle:
         events.reward += gain.notices + gain.contacts
 
         player.safe = max(player.safe - 1, 0)
-        heal(player, gain.kill_heal, bool(self.book.settings.healing_cap))
+        player.heal(gain.kill_heal, self.book.config.healing_cap)
         if gain.bitten > 0.0 and player.safe == 0:
             left = max(player.hp - gain.bitten, 0.0)
             events.hp_lost += player.hp - left
             player.hp, player.safe = left, stats.safe
             if player.hp <= 0.0:
-                die(player)
+                player.die()
                 self._charge(player)

@@ -1,4 +1,4 @@
-"""Between `Worlds` and the oracle: reads what the oracle is given, and compares what both say.
+"""Between `Worlds` and the oracle: reads what the oracle is given, plays both, and compares what they say.
 
 Everything is compared field by field and bit by bit (0.0 is not -0.0, 1 is not 1.0), observations as
 float32. Of the eight places that a monster keeps for players, those of existing players count.
@@ -6,36 +6,46 @@ float32. Of the eight places that a monster keeps for players, those of existing
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pneuma.env.rules import COAST, SOLID
 from pneuma.env.worlds import Worlds
 
 from .oracle import Oracle
 from .oracle_moves import Ground
-from .oracle_parts import Events, Monster, Player, Row, Rulebook
+from .oracle_parts import Events, Row, Rulebook
 from .oracle_view import mask, observe
 
-# --- From arrays -------------------------------------------------------------------------------------
-
-
-def make_oracles(worlds: Worlds) -> list[Oracle]:
-    """Return an oracle for each world, before its first reset."""
-    book = read_rulebook(worlds)
-    return [Oracle(book, int(key)) for key in worlds.worlds["key"]]
+SETS = ("noticed", "inside")
+"""Sets of players, which the kernel keeps as bits."""
 
 
 def read_rulebook(worlds: Worlds) -> Rulebook:
-    """Read what does not change from the arrays that `Worlds` made; the kernel's shortcuts go unread."""
-    row = worlds.settings[0]
+    """Read what does not change: the configuration, and numbers from the arrays that `Worlds` made.
+
+    The kernel's switches and shortcuts, which `Worlds` makes of the configuration, go unread.
+    """
+    config, row = worlds.config, worlds.settings[0]
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
+    trees = {SOLID} if config.trees == "wall" else set()
+    coast = {COAST} if config.coast == "wall" else set()
+    other_weapons = worlds.player_stats
+    if config.second_weapon:
+        otherwise = replace(config, weapons=(config.second_weapon,), second_weapon="")
+        other_weapons = Worlds(1, otherwise).player_stats
     return Rulebook(
-        settings=_read_row(row, actions=int(worlds.action_space.n)),
+        config=config,
+        actions=worlds.action_names,
+        rewards=config.reward if len(config.reward) > 1 else config.reward * config.players,
+        closed_to_players=frozenset(trees | coast),
+        closed_to_monsters=frozenset(trees | {COAST} if config.terrain_stops == "all" else ()),
+        settings=_read_row(row),
         stats=[_read_row(stats) for stats in worlds.player_stats],
-        stats_of_second_weapons=[_read_row(stats) for stats in _armed_otherwise(worlds)],
+        stats_of_second_weapons=[_read_row(stats) for stats in other_weapons],
         kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
@@ -43,48 +53,15 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     )
 
 
-def _armed_otherwise(worlds: Worlds) -> np.ndarray:
-    """Return the stats of players whose usual weapon is what the others have as their second."""
-    config = worlds.config
-    if not config.second_weapon:
-        return worlds.player_stats
-    return Worlds(1, replace(config, weapons=(config.second_weapon,), second_weapon="")).player_stats
-
-
-def read_state(world: Oracle, worlds: Worlds, index: int) -> None:
-    """Let an oracle go on from the state of a world; what happened before is forgotten by both."""
-    for name in ("key", "draws", "steps", "level", "start", "monsters_left", "players_left", "ending"):
-        setattr(world, name, int(worlds.worlds[name][index]))
-    for player, row in zip(world.players, worlds.players[index], strict=True):
-        _read_fields(player, row, ())
-    for monster, kind, row in zip(
-        world.monsters, world.book.kinds[world.level], worlds.monsters[index], strict=True
-    ):
-        _read_fields(monster, row, ("noticed", "bite", "struck_by", "inside"))
-        count = len(world.players)
-        monster.kind = kind
-        monster.noticed = {p for p in range(count) if int(row["noticed"]) >> p & 1}
-        monster.inside = {p for p in range(count) if int(row["inside"]) >> p & 1}
-        monster.bite, monster.struck_by = row["bite"].tolist()[:count], row["struck_by"].tolist()[:count]
-    worlds.events[index] = np.zeros((), worlds.events.dtype)
-    worlds.events["distance"][index] = np.inf
-    for player in world.players:
-        player.events = Events()
-
-
-def _read_row(row: Any, **beside: Any) -> Row:
+def _read_row(row: Any) -> Row:
     fields = {name: row[name] for name in row.dtype.names}
-    told = {name: _read_row(part) if part.dtype.names else part.tolist() for name, part in fields.items()}
-    return Row(**told, **beside)
+    return Row(**{name: _read_row(of) if of.dtype.names else of.tolist() for name, of in fields.items()})
 
 
-def _read_fields(target: Player | Monster, row: Any, but: tuple[str, ...]) -> None:
+def _read_fields(target: Any, row: Any) -> None:
     for name in row.dtype.names:
-        if name not in but:
+        if hasattr(target, name):
             setattr(target, name, row[name].tolist())
-
-
-# --- Side by side ------------------------------------------------------------------------------------
 
 
 class Pair:
@@ -99,11 +76,12 @@ class Pair:
     def __init__(self, worlds: Worlds, seed: int = 0) -> None:
         self.worlds = worlds
         worlds.seed(range(seed, seed + len(worlds)))
-        self.oracles = make_oracles(worlds)
+        book = read_rulebook(worlds)
+        self.oracles = [Oracle(book, int(key)) for key in worlds.worlds["key"]]
         self.seen: list[list[tuple[list[float], list[int]]]] = [[] for _ in self.oracles]
         self.reset(range(len(worlds)))
 
-    def reset(self, chosen: Any, start: int | None = None, seed: int | None = None) -> None:
+    def reset(self, chosen: Iterable[int], start: int | None = None, seed: int | None = None) -> None:
         """Begin an episode in some worlds, seeded anew if asked for."""
         mask = np.zeros(len(self.worlds), bool)
         mask[list(chosen)] = True
@@ -132,12 +110,44 @@ class Pair:
         assert ended == count, "another number of episodes ended"
         self.compare(f"after actions {actions.tolist()}")
 
+    def play(self, *actions: int | Sequence[int]) -> None:
+        """Play steps of one action for everybody, or one for each player."""
+        for action in actions:
+            self.step(np.broadcast_to(action, self.worlds.players.shape))
+
+    def told(self, name: str) -> list[Any]:
+        """Return a field of the first world's players, or of their events."""
+        array = self.worlds.events if name in (self.worlds.events.dtype.names or ()) else self.worlds.players
+        return list(array[name][0].tolist())
+
+    def monster(self, *names: str) -> tuple[Any, ...]:
+        """Return fields of the first world's first monster."""
+        return tuple(self.worlds.monsters[name][0, 0].tolist() for name in names)
+
+    def put(self, monsters: bool = False, **fields: Any) -> None:
+        """Write fields of the first world's players, or monsters, by hand: a number for all, or a list."""
+        for name, values in fields.items():
+            bodies = self.worlds.monsters if monsters else self.worlds.players
+            many = np.atleast_1d(np.asarray(values))
+            bodies[name][0, : len(many) if np.ndim(values) else None] = many
+        self.take_over()
+
     def take_over(self) -> None:
-        """Let the oracles go on from the kernel's state, after it was changed by hand."""
+        """Let the oracles go on from the kernel's state; what happened before is forgotten by both."""
+        worlds = self.worlds
+        worlds.events[:] = np.zeros((), worlds.events.dtype)
+        worlds.observe()
         for index, world in enumerate(self.oracles):
-            read_state(world, self.worlds, index)
+            _read_fields(world, worlds.worlds[index])
+            for player, row in zip(world.players, worlds.players[index], strict=True):
+                _read_fields(player, row)
+                player.events = Events()
+            for monster, row in zip(world.monsters, worlds.monsters[index], strict=True):
+                _read_fields(monster, row)
+                for name in SETS:
+                    players = range(len(world.players))
+                    setattr(monster, name, {p for p in players if int(row[name]) >> p & 1})
             self._look(index)
-        self.worlds.observe()
         self.compare("after a change by hand")
 
     def compare(self, when: str) -> None:
@@ -163,22 +173,14 @@ class Pair:
             if allowed != worlds.masks[index, p].tolist():
                 yield f"masks{place}: {worlds.masks[index, p].tolist()}, {allowed}"
         for m, monster in enumerate(world.monsters):
-            told = {
-                **vars(monster),
-                **{name: _as_bits(getattr(monster, name)) for name in ("noticed", "inside")},
-            }
-            yield from _unlike(f"monsters[{index}, {m}]", worlds.monsters[index, m], told)
-
-
-def _as_bits(players: set[int]) -> int:
-    return sum(1 << p for p in players)
+            bits = {name: sum(1 << p for p in getattr(monster, name)) for name in SETS}
+            yield from _unlike(f"monsters[{index}, {m}]", worlds.monsters[index, m], vars(monster) | bits)
 
 
 def _unlike(name: str, row: Any, told: dict[str, Any]) -> Iterator[str]:
     """Tell the fields of a row that the oracle tells otherwise."""
     for field, value in zip(row.dtype.names, row.tolist(), strict=True):
         if isinstance(value, (np.ndarray, list)):
-            value = list(value)[: len(told[field])]
-            value = [int(item) for item in value]
+            value = [int(item) for item in value][: len(told[field])]
         if repr(value) != repr(told[field]):
             yield f"{name}.{field}: {value}, {told[field]}"

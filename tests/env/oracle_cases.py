@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from pneuma.env.characters import load_characters
 from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
-from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
+from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 from pneuma.values import OneOf
@@ -78,12 +78,9 @@ def character_files(draw: st.DrawFn, pairs: bool) -> str:
     frail = {"hp": draw(st.sampled_from(_POOLS["players"]["hp"][:2]))} if draw(st.booleans()) else {}
     lines = []
     for group, pools in _POOLS.items():
-        names = (
-            set(_NAMES[group])
-            if group == "players" and frail
-            else draw(st.sets(st.sampled_from(_NAMES[group])))
-        )
-        for name in sorted(names):
+        every = group == "players" and frail
+        names = _NAMES[group] if every else sorted(draw(st.sets(st.sampled_from(_NAMES[group]))))
+        for name in names:
             keys = draw(st.sets(st.sampled_from(sorted(pools)), max_size=4))
             values = {key: draw(st.sampled_from(pools[key])) for key in sorted(keys)}
             if group == "players":
@@ -186,10 +183,7 @@ def cases(draw: st.DrawFn) -> Case:
     characters = draw(st.one_of(character_files(settings["players"] > 1), st.sampled_from(["", "pygame"])))
     count, length = draw(st.integers(1, 2)), draw(st.integers(8, 20))
     size = length * settings["players"] * count
-    moods, breaks = (
-        draw(st.binary(min_size=size, max_size=size)),
-        draw(st.binary(min_size=length, max_size=length)),
-    )
+    moods, breaks = (draw(st.binary(min_size=many, max_size=many)) for many in (size, length))
     return Case(settings, level, characters, count, draw(st.integers(0, 2**32)), moods, breaks)
 
 
@@ -231,18 +225,12 @@ def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarr
 
 def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
     """Return what a player does: hunts, burns, heals, dashes, walks straight on, or anything."""
-    magic, dash = bool(world.book.settings.magic), world.book.settings.dash
-    if mood < 120:
-        return hunt(world, player, ATTACK)
-    if mood < 150:
-        return hunt(world, player, FLAME if magic else ATTACK)
-    if mood < 160:
-        return HEAL if magic else ATTACK
-    if mood < 170:
-        return dash if dash >= 0 else mood % 4
-    if mood < 200:
-        return mood % 4
-    return (mood >> step % STEPS_OF_A_MOOD) % world.book.settings.actions
+    names = world.book.actions
+    for below, name in ((120, "attack"), (150, "flame"), (160, "heal"), (170, "dash")):
+        if mood < below:
+            action = names.index(name) if name in names else ATTACK
+            return hunt(world, player, action) if mood < 150 else action
+    return mood % 4 if mood < 200 else (mood >> step % STEPS_OF_A_MOOD) % len(names)
 
 
 def hunt(world: Oracle, player: Player, strike: int) -> int:

@@ -23,11 +23,12 @@ Extent = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Map:
-    """A level to be: tiles by (column, row), places in pixels from the upper left corner."""
+    """A level to be: tiles by (column, row), places in pixels from the origin."""
 
     columns: int = 16
     rows: int = 16
     tile: float = 64.0
+    origin: tuple[float, float] = (0, 0)  # column and row of the corner where x = y = 0
     shore: int = 1  # tiles of water around
     lakes: tuple[Tile, ...] = ()
     obstacles: tuple[Tile, ...] = ()
@@ -49,19 +50,14 @@ class Map:
                 layer[row % self.rows, column % self.columns] = code
         for column, row in self.clear:
             ground[row, column], obstacles[row, column] = GRASS, -1
-        codes = [START] * len(self.starts) + [KINDS[kind] for kind, _, _ in self.monsters]
-        objects = [f"{code},{x!r},{y!r}" for code, (x, y) in zip(codes, self.places, strict=True)]
-        header = f"tile = {self.tile}\norigin = [0, 0]\ncoast = [{WATER}]\n"
+        objects = [f"{START},{x!r},{y!r}" for x, y in self.starts]
+        objects += [f"{KINDS[kind]},{x!r},{y!r}" for kind, x, y in self.monsters]
+        header = f"tile = {self.tile}\norigin = {[*self.origin]}\ncoast = [{WATER}]\n"
         (folder / "level.toml").write_text(header)
         (folder / "objects.csv").write_text("\n".join(["code,x,y", *objects]))
         np.savetxt(folder / "ground.csv", ground, "%d", ",")
         np.savetxt(folder / "obstacles.csv", obstacles, "%d", ",")
         return str(folder)
-
-    @property
-    def places(self) -> list[Place]:
-        """Where somebody lives: start places, then monsters."""
-        return [*self.starts, *((x, y) for _, x, y in self.monsters)]
 
 
 @st.composite
@@ -91,8 +87,8 @@ def maps(draw: st.DrawFn) -> Map:
     kinds = st.tuples(st.sampled_from(sorted(KINDS)), place)
     monsters = draw(st.lists(kinds, min_size=6 if crowded else 1, max_size=CROWD if crowded else 6))
     return Map(
-        columns, rows, tile, shore, tuple(draw(tiles)[:4]), tuple(draw(tiles)), tuple(draw(tiles)),
-        tuple(starts), tuple((kind, *at) for kind, at in monsters),
+        columns, rows, tile, shore=shore, lakes=tuple(draw(tiles)[:4]), obstacles=tuple(draw(tiles)),
+        sand=tuple(draw(tiles)), starts=tuple(starts), monsters=tuple((kind, *at) for kind, at in monsters),
     )  # fmt: skip
 
 

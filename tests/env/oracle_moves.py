@@ -6,7 +6,7 @@ Part of `oracle.py`. Units: pixels; y points down. An axis is 0 for x, 1 for y.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,11 +41,11 @@ class Ground:
     tile: float
     tiles: list[list[int]]
 
-    def is_closed(self, column: int, row: int, stops: int) -> bool:
-        """Tell whether a tile is of a code that stops; what lies off the grid stops everybody."""
+    def is_closed(self, column: int, row: int, closed: Collection[int]) -> bool:
+        """Tell whether a tile is of a closed code; what lies off the grid stops everybody."""
         if not (0 <= row < len(self.tiles) and 0 <= column < len(self.tiles[0])):
             return True
-        return bool(stops >> self.tiles[row][column] & 1)
+        return self.tiles[row][column] in closed
 
     def is_sea(self, x: float, y: float) -> bool:
         """Tell whether a point lies beyond the coast."""
@@ -58,14 +58,14 @@ class Ground:
     def _at(self, x: float, y: float) -> int:
         return self.tiles[int((y - self.top) / self.tile)][int((x - self.left) / self.tile)]
 
-    def stop(self, body: Box, axis: int, step: float, stops: int) -> float:
+    def stop(self, body: Box, axis: int, step: float, closed: Collection[int]) -> float:
         """Return how far along an axis a body's centre may get: flush to a closed tile, or anywhere.
 
         It looks at the column or row of tiles that the leading edge would come to lie in, as far as
         the body is wide.
         """
         origin, half = (self.left, self.top)[axis], body.half[axis]
-        across = self._covered(body, 1 - axis)
+        across = self.covered(body, 1 - axis)
         if step > 0:
             cell = math.ceil((body.centre[axis] + step + half - origin) / self.tile) - 1
             flush = origin + cell * self.tile - half
@@ -73,10 +73,10 @@ class Ground:
             cell = math.floor((body.centre[axis] + step - half - origin) / self.tile)
             flush = origin + (cell + 1) * self.tile + half
         tiles = ((cell, other) if axis == 0 else (other, cell) for other in across)
-        met = any(self.is_closed(column, row, stops) for column, row in tiles)
+        met = any(self.is_closed(column, row, closed) for column, row in tiles)
         return flush if met else math.copysign(math.inf, step)
 
-    def _covered(self, body: Box, axis: int) -> range:
+    def covered(self, body: Box, axis: int) -> range:
         """Return the columns or rows that a body lies in; one that it only touches is not among them."""
         origin, centre, half = (self.left, self.top)[axis], body.centre[axis], body.half[axis]
         first = math.floor((centre - half - origin) / self.tile)
@@ -84,8 +84,9 @@ class Ground:
 
 
 def move(
-    place: Pair, offset: Pair, half: Pair, steps: Pair, ground: Ground, stops: int, others: Sequence[Box]
-) -> Pair:
+    place: Pair, offset: Pair, half: Pair, steps: Pair, ground: Ground, closed: Collection[int],
+    others: Sequence[Box],
+) -> Pair:  # fmt: skip
     """Return where a body gets, first along x, then along y, among tiles and the bodies of others.
 
     On each axis it goes its whole step, or up to the first thing that stops it, and never back.
@@ -96,7 +97,7 @@ def move(
         half: half the sides of its box.
         steps: how far it would go.
         ground: the tiles.
-        stops: bit c: tiles of code c stop it.
+        closed: the codes of tiles that stop it.
         others: the bodies that stop it.
     """
     at = list(place)
@@ -104,7 +105,7 @@ def move(
         if step == 0.0:
             continue
         body = Box((at[0] + offset[0], at[1] + offset[1]), half)
-        limits = [ground.stop(body, axis, step, stops), *_stops_at_bodies(body, axis, step, others)]
+        limits = [ground.stop(body, axis, step, closed), *_stops_at_bodies(body, axis, step, others)]
         end = body.centre[axis] + step
         if step > 0:
             at[axis] = max(at[axis], min(limits) - offset[axis]) if end > min(limits) else at[axis] + step

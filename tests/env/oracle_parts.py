@@ -9,14 +9,7 @@ import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
-from pneuma.env.reward import (
-    REWARD_CUSTOM,
-    REWARD_GODOT,
-    REWARD_KILLS,
-    REWARD_PYGAME,
-    REWARD_SIGMOID,
-    REWARD_THESIS,
-)
+from pneuma.env.fields import EnvConfig
 from pneuma.env.rules import DOWN, LEFT, RIGHT, UP
 
 from .oracle_moves import Box, Ground
@@ -37,7 +30,12 @@ What they mean is in `pneuma/env/state.py`; lists go by facing.
 class Rulebook:
     """Everything that does not change while a world is played; the last four go by level."""
 
-    settings: Row
+    config: EnvConfig
+    actions: tuple[str, ...]
+    rewards: tuple[str, ...]  # of each player
+    closed_to_players: frozenset[int]  # the codes of tiles that stop them
+    closed_to_monsters: frozenset[int]
+    settings: Row  # ticks, and scales of what is seen
     stats: list[Row]
     stats_of_second_weapons: list[Row]
     kinds: list[list[Row]]
@@ -66,12 +64,26 @@ class Events:
     present: int = 0
 
 
+@dataclass(frozen=True)
+class Blow:
+    """What a player strikes with in one tick, and what it does to a monster that it meets."""
+
+    number: int
+    box: Box
+    facing: int  # of who strikes
+    hilt: tuple[float, float]  # what it knocks away from
+    damage: float
+    knock_speed: float
+    knock_ticks: int  # below 0: it knocks nobody back
+
+
 @dataclass
 class Player:
     """A player; dead without HP."""
 
     stats: Row
     armed_otherwise: Row  # the same with its second weapon
+    reward: str
     x: float = 0.0
     y: float = 0.0
     hp: float = 0.0
@@ -98,6 +110,59 @@ class Player:
         """The player's body."""
         stats = self.stats
         return Box((self.x + stats.body_x, self.y + stats.body_y), (stats.half_width, stats.half_height))
+
+    def gap_squared(self, x: float, y: float) -> float:
+        """Return the squared distance from a point to the body."""
+        body = self.box
+        across = max(abs(body.centre[0] - x) - body.half[0], 0.0)
+        down = max(abs(body.centre[1] - y) - body.half[1], 0.0)
+        return across * across + down * down
+
+    def die(self) -> None:
+        self.hp = 0.0
+        self.busy = self.action_kind = 0
+        self.events.died = 1
+
+    def heal(self, hp: float, capped: bool) -> None:
+        """Give HP; where they are capped, up to full HP, and never fewer than it has."""
+        healed = self.hp + hp
+        if capped:
+            healed = max(self.hp, min(healed, self.stats.hp))
+        self.events.hp_gained += healed - self.hp
+        self.hp = healed
+
+    def blow(self, strike: Row) -> Blow:
+        """Return what a sword or flame does in this tick; a swing bears its attack's number."""
+        facing = self.facing
+        return Blow(
+            number=self.attack,
+            box=Box(
+                (self.x + strike.x[facing], self.y + strike.y[facing]),
+                (strike.half_width[facing], strike.half_height[facing]),
+            ),
+            facing=facing,
+            hilt=(self.x + strike.hilt_x[facing], self.y + strike.hilt_y[facing]),
+            damage=strike.damage,
+            knock_speed=strike.knock_speed,
+            knock_ticks=strike.knock_ticks,
+        )
+
+    def formula(self) -> float:
+        """Return the reward for a step; `pneuma/env/reward.py` says the formulas in words."""
+        stats, events = self.stats, self.events
+        if self.reward == "thesis":
+            return self.xp - self.hp / stats.hp
+        if self.reward == "pygame":
+            return self.xp + self.hp / stats.hp
+        if self.reward == "kills":
+            return events.xp_gained - events.hp_lost / stats.hp
+        if self.reward == "distance-sigmoid":
+            if events.distance == math.inf:
+                return events.xp_gained + 0.0
+            z = (150.0 - events.distance) / 50.0
+            return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
+        assert self.reward == "godot"
+        return events.reward  # kept event by event
 
 
 @dataclass
@@ -126,18 +191,36 @@ class Monster:
         kind = self.kind
         return Box((self.x + kind.body_x, self.y + kind.body_y), (kind.half_width, kind.half_height))
 
+    def wounds(self, p: int, facing: int) -> bool:
+        """Tell whether a player's blow wounds; one that falls to two opens with every blow, for a time."""
+        time = self.kind.pair_ticks
+        if time == 0:
+            return True
+        partner, way = self.first_by, self.first_facing
+        was_open = self.opened > 0
+        self.opened, self.first_by, self.first_facing = time, p, facing
+        return was_open and p != partner and facing != way
 
-@dataclass(frozen=True)
-class Blow:
-    """What a player strikes with in one tick, and what it does to a monster that it meets."""
+    def knock_back(self, blow: Blow) -> None:
+        """Fly from the hilt, unless it flies already; one that is right there stays there."""
+        if blow.knock_ticks < 0 or self.knocked > 0:
+            return
+        kind = self.kind
+        own = kind.knock_ticks >= 0
+        speed = kind.knock_speed if own else blow.knock_speed
+        away_x, away_y = self.x - blow.hilt[0], self.y - blow.hilt[1]
+        length = math.sqrt(away_x * away_x + away_y * away_y)
+        self.knock_x = away_x / length * speed if length > 0.0 else 0.0
+        self.knock_y = away_y / length * speed if length > 0.0 else 0.0
+        self.knocked = kind.knock_ticks if own else blow.knock_ticks
 
-    number: int
-    box: Box
-    facing: int  # of who strikes
-    hilt: tuple[float, float]  # what it knocks away from
-    damage: float
-    knock_speed: float
-    knock_ticks: int  # below 0: it knocks nobody back
+    def approach(self, offset: float) -> float:
+        """Return a chasing monster's step on one axis: its full pace, or none within its stand-off."""
+        if offset > self.kind.stand_off:
+            return self.kind.speed
+        if offset < -self.kind.stand_off:
+            return -self.kind.speed
+        return 0.0
 
 
 @dataclass
@@ -152,101 +235,3 @@ class Gain:
     notices: int = 0
     contacts: int = 0
     deaths: int = 0  # of monsters that paid the player
-
-
-# --- What is done to them ---------------------------------------------------------------------------
-
-
-def die(player: Player) -> None:
-    player.hp = 0.0
-    player.busy = player.action_kind = 0
-    player.events.died = 1
-
-
-def heal(player: Player, hp: float, capped: bool) -> None:
-    """Give a player HP; where they are capped, up to full HP, and never fewer than it has."""
-    healed = player.hp + hp
-    if capped:
-        healed = max(player.hp, min(healed, player.stats.hp))
-    player.events.hp_gained += healed - player.hp
-    player.hp = healed
-
-
-def blow(player: Player, strike: Row) -> Blow:
-    """Return what a player does with its sword or flame in this tick; a swing bears its attack's number."""
-    facing = player.facing
-    return Blow(
-        number=player.attack,
-        box=Box(
-            (player.x + strike.x[facing], player.y + strike.y[facing]),
-            (strike.half_width[facing], strike.half_height[facing]),
-        ),
-        facing=facing,
-        hilt=(player.x + strike.hilt_x[facing], player.y + strike.hilt_y[facing]),
-        damage=strike.damage,
-        knock_speed=strike.knock_speed,
-        knock_ticks=strike.knock_ticks,
-    )
-
-
-def wounds(monster: Monster, p: int, facing: int) -> bool:
-    """Tell whether a player's blow wounds; a monster that falls to two opens with every blow, for a time."""
-    time = monster.kind.pair_ticks
-    if time == 0:
-        return True
-    partner, way = monster.first_by, monster.first_facing
-    was_open = monster.opened > 0
-    monster.opened, monster.first_by, monster.first_facing = time, p, facing
-    return was_open and p != partner and facing != way
-
-
-def knock_back(monster: Monster, blow: Blow) -> None:
-    """Let a monster fly from the hilt, unless it flies already; one that is right there stays there."""
-    if blow.knock_ticks < 0 or monster.knocked > 0:
-        return
-    kind = monster.kind
-    own = kind.knock_ticks >= 0
-    speed = kind.knock_speed if own else blow.knock_speed
-    away_x, away_y = monster.x - blow.hilt[0], monster.y - blow.hilt[1]
-    length = math.sqrt(away_x * away_x + away_y * away_y)
-    monster.knock_x = away_x / length * speed if length > 0.0 else 0.0
-    monster.knock_y = away_y / length * speed if length > 0.0 else 0.0
-    monster.knocked = kind.knock_ticks if own else blow.knock_ticks
-
-
-def gap_squared(player: Player, x: float, y: float) -> float:
-    """Return the squared distance from a point to a player's body."""
-    body = player.box
-    across = max(abs(body.centre[0] - x) - body.half[0], 0.0)
-    down = max(abs(body.centre[1] - y) - body.half[1], 0.0)
-    return across * across + down * down
-
-
-def approach(offset: float, kind: Row) -> float:
-    """Return a chasing monster's step on one axis: its full pace, or none within its stand-off."""
-    if offset > kind.stand_off:
-        return kind.speed
-    if offset < -kind.stand_off:
-        return -kind.speed
-    return 0.0
-
-
-# --- Rewards ----------------------------------------------------------------------------------------
-
-
-def formula(player: Player) -> float:
-    """Return a player's reward for a step; `pneuma/env/reward.py` says the formulas in words."""
-    stats, events = player.stats, player.events
-    if stats.reward == REWARD_THESIS:
-        return player.xp - player.hp / stats.hp
-    if stats.reward == REWARD_PYGAME:
-        return player.xp + player.hp / stats.hp
-    if stats.reward == REWARD_KILLS:
-        return events.xp_gained - events.hp_lost / stats.hp
-    if stats.reward == REWARD_SIGMOID:
-        if events.distance == math.inf:
-            return events.xp_gained + 0.0
-        z = (150.0 - events.distance) / 50.0
-        return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
-    assert stats.reward in (REWARD_GODOT, REWARD_CUSTOM)
-    return events.reward  # kept event by event, or computed outside

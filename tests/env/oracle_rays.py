@@ -6,7 +6,7 @@ Part of `oracle_view.py`. The kernel goes along a ray from tile to tile instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from pneuma.env.rules import COAST
 
@@ -21,10 +21,10 @@ TERRAIN, PLAYER, MONSTERS = 0, 1, 2
 def look_around(world: Oracle, player: Player) -> list[float]:
     """Return a row for each ray: how far it goes, then 1 for what it meets, else 0."""
     settings, told = world.book.settings, []
-    stops = settings.player_stops | 1 << COAST
+    closed = world.book.closed_to_players | {COAST}
     for way in list(zip(settings.ray_x, settings.ray_y, strict=True))[: settings.rays]:
         origin = player.x, player.y
-        ends = [*_bodies(world, player, way), (_terrain(world.ground, origin, way, stops), TERRAIN)]
+        ends = [*_bodies(world, player, way), (_terrain(world.ground, origin, way, closed), TERRAIN)]
         distance, what = min(ends, key=lambda end: end[0])  # of equals the first
         told += [distance * settings.ray_scale]
         told += [float(thing == what) for thing in range(MONSTERS + settings.sights)]
@@ -42,14 +42,14 @@ def _bodies(world: Oracle, player: Player, way: Pair) -> Iterator[tuple[float, i
             yield max(start, 0.0), what
 
 
-def _terrain(ground: Ground, origin: Pair, way: Pair, stops: int) -> float:
+def _terrain(ground: Ground, origin: Pair, way: Pair, closed: Collection[int]) -> float:
     """Return how far off the first closed tile is met, if only at a corner, or the edge of the grid."""
     columns, rows = len(ground.tiles[0]), len(ground.tiles)
     corner = ground.left, ground.top
     _, nearest, _ = _inside(corner, _place(ground, columns, rows), origin, way)
     for row in range(rows):
         for column in range(columns):
-            if not ground.is_closed(column, row, stops):
+            if not ground.is_closed(column, row, closed):
                 continue
             low, high = _place(ground, column, row), _place(ground, column + 1, row + 1)
             if all(low[axis] <= origin[axis] < high[axis] for axis in (0, 1)):

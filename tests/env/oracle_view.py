@@ -8,41 +8,28 @@ from __future__ import annotations
 
 import math
 
-from pneuma.env.layouts import (
-    LAYOUT_GODOT,
-    LAYOUT_PYGAME,
-    LAYOUT_THESIS,
-)
-from pneuma.env.rules import (
-    ATTACK,
-    DOWN,
-    FLAME,
-    HEAL,
-    LEFT,
-    RIGHT,
-    UP,
-)
+from pneuma.env.rules import DOWN, LEFT, RIGHT, UP
 
 from .oracle import Oracle
-from .oracle_parts import WAYS, Monster, Player
+from .oracle_parts import Monster, Player
 from .oracle_rays import look_around
 
-ROW = {LAYOUT_THESIS: 4, LAYOUT_PYGAME: 5, LAYOUT_GODOT: 5}
+ROW = {"thesis": 4, "pygame": 5, "godot": 5}
 """Numbers a monster, by layout."""
 
 
 def observe(world: Oracle, player: Player) -> list[float]:
     """Return what a player sees, and note how far off the nearest living monster is."""
-    settings = world.book.settings
+    settings, config = world.book.settings, world.book.config
     about = _about_player(world, player)
-    if settings.observe_facing:
+    if config.observe_facing:
         about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
-    if settings.hold >= 0:
+    if config.second_weapon:
         about.append(float(player.second))
     at = world.players.index(player)
     for other in world.players[at + 1 :] + world.players[:at]:
-        about += [float(other.token == token) for token in range(1, settings.tokens + 1)]
-    size = len(about) + settings.perceived * ROW[settings.layout]
+        about += [float(other.token == token) for token in range(1, config.tokens + 1)]
+    size = len(about) + settings.perceived * ROW[config.observation]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
     if settings.rays:
@@ -59,28 +46,22 @@ def mask(world: Oracle, player: Player) -> list[int]:
     already does nothing, nor does a spell that cannot be paid at any tick of it. A body in the way may
     be gone before the step is over.
     """
-    settings, stats = world.book.settings, player.stats
-    allowed = dict.fromkeys((*WAYS, ATTACK), 0)
-    if settings.magic:
-        allowed |= {FLAME: 0, HEAL: 0}
-    if settings.dash >= 0:
-        allowed[settings.dash] = 0
-    if player.busy < settings.ticks:
-        for way in WAYS:
-            gets_on = world.walked(player, way, []) != (player.x, player.y)
-            allowed[way] = int(player.facing != way or gets_on)
-            if settings.dash >= 0 and player.facing == way:
-                allowed[settings.dash] = int(gets_on and player.dash_cooldown < settings.ticks)
-        if settings.magic:
-            energy = _energy_at_last(player, settings.ticks)
-            allowed[FLAME] = int(energy >= stats.flame_cost)
-            allowed[HEAL] = int(energy >= stats.heal_cost)
-    allowed[ATTACK] = 1
-    if settings.hold >= 0:
-        for weapon in (0, 1):
-            allowed[settings.hold + weapon] = int(player.busy < settings.ticks and player.second != weapon)
-    allowed |= dict.fromkeys(range(settings.actions - settings.tokens, settings.actions), 1)
-    return [allowed[action] for action in sorted(allowed)]
+    ticks, stats = world.book.settings.ticks, player.stats
+    gets_on = world.walked(player, player.facing, []) != (player.x, player.y)
+    energy = _energy_at_last(player, ticks)
+    of_use = {
+        "dash": gets_on and player.dash_cooldown < ticks,
+        "flame": energy >= stats.flame_cost,
+        "heal": energy >= stats.heal_cost,
+        "first_weapon": player.second == 1,
+        "second_weapon": player.second == 0,
+        world.book.actions[player.facing]: gets_on,
+    }
+    free = player.busy < ticks
+    return [
+        int(name == "attack" or name.startswith("say_") or (free and of_use.get(name, True)))
+        for name in world.book.actions
+    ]
 
 
 def _energy_at_last(player: Player, ticks: int) -> float:
@@ -106,7 +87,7 @@ def _perceived(world: Oracle, player: Player) -> list[Monster]:
         (monster for monster in monsters if monster.hp > 0.0),
         key=lambda monster: _distance(monster, player),
     )
-    if not settings.fixed_order:
+    if world.book.config.order == "nearest":
         return living[: settings.perceived]
     dead = [monster for monster in monsters if monster.hp <= 0.0]
     chosen = {id(monster) for monster in (living + dead)[: settings.perceived]}
@@ -126,7 +107,7 @@ def _about_player(world: Oracle, player: Player) -> list[float]:
     x = (player.x - settings.middle_x) * settings.scale_x
     y = (player.y - settings.middle_y) * settings.scale_y
     hp = player.hp * stats.hp_scale
-    if settings.layout == LAYOUT_PYGAME:
+    if world.book.config.observation == "pygame":
         facing_x = float((player.facing == RIGHT) - (player.facing == LEFT))
         facing_y = float((player.facing == DOWN) - (player.facing == UP))
         return [x, y, facing_x, facing_y, hp, player.energy * stats.energy_scale]
@@ -138,13 +119,13 @@ def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[floa
 
     The published code's layout shows the dead where they died (AIController2D.gd:20-25).
     """
-    settings, kind = world.book.settings, monster.kind
-    shown = monster.hp > 0.0 or settings.layout == LAYOUT_GODOT
+    settings, layout, kind = world.book.settings, world.book.config.observation, monster.kind
     alive = monster.hp > 0.0
+    shown = alive or layout == "godot"
     length = _distance(monster, player)
     inverse = 1.0 / length if shown and length > 0.0 else 0.0
     hp = monster.hp * kind.hp_scale
-    if settings.layout == LAYOUT_GODOT:
+    if layout == "godot":
         return [
             (monster.x - settings.middle_x) * settings.scale_x,
             (monster.y - settings.middle_y) * settings.scale_y,
@@ -158,6 +139,6 @@ def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[floa
         (monster.y - player.y) * inverse,
         hp,
     ]
-    if settings.layout == LAYOUT_PYGAME:
+    if layout == "pygame":
         row.append(kind.xp * kind.xp_scale if alive else 0.0)
     return row

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import BAMBOO, RIGHT, UP, begin, play, player_at, write_level
+from .arena import EMPTY, RIGHT, UP, characters_file, stage
+from .oracle_maps import KINDS
 
 # facts.md section 2, in its own units: points, milliseconds and pixels a tick.
 CLASSES = {  # HP, energy, attack, magic, speed
@@ -19,65 +22,64 @@ CLASSES = {  # HP, energy, attack, magic, speed
     "mage": (70, 80, 7, 6, 5),
     "warrior": (100, 60, 12, 4, 5),
 }
+WEAPONS = {"sword": (15, 100), "lance": (30, 400), "axe": (20, 300), "rapier": (8, 50), "sai": (10, 80)}
 MONSTERS = {  # HP, XP, attack, speed, knock-back, attack radius, notice radius
     "squid": (1, 10, 2, 3, 20, 100, 200),
     "raccoon": (1, 25, 5, 2, 10, 100, 180),
     "spirit": (1, 11, 2, 4, 20, 100, 220),
     "bamboo": (1, 9, 1, 3, 20, 100, 300),
 }
-ORDER = ("bamboo", "spirit", "raccoon", "squid")  # of the zoo
 
 
-def player_row(**settings: object) -> np.void:
+def player_row(**settings: object) -> Any:
     """Return the stats of the first player of a world with these settings."""
-    row: np.void = Worlds(1, make_env_config(settings)).player_stats[0]
-    return row
+    return Worlds(1, make_env_config(settings)).player_stats[0]
 
 
-def monster_rows(level: str, characters: str) -> dict[str, np.void]:
-    """Return the stats of each kind of monster of the zoo."""
-    worlds = Worlds(1, make_env_config({"level": level, "characters": characters}))
-    return dict(zip(ORDER, worlds.monster_stats[0], strict=True))
+def numbers(row: Any, *names: str) -> list[float]:
+    return [row[name].item() for name in names]
 
 
 # --- The published numbers -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_every_number_of_a_class_reaches_the_rules(name: str) -> None:
-    hp, energy, attack, magic, speed = CLASSES[name]
-    row = player_row(classes=name)
-    assert (row["hp"], row["energy"], row["speed"]) == (hp, energy, speed)
-    assert row["sword"]["damage"] == attack + 15  # with the sword
-    assert row["flame"]["damage"] == 5 + magic  # a flame's strength is 5
-    assert row["heal"] == 20
-    assert row["safe"] == 18  # 300 ms
+def test_every_number_of_a_class_and_a_weapon_reaches_the_rules() -> None:
+    for name, (hp, energy, attack, magic, speed) in CLASSES.items():
+        row = player_row(classes=name)
+        assert numbers(row, "hp", "energy", "speed", "heal", "safe") == [hp, energy, speed, 20, 18]  # 300 ms
+        # With the sword; a flame's strength is 5.
+        assert (row["sword"]["damage"], row["flame"]["damage"]) == (attack + 15, 5 + magic)
+    for name, (damage, cooldown) in WEAPONS.items():
+        row = player_row(classes="mage", weapons=name)
+        assert (row["sword"]["damage"], row["swing"]) == (7 + damage, round((400 + cooldown) * 0.06))
 
 
-@pytest.mark.parametrize("name", MONSTERS)
-def test_every_number_of_a_monster_reaches_the_rules(zoo: str, name: str) -> None:
-    hp, xp, attack, speed, knock_back, attack_radius, notice_radius = MONSTERS[name]
-    row = monster_rows(zoo, "pygame")[name]
-    assert (row["hp"], row["xp"], row["damage"], row["speed"]) == (hp, xp, attack, speed)
-    assert row["knock_speed"] == knock_back
-    assert (row["attack_squared"], row["notice_squared"]) == (attack_radius**2, notice_radius**2)
-    assert row["safe"] == 18
+def test_every_number_of_a_monster_reaches_the_rules(zoo: str) -> None:
+    worlds = Worlds(1, make_env_config({"level": zoo, "characters": "pygame"}))
+    for name, row in zip(KINDS, worlds.monster_stats[0], strict=True):
+        hp, xp, attack, speed, knock_back, attack_radius, notice_radius = MONSTERS[name]
+        found = numbers(row, "hp", "xp", "damage", "speed", "knock_speed", "safe")
+        assert found == [hp, xp, attack, speed, knock_back, 18]
+        assert numbers(row, "attack_squared", "notice_squared") == [attack_radius**2, notice_radius**2]
 
 
-def test_base_and_bamboo_are_those_of_the_godot_version(zoo: str) -> None:
+def test_base_and_bamboo_are_those_of_the_godot_version(arena: str) -> None:
     # facts.md section 1: 0.4 s, damage 20, 120 px/s for 0.5 s; 150 px/s, circles of 300 and 40 px, 7 HP
     # every second, 1 XP and 7 HP for the kill.
-    row = player_row()
-    assert (row["hp"], row["speed"], row["swing"], row["safe"]) == (100, 5, 24, 0)
-    assert (row["half_width"], row["half_height"]) == (23.5, 24)
-    assert [row["sword"][name] for name in ("damage", "knock_speed", "knock_ticks")] == [20, 2, 30]
-    assert (row["body_x"], row["body_y"]) == (-1.5, 2)
-    bamboo = monster_rows(zoo, "")["bamboo"]
-    assert (bamboo["hp"], bamboo["speed"], bamboo["damage"], bamboo["bite_ticks"]) == (40, 2.5, 7, 60)
-    assert (bamboo["half_width"], bamboo["half_height"], bamboo["stand_off"]) == (12, 25, 30)
-    assert (bamboo["notice_squared"], bamboo["attack_squared"]) == (300**2, 40**2)
-    assert (bamboo["xp"], bamboo["heal"], bamboo["safe"]) == (1, 7, 0)
-    assert bamboo["knock_ticks"] == -1  # as the striker's weapon has it
+    worlds = Worlds(1, make_env_config({"level": arena}))
+    base, bamboo = worlds.player_stats[0], worlds.monster_stats[0, 0]
+    assert numbers(base, "hp", "speed", "swing", "safe") == [100, 5, 24, 0]
+    assert numbers(base, "half_width", "half_height", "body_x", "body_y") == [23.5, 24, -1.5, 2]
+    assert numbers(base["sword"], "damage", "knock_speed", "knock_ticks") == [20, 2, 30]
+    assert numbers(bamboo, "hp", "speed", "damage", "bite_ticks") == [40, 2.5, 7, 60]
+    assert numbers(bamboo, "half_width", "half_height", "stand_off") == [12, 25, 30]
+    assert numbers(bamboo, "notice_squared", "attack_squared") == [300**2, 40**2]
+    assert numbers(bamboo, "xp", "heal", "safe", "knock_ticks") == [
+        1,
+        7,
+        0,
+        -1,
+    ]  # as the striker's weapon has it
 
 
 # --- A file of one's own -------------------------------------------------------------------------
@@ -119,60 +121,35 @@ heal = 2
 """
 
 
-def write(folder: Path, text: str, name: str = "mine.toml") -> str:
-    """Write a file of characters and return its path."""
-    path = folder / name
-    path.write_text(text)
-    return str(path)
-
-
-def test_a_file_may_add_a_class_and_a_weapon(tmp_path: Path) -> None:
-    row = player_row(characters=write(tmp_path, ROGUE), classes="rogue")
-    assert (row["hp"], row["energy"], row["speed"], row["safe"]) == (80, 50, 6, 30)
-    assert (row["half_width"], row["half_height"]) == (20, 22)
-    assert (row["body_x"], row["body_y"], row["swing"]) == (3, -4, 60)
+def test_a_file_may_add_a_class_a_weapon_and_a_monster_that_levels_then_know(tmp_path: Path) -> None:
+    file = characters_file(tmp_path, ROGUE)
+    level = replace(EMPTY, monsters=(("bamboo", 200.0, 0.0), ("bamboo", 300.0, 0.0))).write(tmp_path / "den")
+    objects = tmp_path / "den" / "objects.csv"
+    objects.write_text(objects.read_text().replace("390,200", "500,200"))
+    worlds = Worlds(1, make_env_config({"level": level, "characters": file, "classes": "rogue"}))
+    row, wolf = worlds.player_stats[0], worlds.monster_stats[0, 0]
+    assert numbers(row, "hp", "energy", "speed", "safe", "energy_gain") == [80, 50, 6, 30, 1.0 * 3 / 60]
+    assert numbers(row, "half_width", "half_height", "body_x", "body_y", "swing") == [20, 22, 3, -4, 60]
     sword = row["sword"]
-    assert [sword[name] for name in ("damage", "knock_speed", "knock_ticks")] == [9 + 33, 4, 15]
+    assert numbers(sword, "damage", "knock_speed", "knock_ticks") == [9 + 33, 4, 15]
     assert sword["x"].tolist() == [0, -41, 0, 43] and sword["y"].tolist() == [40, 6, -42, 0]
     assert np.array_equal(sword["hilt_x"], sword["x"]) and np.array_equal(sword["hilt_y"], sword["y"])
     assert sword["half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
-    assert row["energy_gain"] == 1.0 * 3 / 60
-    other = player_row(characters=write(tmp_path, ROGUE), weapons="club")
-    assert other["sword"]["damage"] == 33  # base adds 0
-
-
-def test_a_file_may_add_a_monster_that_levels_then_know(tmp_path: Path) -> None:
-    file = write(tmp_path, ROGUE)
-    level = write_level(tmp_path / "den", [(0.0, 0.0)], [(200.0, 0.0), (300.0, 0.0)], codes=(500, BAMBOO))
-    worlds = Worlds(1, make_env_config({"level": level, "characters": file}))
-    assert [kind for kind, _, _ in worlds.level.monsters] == ["wolf", "bamboo"]
-    wolf = worlds.monster_stats[0, 0]
     worlds.reset()
-    assert worlds.monsters[0, 0][["x", "y", "hp"]].tolist() == (200, 0, 12) and wolf["speed"] == 1.5
-    assert (wolf["bite_ticks"], wolf["safe"], wolf["knock_ticks"]) == (30, 6, -1)
+    assert worlds.monsters[0, 0][["x", "y", "hp"]].tolist() == (200, 0, 12)
+    assert numbers(wolf, "speed", "bite_ticks", "safe", "knock_ticks") == [1.5, 30, 6, -1]
     with pytest.raises(UserError, match="unknown code 500; known are"):
         Worlds(1, make_env_config({"level": level}))
 
 
 def test_a_body_of_any_size_slides_along_a_wall(tmp_path: Path) -> None:
     # Unrounded, this one would overlap the wall at x = -512 by the last bit of its place.
-    file = write(tmp_path, "[players.base]\nbody = [5.1, 20]\nbody_at = [-2, 0]\n")
-    level = write_level(tmp_path / "wall", [(-544.0, 48.0)], [(400.0, 400.0)], [(2, 10)])
-    worlds = begin(1, level=level, characters=file)
-    play(worlds, RIGHT, RIGHT, UP)
-    assert player_at(worlds) == pytest.approx((-512 + 2 - 5.1 / 2, 48 - 40), abs=1e-3)
-
-
-# --- Mistakes in it ------------------------------------------------------------------------------
-
-
-def complaint(file: str, **settings: object) -> str:
-    """Return what is said of a file of characters."""
-    with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config({"characters": file, **settings}))
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
+    file = characters_file(tmp_path, "[players.base]\nbody = [5.1, 20]\nbody_at = [-2, 0]\n")
+    level = replace(EMPTY, monsters=(("bamboo", 400.0, 400.0),), obstacles=((2, 10),)).write(tmp_path)
+    pair = stage(level, characters=file)
+    pair.put(x=-544.0, y=48.0)
+    pair.play(RIGHT, RIGHT, UP)
+    assert pair.told("x") + pair.told("y") == pytest.approx([-512 + 2 - 5.1 / 2, 48 - 40], abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -185,6 +162,8 @@ def complaint(file: str, **settings: object) -> str:
     ],
 )
 def test_a_mistake_is_one_line_with_file_table_key_and_value(tmp_path: Path, text: str, told: str) -> None:
-    file = write(tmp_path, text)
-    message = complaint(file)
-    assert message.startswith(file) and told in message
+    file = characters_file(tmp_path, text)
+    with pytest.raises(UserError) as caught:
+        Worlds(1, make_env_config({"characters": file}))
+    message = str(caught.value)
+    assert message.startswith(file) and told in message and "\n" not in message

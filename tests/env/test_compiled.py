@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -59,20 +59,17 @@ def change(path: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_rollout_never_plays_by_the_activation_function_of_before(copy: Path) -> None:
-    """Action 0 has the logit 9 tanh(1), action 1 its negative."""
+def test_a_change_is_compiled_and_programs_kept_from_before_stop_nobody(copy: Path) -> None:
+    """Action 0 has the logit 9 tanh(1), action 1 its negative.
+
+    An index of old programs names the class `Rollout`, and numba reads it before it sees that it is old.
+    """
     assert said(CHOOSE, copy) == "0"
     assert said(CHOOSE, copy) == "0 1"  # from the cache
     change(copy / "pneuma/engines/mlp.py", "= tanh(x[j])", "= -tanh(x[j])")
     assert said(CHOOSE, copy) == "1"
-
-
-@pytest.mark.slow
-def test_programs_kept_from_before_a_class_was_renamed_stop_nobody(copy: Path) -> None:
-    """Their index names the class `Rollout`, and numba reads it before it sees that it is out of date."""
-    assert said(CHOOSE, copy) == "0"
     change(copy / "pneuma/engines/batched/rollout.py", "Rollout", "Rolling")  # as long: no line moves
-    assert said(CHOOSE, copy) == "0"
+    assert said(CHOOSE, copy) == "1"
 
 
 @pytest.mark.slow
@@ -86,22 +83,11 @@ def test_a_change_of_any_file_with_kernels_is_a_change_of_the_handle(copy: Path)
     assert len(set(names)) == len(KERNEL_SOURCES) + 1
 
 
-def _imported(tree: ast.Module, module: str) -> set[str]:
-    """Return the names that a file imports from a module or from what it holds."""
-    return {
-        alias.asname or alias.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(f"{module}.")
-        for alias in node.names
-    }
-
-
 def test_every_file_with_kernels_is_listed() -> None:
     makes_kernels = {"env/layouts.py", "env/state.py"}  # whose constants they hold
     for path in PACKAGE.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        if {"njit", "cached", "entry", "kernel", "inlined"} & (
-            _imported(tree, "numba") | _imported(tree, "pneuma.env.compiling")
-        ):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        imports = [line for line in lines if re.match(r" *from (numba|pneuma\.env\.compiling) import", line)]
+        if re.search(r"\b(njit|cached|entry|kernel|inlined)\b", " ".join(imports)):
             makes_kernels.add(path.relative_to(PACKAGE).as_posix())
     assert makes_kernels == set(KERNEL_SOURCES)

@@ -1,4 +1,4 @@
-"""What the environment's docstring tells is so: every argument's default, every number's bounds."""
+"""What the environment's docstring tells is so: how tasks differ, and every number's bounds."""
 
 from __future__ import annotations
 
@@ -12,12 +12,7 @@ from pneuma.env.gym import PneumaEnv
 
 from .arena import ARENA, begin
 
-
-def table(heading: str) -> dict[str, list[str]]:
-    """Return the rows of a section's tables: the other cells by the first."""
-    section = str(inspect.getdoc(PneumaEnv)).partition(f"## {heading}\n")[2].partition("\n## ")[0]
-    rows = (line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| "))
-    return {cells[0].strip("`"): cells[1:] for cells in rows}
+TEXT = str(inspect.getdoc(PneumaEnv))
 
 
 def shown(value: object) -> str:
@@ -28,7 +23,7 @@ def shown(value: object) -> str:
 
 
 def test_it_says_in_what_the_easier_and_the_harder_task_differ_from_the_arena() -> None:
-    said = set(re.findall(r"`(\w+) = (\S+)`", " ".join(str(inspect.getdoc(PneumaEnv)).split())))
+    said = set(re.findall(r"`(\w+) = (\S+)`", " ".join(TEXT.split())))
     *_, arena, easy, hard = (vars(make_env_config({}, env_id)) for env_id in ENVIRONMENTS)
     for task in (easy, hard):
         assert {(name, shown(task[name])) for name in task if task[name] != arena[name]} <= said
@@ -36,10 +31,10 @@ def test_it_says_in_what_the_easier_and_the_harder_task_differ_from_the_arena() 
 
 def test_it_has_every_number_of_the_arena_with_its_bounds() -> None:
     bounds = np.full((2, 64), np.nan)
-    for numbers, cells in table("Observations").items():
-        if numbers[0].isdigit():
-            for number in numbers.split(", "):
-                first, _, each = number.partition(" + ")
-                bounds[:, int(first) :: 4 if each else 64] = np.array(cells[1:], float)[:, None]
+    table = TEXT.partition("## Observations\n")[2].partition("Before the monsters")[0]
+    for numbers, low, high in re.findall(r"^\| (\d.*?) \| .* \| (\S+) \| (\S+) \|$", table, re.M):
+        for number in numbers.split(", "):
+            first, _, each = number.partition(" + ")
+            bounds[:, int(first) :: 4 if each else 64] = [[float(low)], [float(high)]]
     space = begin(1, env_id=ARENA).space
     np.testing.assert_allclose(bounds, [space.low, space.high], rtol=0.003)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from pneuma.env.load_level import load_level
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import Place, begin, layer, write_level
+from .arena import EMPTY, Place, begin
 
 CODES = {390: "bamboo", 391: "spirit"}
 SOLID, COAST = rules.SOLID, rules.COAST
+Tile = tuple[int, int]
 
 # Places by facts.md, section 1.
 STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
@@ -31,6 +32,11 @@ MONSTERS = [
 
 def load(path: Path) -> Level:
     return load_level(str(path), CODES)
+
+
+def layer(tiles: np.ndarray) -> str:
+    """Return a layer as the text of a CSV file."""
+    return "".join(",".join(str(code) for code in row) + "\n" for row in tiles)
 
 
 def complaint(**settings: Any) -> str:
@@ -75,16 +81,10 @@ def test_a_folder_needs_no_header(tmp_path: Path) -> None:
     assert np.array_equal(level.terrain == COAST, GROUND == 0)
 
 
-def test_a_header_says_where_the_land_ends_and_anything_in_the_layer_of_obstacles_blocks(
-    tmp_path: Path,
-) -> None:
+def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Path) -> None:
     header = 'title = "Other"\ncoast = [0, 2]\norigin = [1, 0.5]\ntile = 80\n'
-    objects = "code,x,y\n400,-40,0\n391,200,0\n"
-    folder = write_folder(
-        tmp_path, level=header, objects=objects, obstacles="-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n"
-    )
-    (folder / "ground.csv").write_text("1,1,1,1\n1,1,1,1\n0,2,1,1\n")
-    level = load(folder)
+    obstacles, ground = "-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n", "1,1,1,1\n1,1,1,1\n0,2,1,1\n"
+    level = load(write_folder(tmp_path, level=header, obstacles=obstacles, ground=ground))
     assert (level.title, level.left, level.top) == ("Other", -80.0, -40.0)
     assert level.terrain[2].tolist() == [COAST, COAST, rules.OPEN, SOLID]
 
@@ -149,35 +149,36 @@ ORIGIN = (0.0, 0.0)
     ],
 )  # fmt: skip
 def test_bodies_that_begin_in_what_stops_them_are_refused(
-    tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[tuple[int, int]], told: str,
+    tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[Tile], told: str,
     allowed: dict[str, Any],
 ) -> None:  # fmt: skip
     """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
-    settings: dict[str, Any] = {"level": write_level(tmp_path / "in", starts, monsters, obstacles)}
-    settings["players"] = len(starts)
-    assert told in complaint(**settings)
-    begin(1, **settings, **allowed)
+
+    def settings() -> dict[str, Any]:
+        bamboos = tuple(("bamboo", x, y) for x, y in monsters)
+        level = replace(EMPTY, starts=tuple(starts), monsters=bamboos, obstacles=tuple(obstacles))
+        return {"level": level.write(tmp_path), "players": len(starts)}
+
+    assert told in complaint(**settings())
+    begin(1, **settings(), **allowed)
     if "bodies" in allowed:
         last = starts if len(starts) > 1 else monsters
         last[-1] = (last[-1][0] + 1, last[-1][1])
-        begin(1, **{**settings, "level": write_level(tmp_path / "apart", starts, monsters)})
+        begin(1, **settings())
 
 
-@pytest.mark.parametrize(("tile", "door"), [(64, 1), (48, 1), (47, 2), (32, 2), (24, 2), (23, 3)])
+@pytest.mark.parametrize(("tile", "door"), [(64, 1), (48, 1), (47, 2), (24, 2), (23, 3)])
 def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door: int) -> None:
     """Two rooms of 6 x 12 tiles, a start and a monster, and a door so many tiles high between."""
-    made: Callable[[int], Path] = lambda gap: write_hall(tmp_path / f"hall{gap}", tile, gap)  # noqa: E731
-    assert begin(1, level=str(made(door))).level.monsters
-    assert "monster 0 (bamboo) at " in (told := complaint(level=str(made(door - 1))))
+    walls = {(column, row) for column in (0, 7, 14) for row in range(14)}
+    walls |= {(column, row) for column in range(15) for row in (0, 13)}
+
+    def hall(gap: int) -> str:
+        closed = tuple(walls - {(7, 4 + row) for row in range(gap)})
+        start, monster = (2.5 * tile, 4.5 * tile), ("bamboo", 12.5 * tile, 9.5 * tile)
+        level = replace(EMPTY, columns=15, rows=14, tile=tile, origin=(0, 0), shore=0, obstacles=closed)
+        return replace(level, starts=(start,), monsters=(monster,)).write(tmp_path)
+
+    assert begin(1, level=hall(door)).level.monsters
+    assert "monster 0 (bamboo) at " in (told := complaint(level=hall(door - 1)))
     assert told.endswith("is walled in or off the land, for a body of 48 px")
-
-
-def write_hall(folder: Path, tile: int, door: int) -> Path:
-    blocks = np.full((14, 15), -1)
-    blocks[[0, -1]] = blocks[:, [0, 7, -1]] = 395
-    blocks[4 : 4 + door, 7] = -1
-    objects = f"code,x,y\n400,{2.5 * tile},{4.5 * tile}\n390,{12.5 * tile},{9.5 * tile}\n"
-    header = f"tile = {tile}\norigin = [0, 0]\n"
-    write_folder(folder, obstacles=layer(blocks), objects=objects, level=header)
-    (folder / "ground.csv").unlink()
-    return folder

@@ -1,41 +1,28 @@
-"""Observations in every layout, order and scale, of all monsters or of some."""
+"""Observations by hand, in every layout and scale, of all monsters or of some."""
 
 from __future__ import annotations
 
-from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pneuma.env.fields import OBSERVATIONS, ORDERS, SCALES
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, RIGHT, STAND, THESIS, Place, begin, play, stage
+from .arena import GODOT, RIGHT, Place, begin, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
-
-
-def look(level: str, *monsters: Place, players: tuple[Place, ...] = ((0.0, 0.0),), **settings: Any) -> Worlds:
-    """Set up a world in which nothing moves and observe it."""
-    worlds = stage(level, *monsters, players=players, still=True, settings=settings)
-    play(worlds, STAND)
-    return worlds
-
-
-def seen(worlds: Worlds) -> np.ndarray:
-    return np.asarray(worlds.observations[0, 0])
 
 
 def rows(worlds: Worlds) -> np.ndarray:
     """Return the monsters' part of what the first player sees, a row each."""
     head, width = WIDTHS[worlds.config.observation]
-    return seen(worlds)[head:].reshape(-1, width)
+    return np.asarray(worlds.observations[0, 0, head:].reshape(-1, width))
 
 
 def test_the_godot_environment_begins_with_74_published_numbers() -> None:
     worlds = begin(1, env_id=GODOT)
-    assert seen(worlds)[:4].tolist() == [204, -105, 100, 0]
+    assert worlds.observations[0, 0, :4].tolist() == [204, -105, 100, 0]
     assert rows(worlds).shape == (14, 5)
     # The first monster is at (-538, -531): (742, 426) to the player, 855.59 px.
     assert rows(worlds)[0] == pytest.approx([-538, -531, 40, 742 / 855.593, 426 / 855.593], abs=1e-5)
@@ -43,15 +30,12 @@ def test_the_godot_environment_begins_with_74_published_numbers() -> None:
 
 
 def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None:
-    worlds = stage(zoo, (-300.0, 400.0), still=True, settings={"observation": "pygame", "magic": True})
-    worlds.players["hp"], worlds.players["energy"] = 43, 15
-    play(worlds, RIGHT)
-    worlds.players["x"], worlds.players["energy"] = 0.0, 15
-    worlds.observe()
+    pair = stage(zoo, (-300.0, 400.0), facing=RIGHT, observation="pygame")
+    pair.put(hp=43, energy=15)
     # The map of 20 x 20 tiles is 1280 px wide and high. Of 100 HP, 60 energy.
-    assert seen(worlds)[:6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
+    assert pair.worlds.observations[0, 0, :6] == pytest.approx([0.5, 0.5, 1, 0, 0.43, 0.25])
     # The bamboo is 500 px away along (-0.6, 0.8); the dearest, the raccoon, is worth 25 XP.
-    assert rows(worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
+    assert rows(pair.worlds)[0] == pytest.approx([500 / 1280, -0.6, 0.8, 1, 1 / 25])
 
 
 @pytest.mark.parametrize(
@@ -65,57 +49,24 @@ def test_pygame_sees_facing_energy_and_what_monsters_are_worth(zoo: str) -> None
 def test_a_scale_holds_for_every_number(
     arena: str, scale: str, x: float, y: float, hp: float, xp: float, distance: float, monster_hp: float
 ) -> None:
-    worlds = look(arena, (-240.0, -130.0), players=((-540.0, 270.0),), scale=scale)
-    worlds.players["hp"], worlds.players["xp"] = 40, 3
-    worlds.monsters["hp"][0] = [20, 0, 0, 0]
-    worlds.observe()
-    assert seen(worlds)[:4] == pytest.approx([x, y, hp, xp], abs=1e-6)
-    assert rows(worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
+    pair = stage(arena, (-240.0, -130.0), scale=scale)
+    pair.put(monsters=True, hp=[20, 0, 0, 0])
+    pair.put(x=-540, y=270, hp=40, xp=3)
+    assert pair.worlds.observations[0, 0, :4] == pytest.approx([x, y, hp, xp], abs=1e-6)
+    assert rows(pair.worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
+
+
+ZOO: list[Place] = [(0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)]  # bamboo, spirit, raccoon, squid
 
 
 @pytest.mark.parametrize(
     ("perceive", "distances"),
-    [
-        ("kind:spirit", [110]),
-        ("kind:squid,bamboo", [90, 300]),
-        ("kind:raccoon,spirit,squid", [110, 180, 300]),
-    ],
+    [("kind:spirit", [110]), ("kind:squid,bamboo", [90, 300]), ("nearest:3", [90, 110, 180])],
 )
-def test_monsters_may_be_perceived_by_kind(zoo: str, perceive: str, distances: list[float]) -> None:
-    places = (0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)  # bamboo, spirit, raccoon, squid
-    worlds = look(zoo, *places, perceive=perceive, scale="raw")
-    assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
-    worlds = look(zoo, *places, perceive=perceive, scale="raw", order="fixed")
-    assert rows(worlds)[:, 0].tolist() == pytest.approx(sorted(distances))  # they stand in this order
-    assert worlds.space.contains(seen(worlds))
-
-
-SEEN_AS = [
-    (env_id, {"observation": layout, "scale": scale, "order": order})
-    for layout, scale in product(OBSERVATIONS, SCALES)
-    for env_id, order in zip((THESIS, GODOT), ORDERS, strict=True)
-]
-OTHER_RULES = {"coast": "deadly", "trees": "pass", "bodies": "pass", "scale": "raw"}
-RAYS = [(env_id, {"perceive": "rays:16", **own}) for env_id in (THESIS, GODOT) for own in ({}, OTHER_RULES)]
-
-
-@pytest.mark.parametrize(("env_id", "seen_as"), [*SEEN_AS, *RAYS], ids=str)
-def test_no_observation_ever_leaves_its_space(env_id: str, seen_as: dict[str, Any]) -> None:
-    two: dict[str, Any] = {"players": 2, "classes": ["base", "tank"], "start": "random", "episode_steps": 150}
-    worlds = begin(6, env_id=env_id, magic=True, **{**two, **seen_as})
-    for space in worlds.spaces:
-        assert space.dtype == np.float32 and np.isfinite(space.low).all() and np.isfinite(space.high).all()
-    generator = np.random.default_rng(2)
-    stride = generator.integers(7, size=(6, 2))
-    endings = 0
-    for _ in range(400):
-        stride = np.where(generator.random((6, 2)) < 0.1, generator.integers(7, size=(6, 2)), stride)
-        endings += worlds.step(stride)
-        for player, space in enumerate(worlds.spaces):
-            here = worlds.observations[:, player]
-            assert (here >= space.low).all() and (here <= space.high).all()
-        worlds.reset(worlds.worlds["ending"] != 0)
-    assert endings > 5
+def test_some_monsters_alone_may_be_perceived(zoo: str, perceive: str, distances: list[float]) -> None:
+    for order in ("nearest", "fixed"):  # they stand in this order
+        worlds = stage(zoo, *ZOO, perceive=perceive, scale="raw", order=order).worlds
+        assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
 
 
 def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
@@ -123,18 +74,15 @@ def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     # squid below is nothing; down there the coast begins at 576. A player at (-200, 200), down and left, has
     # a body from -225 to -178 and from 178 to 226, so the diagonal enters it at (-178, 178).
     places = (100.0, 0.0), (0.0, -500.0), (250.0, 0.0), (0.0, 200.0)  # bamboo, spirit, raccoon, squid
-    worlds = look(zoo, *places, players=((0.0, 0.0), (-200.0, 200.0)), perceive="rays:8", scale="raw")
-    worlds.monsters["hp"][0, 3] = 0
-    worlds.observe()
-    assert worlds.space.shape == (4 + 8 * (1 + 6),)
-    rays = seen(worlds)[4:].reshape(8, 7)
+    pair = stage(zoo, *places, players=2, bodies="pass", perceive="rays:8", scale="raw")
+    pair.put(x=(0.0, -200.0), y=(0.0, 200.0))
+    pair.put(monsters=True, hp=[40, 1, 1, 0])
+    rays = pair.worlds.observations[0, 0, 4:].reshape(8, 1 + 6)
     terrain, player, bamboo, spirit = 0, 1, 2, 4  # kinds by name: bamboo, raccoon, spirit, squid
-    assert rays[:, 1:].argmax(axis=1).tolist() == [
-        bamboo, terrain, terrain, player, terrain, terrain, spirit, terrain,
-    ]  # fmt: skip
-    assert rays[:, 1:].sum(axis=1).tolist() == [1] * 8
-    spirit_ends = worlds.monster_stats[0, 1]["body_y"] + worlds.monster_stats[0, 1]["half_height"]
-    corner = 576 * np.sqrt(2)
+    met = [bamboo, terrain, terrain, player, terrain, terrain, spirit, terrain]
+    assert np.array_equal(rays[:, 1:], np.eye(6)[met])
+    stats, corner = pair.worlds.monster_stats[0, 1], 576 * np.sqrt(2)
+    spirit_ends = float(stats["body_y"] + stats["half_height"])
     assert rays[:, 0] == pytest.approx(
         [88, corner, 576, 178 * np.sqrt(2), 576, corner, 500 - spirit_ends, corner]
     )
@@ -143,11 +91,9 @@ def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
 @pytest.mark.parametrize(("scale", "unit"), [("unit", 300), ("map", 1280), ("raw", 1)])
 def test_rays_end_at_trees_and_at_a_sea_that_drowns(arena: str, scale: str, unit: float) -> None:
     # The obstacle is from 256 to 320 and from 0 to 64; of 4 rays the first goes right, the second down.
-    worlds = look(
-        arena, players=((100.0, 30.0),), perceive="rays:4", scale=scale, coast="deadly", observe_facing=True
-    )
-    rays = seen(worlds)[8:].reshape(4, 4)  # one kind of monster
-    assert rays[:, 1].tolist() == [1, 1, 1, 1]
-    assert rays[:, 0] * unit == pytest.approx([156, 546, 676, 606], rel=1e-6)
-    passed = look(arena, players=((100.0, 30.0),), perceive="rays:4", scale=scale, trees="pass")
-    assert seen(passed)[4] * unit == pytest.approx(476)
+    rays: dict[str, Any] = {"perceive": "rays:4", "scale": scale, "coast": "deadly"}
+    for trees, far in (("wall", 156), ("pass", 476)):
+        pair = stage(arena, trees=trees, **rays)
+        pair.put(x=100, y=30)
+        seen = pair.worlds.observations[0, 0, 4:].reshape(4, 4)  # one kind of monster
+        assert seen[:, 0] * unit == pytest.approx([far, 546, 676, 606], rel=1e-6)

@@ -1,104 +1,99 @@
-"""The rules by hand: walking, the sword, magic, monsters, and what is told of a step.
+"""The rules by hand: what facts and text say of numbers, worked out as short sums; the oracle plays along.
 
-`test_bodies.py` has how far circles and swords reach; `test_oracle.py` all else, against the oracle.
+`test_oracle.py` holds the compiled rules to the oracle in whatever else there is.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pneuma.env.fields import make_env_config
+from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 
-from .arena import (
-    ATTACK,
-    DOWN,
-    FLAME,
-    HEAL,
-    LEFT,
-    RIGHT,
-    STAND,
-    UP,
-    Place,
-    layer,
-    monster_at,
-    monster_hp,
-    play,
-    player_at,
-    player_hp,
-    stage,
-    write_level,
-)
+from .arena import FIELD, GODOT, Place, begin, characters_file, play, stage
 
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
 
-# --- The sword -----------------------------------------------------------------------------------
+# --- Walking, dashing and the sword --------------------------------------------------------------
 
 
 def test_an_attack_lasts_three_steps_in_which_walking_does_nothing(arena: str) -> None:
-    worlds = stage(arena, facing=UP)
-    play(worlds, ATTACK, LEFT, DOWN)  # 0.4 s = 24 ticks = 3 steps
-    assert player_at(worlds) == (0.0, 0.0)
-    assert worlds.players["facing"][0, 0] == UP
-    play(worlds, LEFT)
-    assert player_at(worlds) == (-40.0, 0.0)
-    assert worlds.players["facing"][0, 0] == LEFT
+    pair = stage(arena, facing=UP)
+    pair.play(ATTACK, LEFT, DOWN)  # 0.4 s = 24 ticks = 3 steps
+    assert (pair.told("x"), pair.told("y"), pair.told("facing")) == ([0], [0], [UP])
+    pair.play(LEFT)
+    assert (pair.told("x"), pair.told("y"), pair.told("facing")) == ([-40], [0], [LEFT])
 
 
 def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     # The monster at (84, -26) is (30, -40) = 50 x (0.6, -0.8) from the hilt. 2 px a tick for 30 ticks:
     # 60 x (0.6, -0.8) = (36, -48), so it lands at (120, -74).
-    worlds = stage(arena, (84.0, -26.0), ticks=1)
-    play(worlds, ATTACK)
-    assert monster_at(worlds) == pytest.approx((85.2, -27.6))
-    play(worlds, *[ATTACK] * 29)
-    assert monster_at(worlds) == pytest.approx((120.0, -74.0))
-    play(worlds, ATTACK)  # then it comes back, 2.5 px on each axis
-    assert monster_at(worlds) == pytest.approx((117.5, -71.5))
+    pair = stage(arena, (84.0, -26.0), ticks=1)
+    for ticks, place in ((1, (85.2, -27.6)), (29, (120.0, -74.0)), (1, (117.5, -71.5))):  # then it comes back
+        pair.play(*[ATTACK] * ticks)
+        assert pair.monster("x", "y") == pytest.approx(place)
 
 
-# --- Dashing -------------------------------------------------------------------------------------
-# Thrice 5 px a tick for 8 ticks; then 60 ticks of rest.
-
-DASH = 5  # the last action, without magic
+@pytest.mark.parametrize(
+    ("what", "facing", "last", "outwards"),
+    [
+        # The blade. Half of box and body: 39.5 + 12 or 25.5 + 12 on x, 25.5 + 25 or 39.5 + 25 on y.
+        ("hits", RIGHT, (38.5 + 51.25, 0.0), (1, 0)),
+        ("hits", RIGHT, (68.0, 3.5 - 2 + 50.25), (0, 1)),
+        ("hits", LEFT, (-38.5 - 51.25, 0.0), (-1, 0)),
+        ("hits", LEFT, (-72.0, 24.5 - 2 - 50.25), (0, -1)),
+        ("hits", DOWN, (-1.5 + 37.25, 58.0), (1, 0)),
+        ("hits", DOWN, (0.0, 36.5 - 2 + 64.25), (0, 1)),
+        ("hits", UP, (-2.5 - 37.25, -52.0), (-1, 0)),
+        ("hits", UP, (0.0, -28.5 - 2 - 64.25), (0, -1)),
+        # The notice circle, 7 px below a bamboo, and the attack circle, 5 px below.
+        ("notices", UP, (322.0, 0.0), (1, 0)),  # -1.5 + 23.5 + 300
+        ("notices", UP, (0.0, 319.0), (0, 1)),  # 2 + 24 + 300 - 7
+        ("notices", UP, (0.0, -329.0), (0, -1)),  # 2 - 24 - 300 - 7
+        ("contacts", DOWN, (62.0, 0.0), (1, 0)),  # -1.5 + 23.5 + 40
+        ("contacts", DOWN, (0.0, -67.0), (0, -1)),  # 2 - 24 - 40 - 5
+    ],
+)
+def test_blade_and_circles_reach_as_far_as_in_the_scenes(
+    arena: str, what: str, facing: int, last: Place, outwards: tuple[int, int]
+) -> None:
+    for further in (0.0, 0.25):
+        bamboo = last[0] + further * outwards[0], last[1] + further * outwards[1]
+        pair = stage(arena, bamboo, facing=facing, still=True)
+        pair.play(ATTACK)
+        assert pair.told(what) == [further == 0]
 
 
 def test_a_dash_goes_120_px_ahead_and_the_next_one_waits_for_60_ticks(arena: str) -> None:
-    worlds = stage(arena, players=((0.0, -200.0),), settings={"dash": True})
-    play(worlds, DASH)
-    assert player_at(worlds) == (120.0, -200.0)
-    assert worlds.masks[0, 0].tolist() == [1] * 5 + [0]
-    play(worlds, *[DASH] * 6)
-    assert (player_at(worlds), worlds.players["dash_cooldown"][0, 0]) == ((120.0, -200.0), 12)
-    play(worlds, DASH)
-    assert worlds.masks[0, 0, DASH] == 1  # 4 ticks from now
-    play(worlds, DASH)
-    assert player_at(worlds) == (180.0, -200.0)
-    play(worlds, UP)  # the other 4 ticks of the dash, then 4 of walking
-    assert player_at(worlds) == (240.0, -220.0)
-
-
-# --- Slow ground ----------------------------------------------------------------------------------
-# Half of 5 px a tick where the body's centre, 1.5 px left of the player's place, is on a slow tile.
+    dash = 5  # thrice 5 px a tick for 8 ticks; the last action, without magic
+    pair = stage(arena, dash=True)
+    pair.put(y=-200.0)
+    pair.play(dash)
+    assert pair.told("x") == [120] and pair.worlds.masks[0, 0].tolist() == [1] * 5 + [0]
+    pair.play(*[dash] * 6)
+    assert (pair.told("x"), pair.told("dash_cooldown")) == ([120], [12])
+    pair.play(dash)
+    assert pair.worlds.masks[0, 0, dash] == 1  # 4 ticks from now
+    pair.play(dash)
+    assert pair.told("x") == [180]
+    pair.play(UP)  # the other 4 ticks of the dash, then 4 of walking
+    assert (pair.told("x"), pair.told("y")) == ([240], [-220])
 
 
 def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) -> None:
-    level = write_level(tmp_path, [(0.0, 0.0)], [(540.0, 540.0)])
-    ground = np.pad(np.full((18, 18), 2), 1)
-    ground[:, 12] = 3  # 128 <= x < 192
-    (tmp_path / "ground.csv").write_text(layer(ground))
-    worlds = stage(level, players=((100.0, -200.0),), settings={"slow": [3]})
-    for x in (
-        135,  # 6 ticks of 5 to 130, where the centre is at 128.5, and 2 of 2.5
-        155,  # 8 of 2.5
-        175,
-        195,  # the last one from 192.5, where the centre is at 191
-        235,
-    ):
-        play(worlds, RIGHT)
-        assert player_at(worlds) == (x, -200.0)
+    # Half of 5 px a tick where the body's centre, 1.5 px left of the player's place, is at 128 <= x < 192.
+    level = replace(FIELD, sand=tuple((12, row) for row in range(20))).write(tmp_path)
+    pair = stage(level, slow=[3])
+    pair.put(x=100.0, y=-200.0)
+    for x in (135, 155, 175, 195, 235):  # 6 ticks of 5 px and 2 of 2.5; 8 of 2.5; the last one from 192.5
+        pair.play(RIGHT)
+        assert (pair.told("x"), pair.told("y")) == ([x], [-200])
 
 
 # --- Magic ---------------------------------------------------------------------------------------
@@ -106,42 +101,31 @@ def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) ->
 # and costs 20; healing gives 20 HP and costs 10; both take 24 ticks.
 
 
-def cast(level: str, *monsters: Place, facing: int = RIGHT, ticks: int = 8) -> Worlds:
-    """Set up a world with magic in which monsters neither move nor bite."""
-    worlds = stage(level, *monsters, facing=facing, ticks=ticks, still=True, settings={"magic": True})
-    worlds.monster_stats["damage"] = 0.0
-    return worlds
-
-
 @pytest.mark.parametrize("facing", DIRECTIONS)
 def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing: int) -> None:
     # A body is 24 x 50 px, 2 px below its place: half of it along the way faced, and half across.
     along, across = (12.0, 25.0) if facing in (LEFT, RIGHT) else (25.0, 12.0)
     x, y = DIRECTIONS[facing]
-    for inside, burnt in ((0.001, 31), (0.0, 40)):
-        for far, aside in (
-            (320 + along - inside, 0.0),
-            (-along + inside, 0.0),
-            (160.0, 32 + across - inside),
-            (160.0, -32 - across + inside),
-        ):
-            worlds = cast(arena, (x * far + y * aside, y * far + x * aside - 2), facing=facing)
-            play(worlds, FLAME, FLAME, FLAME)
-            assert monster_hp(worlds) == burnt, (far, aside)
-            assert worlds.monsters["knocked"][0, 0] == 0
+    places = (320 + along, 0.0), (-along, 0.0), (160.0, 32 + across), (160.0, -32 - across)
+    for far, aside in places:
+        for inside, burnt in ((0.001, 31), (0.0, 40)):
+            ahead = far - inside * np.sign(far - 160), aside - inside * np.sign(aside)
+            place = x * ahead[0] + y * ahead[1], y * ahead[0] + x * ahead[1] - 2
+            pair = stage(arena, place, facing=facing, still=True, magic=True)
+            pair.play(FLAME, FLAME, FLAME)
+            assert pair.monster("hp", "knocked") == (burnt, 0), (far, aside)
 
 
 @pytest.mark.parametrize(("spell", "cost", "hp"), [(FLAME, 20, 85), (HEAL, 10, 100)])
 def test_a_spell_costs_energy_and_takes_24_ticks(arena: str, spell: int, cost: float, hp: float) -> None:
-    worlds = cast(arena, ticks=1)
-    worlds.players["hp"] = 85
-    play(worlds, spell)
-    assert player_hp(worlds) == hp  # healed up to full
-    assert worlds.players["energy"][0, 0] == pytest.approx(60 - cost + 0.04)
-    play(worlds, *[spell] * 23)
-    assert worlds.players["energy"][0, 0] == pytest.approx(60 - cost + 24 * 0.04)
-    play(worlds, RIGHT)
-    assert player_at(worlds) == (5.0, 0.0)
+    pair = stage(arena, ticks=1, magic=True)
+    pair.put(hp=85)
+    for ticks in (1, 24):
+        pair.play(*[spell] * (ticks if ticks == 1 else 23))
+        assert pair.told("hp") == [hp]  # healed up to full
+        assert pair.told("energy")[0] == pytest.approx(60 - cost + ticks * 0.04)
+    pair.play(RIGHT)
+    assert pair.told("x") == [5]
 
 
 # --- Monsters ------------------------------------------------------------------------------------
@@ -149,40 +133,158 @@ def test_a_spell_costs_energy_and_takes_24_ticks(arena: str, spell: int, cost: f
 
 def test_a_monster_comes_no_nearer_than_30_px_on_either_axis(arena: str) -> None:
     # y: 100 - 28 x 2.5 = 30 after 28 ticks; x: 200 - 68 x 2.5 = 30 after 68.
-    worlds = stage(arena, (-200.0, 100.0), ticks=1, settings={"bodies": "pass"})
+    pair = stage(arena, (-200.0, 100.0), ticks=1, bodies="pass")
     for ticks, place in ((28, (-130.0, 30.0)), (40, (-30.0, 30.0)), (10, (-30.0, 30.0))):
-        play(worlds, *[STAND] * ticks)
-        assert monster_at(worlds) == place
+        pair.play(*[ATTACK] * ticks)
+        assert pair.monster("x", "y") == place
 
 
 def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) -> None:
-    worlds = stage(arena, (-40.0, 0.0), ticks=1)
+    pair = stage(arena, (-40.0, 0.0), ticks=1)
     hp = []
     for _ in range(121):
-        play(worlds, STAND)
-        hp.append(player_hp(worlds))
+        pair.play(ATTACK)
+        hp += pair.told("hp")
     assert hp == [93] * 60 + [86] * 60 + [79]
 
 
-# --- A step --------------------------------------------------------------------------------------
-
-
-def told(worlds: Worlds) -> dict[str, float]:
-    """Return what was told to have happened in the last step."""
-    row = worlds.events[0, 0]
-    state_of_things = ("reward", "distance", "present")
-    return {name: float(row[name]) for name in row.dtype.names if row[name] and name not in state_of_things}
+def test_what_flies_bites_when_it_has_landed(arena: str) -> None:
+    # Struck in tick 1, it flies to the end of tick 30, and never out of reach.
+    pair = stage(arena, (38.0, 14.0), still=True)
+    pair.put(monsters=True, hp=[5000])
+    hp, contacts = [], []
+    for _ in range(4):
+        pair.play(ATTACK)
+        hp += pair.told("hp")
+        contacts += pair.told("contacts")
+    assert (hp, contacts) == ([100, 100, 100, 93], [1, 0, 0, 0])
 
 
 def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
-    worlds = stage(arena, (80.0, 0.0), (40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0), still=True)
-    worlds.players["hp"], worlds.monsters["hp"][0, 0] = 50, 20
-    play(worlds, ATTACK)
+    pair = stage(arena, (80.0, 0.0), (40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0), still=True)
+    pair.put(hp=50)
+    pair.put(monsters=True, hp=[20])
+    pair.play(ATTACK)
     # Monster 0 dies of the sword before it senses anything. Monster 1 is struck, sees and touches, and
     # flies before it can bite; monster 2 sees and bites, monster 3 sees: 50 + 7 - 7 = 50 HP.
-    assert told(worlds) == {
+    expected = {
         "hits": 2, "kills": 1, "xp_gained": 1, "hp_gained": 7, "notices": 3, "contacts": 2, "hp_lost": 7,
+        "died": 0, "present": 8, "reward": 1 - 0.5,
     }  # fmt: skip
-    assert worlds.events["reward"][0, 0] == 1 - 0.5
-    play(worlds, ATTACK)
-    assert told(worlds) == {}
+    assert {name: pair.told(name)[0] for name in expected} == expected
+    pair.play(ATTACK)
+    assert {name: pair.told(name)[0] for name in expected} == dict.fromkeys(expected, 0) | {
+        "present": 8, "reward": 0.5,
+    }  # fmt: skip
+
+
+# --- The published code's quirks -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", [LEFT, RIGHT])
+def test_who_walks_one_way_for_ever_is_bitten_to_death_as_the_collapsed_logs_are(action: int) -> None:
+    """Six of the published logs end with episodes of 93 to 115 steps in the mean."""
+    worlds = begin(1, env_id=GODOT)
+    while worlds.ending(0) == "running":
+        play(worlds, action)
+    assert (worlds.ending(0), worlds.worlds["steps"][0]) == ("killed", 111)
+
+
+@pytest.mark.parametrize(("x", "paid"), [(62.0, True), (62.5, False)])  # 40 px off the body, and more
+def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: bool) -> None:
+    pair = stage(arena, (x, 0.0), ticks=1, still=True, env_id=GODOT)
+    pair.put(monsters=True, hp=[20])
+    pair.play(LEFT, RIGHT)  # it has stood there for a tick
+    pair.put(xp=4, hp=100)
+    pair.play(ATTACK)
+    assert (pair.told("xp"), pair.told("hp"), pair.told("kills")) == ([4 + paid], [100 + 7 * paid], [1])
+    assert pair.told("reward") == [5 * paid]  # set to the XP of who earns it
+
+
+def test_clearing_the_level_costs_1_xp(arena: str) -> None:
+    pair = stage(arena, (54.0, 0.0), env_id=GODOT)
+    pair.put(xp=4)
+    pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
+    pair.play(ATTACK)
+    assert (pair.told("xp"), pair.told("reward"), pair.worlds.ending(0)) == ([4], [4], "cleared")  # 4 + 1 - 1
+
+
+# --- Together ------------------------------------------------------------------------------------
+
+
+def test_a_monster_that_falls_to_two_is_wounded_from_two_sides_only(tmp_path: Path) -> None:
+    file = characters_file(tmp_path, "[monsters.bamboo]\nspeed = 0\npair_time = 1.0\n")
+    pair = stage(FIELD.write(tmp_path), (0.0, 0.0), players=2, characters=file, bodies="pass")
+    for blows, left, x, facing in (
+        (2, 40, (-54.0, -54.0), RIGHT),  # from one side
+        (2, 40, (-54.0, 300.0), (RIGHT, LEFT)),  # one alone
+        (1, 20, (-54.0, 54.0), (RIGHT, LEFT)),  # the second, from the other side, wounds it: 20 of 40
+    ):
+        for _ in range(blows):
+            pair.put(x=x, y=0.0, facing=facing, busy=0)
+            pair.play(ATTACK)
+            assert pair.monster("hp") == (left,)
+        pair.put(monsters=True, opened=[0])
+
+
+def test_healing_reaches_others_where_a_file_says_so(tmp_path: Path) -> None:
+    file = characters_file(tmp_path, "[spells.heal]\nreach = 100\n")
+    pair = stage(FIELD.write(tmp_path), players=3, magic=True, characters=file, bodies="pass")
+    pair.put(x=(-100.0, 0.0, 1.0), y=0.0, hp=(50.0, 90.0, 50.0))
+    pair.play((HEAL, ATTACK, ATTACK))  # at 100 px: in reach; at 101: not
+    assert (pair.told("hp"), pair.told("hp_gained")) == ([70, 100, 50], [20, 10, 0])
+
+
+def test_a_token_is_heard_by_the_others_in_the_next_step(arena: str) -> None:
+    pair = stage(arena, players=3, tokens=2, bodies="pass")
+    assert pair.worlds.action_names[-2:] == ("say_1", "say_2")
+    pair.play((6, 5, DOWN))  # the first says 2, the second 1
+    heard = pair.worlds.observations[0, :, 4:8].tolist()
+    assert heard == [[1, 0, 0, 0], [0, 0, 0, 1], [0, 1, 1, 0]]  # of the next player, then of the one after
+    assert pair.told("y") == [0, 0, 40]
+    pair.play(DOWN)
+    assert not pair.worlds.observations[0, :, 4:8].any()
+
+
+def test_a_second_weapon_is_taken_up_and_strikes_otherwise(arena: str) -> None:
+    pair = stage(arena, (92.0, 0.0), second_weapon="lance", still=True)
+    pair.play(ATTACK, ATTACK, ATTACK)  # the blade's box ends at 38.5 + 39.5, the bamboo begins at 80
+    assert (pair.told("kills"), pair.monster("hp")) == ([0], (40.0,))
+    assert pair.worlds.masks[0, 0, 5:7].tolist() == [0, 1]
+    pair.play(6)
+    assert (pair.told("second"), pair.told("busy"), pair.worlds.observations[0, 0, 4]) == ([1], [0], 1.0)
+    pair.play(ATTACK)  # the lance's ends at 68 + 40
+    assert (pair.told("hits"), pair.monster("hp"), pair.told("busy")) == ([1], (10.0,), [48 - 8])
+    pair.play(5)
+    assert pair.told("second") == [1]  # who attacks keeps its weapon
+    assert pair.worlds.weapon_stats(0)["swing"].tolist() == [48]
+
+
+@pytest.mark.parametrize(("blow", "hits"), [("attack", 1), ("entry", 2)])
+def test_a_monster_that_comes_back_is_hit_again_where_blows_fall_on_entry(
+    tmp_path: Path, blow: str, hits: int
+) -> None:
+    file = characters_file(
+        tmp_path, "[monsters.bamboo]\nhp = 1000\n[weapons.blade]\nknock_back = 0\nswing = 0.6\n"
+    )
+    pair = stage(FIELD.write(tmp_path), (54.0, 0.0), still=True, blow=blow, characters=file)
+    landed = 0
+    for x in (0.0, -158.0, 0.0):  # one attack of 36 ticks, in which the player is carried off and back
+        pair.put(x=x)
+        pair.play(ATTACK)
+        landed += int(pair.told("hits")[0])
+    assert landed == hits
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"level": "random:train:1", "monsters": "golems"}, "a golem falls to two players only"),
+        ({"tokens": 2}, "with players = 1 nobody hears them"),
+        ({"second_weapon": "lanse"}, "did you mean lance"),
+        ({"weapons": "lance", "second_weapon": "lance"}, "it is the first one too"),
+    ],
+)
+def test_what_one_player_cannot_play_is_refused(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        Worlds(1, make_env_config(fields))
